@@ -1,0 +1,54 @@
+"""A complete design: the drive, what is asked of it, and where every value came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dqforge.machines.inverter import Inverter
+from dqforge.machines.settings import ControlSettings, ExportSettings, FitSettings, LossSettings, Strategy
+from dqforge.machines.synchronous import LinearMachine
+
+
+@dataclass(frozen=True, slots=True)
+class InputValue:
+    """One value of the design as it was read.
+
+    ``path`` is the dotted key, ``text`` what the file says, ``si`` the value in SI with its ``unit``, ``source`` where
+    the author says it comes from, ``inferred`` whether it was deduced, ``note`` what was converted or assumed.
+    """
+
+    path: str
+    text: str
+    si: float
+    unit: str
+    source: str = ""
+    inferred: bool = False
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """Everything one design file says, in SI units.
+
+    ``values`` lists each quantity with its origin, ``assumptions`` the sentences on what the file leaves open,
+    ``digest`` is the SHA-256 of the file's bytes in hexadecimal.
+    """
+
+    name: str
+    about: str
+    machine: LinearMachine
+    inverter: Inverter
+    control: ControlSettings
+    strategy: Strategy
+    fit: FitSettings
+    losses: LossSettings | None
+    export: ExportSettings
+    values: tuple[InputValue, ...]
+    assumptions: tuple[str, ...]
+    digest: str
+
+    @property
+    def i_max(self) -> float:
+        """Current limit in A (peak): the smaller of machine and inverter."""
+        limits = [self.machine.i_max] + ([] if self.inverter.i_max is None else [self.inverter.i_max])
+        return min(limits)

@@ -1,0 +1,46 @@
+"""The errors that a user can cause, each with the exit code the command line answers with."""
+
+from __future__ import annotations
+
+
+class DqforgeError(Exception):
+    """Base of all errors that are reported as one line, without a traceback."""
+
+    exit_code = 1
+
+
+class InputError(DqforgeError, ValueError):
+    """The input is wrong; the message says where, what is wrong and what to write instead.
+
+    Parameters
+    ----------
+    message:
+        What is wrong, what was expected, what to write.
+    source:
+        File name as the user gave it, or None when there is no file.
+    line, column:
+        One-based position in the file, or None.
+    """
+
+    exit_code = 2
+
+    def __init__(
+        self, message: str, *, source: str | None = None, line: int | None = None, column: int | None = None
+    ) -> None:
+        self.message = message
+        self.source = source
+        self.line = line
+        self.column = column
+        super().__init__(message)
+
+    def __str__(self) -> str:
+        position = [str(part) for part in (self.source, self.line, self.column) if part is not None]
+        return f"{':'.join(position)}: {self.message}" if position else self.message
+
+
+class NoSolutionError(DqforgeError):
+    """The design is valid, but what it asks for cannot be had; the message says which limit stands in the way."""
+
+
+class VerificationError(DqforgeError):
+    """The emitted C does not do what the design says, or could not be compiled."""

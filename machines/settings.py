@@ -1,0 +1,125 @@
+"""What a design asks for: control, fit, loss comparison and export, as plain values in SI units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Strategy = Literal["mtpa", "id0"]
+FitMethod = Literal["lagrange", "least-squares", "minimax"]
+FitForm = Literal["polynomial", "torque-exact", "closed-form"]
+BreakpointMode = Literal["shared", "own"]
+CurrentLoopMethod = Literal["bandwidth", "damping", "magnitude-optimum", "symmetrical-optimum", "given"]
+SpeedLoopMethod = Literal["bandwidth", "damping", "symmetrical-optimum", "given"]
+ModulationName = Literal["spwm", "svpwm", "ddt-gdpwm"]
+
+
+@dataclass(frozen=True, slots=True)
+class FitSettings:
+    """How the current references become polynomials (design, section 6.F).
+
+    ``torque_max`` in N m is the end of the domain, or None for the largest torque that the current limit allows.
+    ``breakpoints`` in N m are searched for when None; a given tuple has ``segments - 1`` ascending entries.
+    """
+
+    form: FitForm = "torque-exact"
+    method: FitMethod = "minimax"
+    degree: int = 4
+    segments: int = 2
+    breakpoint_mode: BreakpointMode = "shared"
+    exact_at_zero: bool = True
+    continuous: bool = True
+    torque_max: float | None = None
+    breakpoints: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentLoopSettings:
+    """PI current controllers of both axes.
+
+    ``bandwidth`` in rad/s is for the methods ``bandwidth`` and ``damping`` (there the natural frequency); ``damping``
+    is the damping ratio; ``spread`` is a of the symmetrical optimum; ``kp`` in V/A and ``ki`` in V/(A s) are for the
+    method ``given`` (both axes). ``q_formats`` are the fractional bits (kp, ki t_s) of the per-unit integers, if asked.
+    """
+
+    method: CurrentLoopMethod = "magnitude-optimum"
+    bandwidth: float | None = None
+    damping: float = 0.7071067811865476
+    spread: float = 2.0
+    kp: float | None = None
+    ki: float | None = None
+    phase_margin_min: float = 0.5235987755982988
+    q_formats: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLoopSettings:
+    """PI speed controller that commands torque; it runs every ``ratio``-th current sample.
+
+    ``filter_time`` in s is a first-order filter on the measured speed (0 for none). ``kp`` in N m s/rad and ``ki`` in
+    N m/rad are for the method ``given``. The other fields are as in `CurrentLoopSettings`.
+    """
+
+    method: SpeedLoopMethod = "symmetrical-optimum"
+    ratio: int = 10
+    bandwidth: float | None = None
+    damping: float = 1.0
+    spread: float = 3.0
+    filter_time: float = 0.0
+    kp: float | None = None
+    ki: float | None = None
+    phase_margin_min: float = 0.5235987755982988
+    q_formats: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ObserverSettings:
+    """Reduced-order speed observer with its pole at ``-pole`` (rad/s, positive)."""
+
+    pole: float
+
+
+@dataclass(frozen=True, slots=True)
+class PerUnitBases:
+    """Bases of the per-unit gains: current in A, voltage in V, mechanical speed in rad/s, torque in N m."""
+
+    current: float
+    voltage: float
+    speed: float
+    torque: float
+
+
+@dataclass(frozen=True, slots=True)
+class ControlSettings:
+    """Sampling and controllers; ``t_s`` is the current-control sampling period in s."""
+
+    t_s: float
+    current_loop: CurrentLoopSettings
+    speed_loop: SpeedLoopSettings | None
+    observer: ObserverSettings | None
+    bases: PerUnitBases
+
+
+@dataclass(frozen=True, slots=True)
+class LoadPoint:
+    """One operating point: torque in N m and mechanical speed in rad/s."""
+
+    torque: float
+    omega_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class LossSettings:
+    """Which alternatives are compared, and where."""
+
+    points: tuple[LoadPoint, ...]
+    strategies: tuple[Strategy, ...] = ("id0", "mtpa")
+    modulations: tuple[ModulationName, ...] = ("spwm", "svpwm", "ddt-gdpwm")
+
+
+@dataclass(frozen=True, slots=True)
+class ExportSettings:
+    """The header: ``prefix`` is a checked C identifier, ``vectors`` the least number of test vectors."""
+
+    prefix: str
+    vectors: int = 256

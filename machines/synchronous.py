@@ -1,0 +1,87 @@
+"""Synchronous machines in rotor (dq) coordinates: flux linkage, torque, voltage and copper loss.
+
+All dq quantities are amplitude-invariant (peak of phase) and in SI units; the d axis lies along the magnet flux.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def torque_from_flux(
+    pole_pairs: int, psi_d: FloatArray, psi_q: FloatArray, i_d: FloatArray, i_q: FloatArray
+) -> FloatArray:
+    """Air-gap torque T = 3/2 p (psi_d i_q - psi_q i_d) in N m, any broadcastable shapes (design, section 2)."""
+    return 1.5 * pole_pairs * (psi_d * i_q - psi_q * i_d)
+
+
+def copper_loss(r_s: float, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+    """Copper loss 3/2 R |i|^2 in W for peak dq currents in A, any broadcastable shapes.
+
+    Paper 000 (12) prints R |i|^2, which holds for another scaling of the currents.
+    """
+    return 1.5 * r_s * (i_d * i_d + i_q * i_q)
+
+
+@dataclass(frozen=True, slots=True)
+class LinearMachine:
+    """A permanent-magnet or reluctance machine with constant inductances.
+
+    Parameters
+    ----------
+    pole_pairs:
+        Number of pole pairs p.
+    r_s:
+        Phase resistance in Ohm.
+    l_d, l_q:
+        Phase (synchronous) inductances in H.
+    psi_pm:
+        Magnet flux linkage in Wb, peak of phase; 0 for a reluctance machine.
+    i_max:
+        Largest permitted current in A, peak of phase.
+    inertia:
+        Moment of inertia in kg m^2, or None if unknown.
+    friction:
+        Viscous friction in N m s/rad.
+    omega_m_max:
+        Largest mechanical speed in rad/s, or None if unknown.
+    """
+
+    pole_pairs: int
+    r_s: float
+    l_d: float
+    l_q: float
+    psi_pm: float
+    i_max: float
+    inertia: float | None = None
+    friction: float = 0.0
+    omega_m_max: float | None = None
+
+    @property
+    def saliency(self) -> float:
+        """Inductance difference l_q - l_d in H; positive for the usual interior-magnet machine."""
+        return self.l_q - self.l_d
+
+    @property
+    def torque_per_ampere(self) -> float:
+        """Magnet torque per ampere of i_q, 3/2 p psi_pm, in N m/A (peak)."""
+        return 1.5 * self.pole_pairs * self.psi_pm
+
+    def flux(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Flux linkages (psi_d, psi_q) in Wb at currents in A, any shape."""
+        return self.psi_pm + self.l_d * i_d, self.l_q * i_q
+
+    def torque(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Torque in N m at currents in A, any broadcastable shapes."""
+        psi_d, psi_q = self.flux(i_d, i_q)
+        return torque_from_flux(self.pole_pairs, psi_d, psi_q, i_d, i_q)
+
+    def voltage(self, i_d: FloatArray, i_q: FloatArray, omega_e: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Steady-state voltages (v_d, v_q) in V at currents in A and electrical speed in rad/s (paper 000, (1))."""
+        psi_d, psi_q = self.flux(i_d, i_q)
+        return self.r_s * i_d - omega_e * psi_q, self.r_s * i_q + omega_e * psi_d

@@ -1,0 +1,1 @@
+"""What is decided: operating points, polynomials for firmware, gains and loss budgets."""

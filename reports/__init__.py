@@ -1,0 +1,1 @@
+"""What comes out: C headers and their verification, figures, the HTML report and the papers' tables."""
