@@ -1,0 +1,214 @@
+"""The current references that the firmware evaluates: torque in, (i_d, i_q) out, in a handful of forms.
+
+Each form is the list of float32 operations that the header spells out, so that the errors stated for it are those of
+the very arithmetic that runs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dqforge.machines.synchronous import FloatArray, LinearMachine, copper_loss
+from dqforge.optimizer.mtpa import id0_currents, mtpa_currents
+from dqforge.optimizer.single_precision import (
+    MultiplyAdd,
+    SingleArray,
+    SinglePolynomial,
+    fused_multiply_add,
+    multiply_add,
+)
+
+PENALTY_FROM = 0.05
+"""Share of the largest torque from which the relative loss penalty is stated; below it both losses vanish."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proportional:
+    """i_d = 0, i_q = gain T: surface machines, and i_d = 0 control of any machine. ``gain`` in A/(N m)."""
+
+    gain: np.float32
+
+    def currents(self, torque: SingleArray, _muladd: MultiplyAdd) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for torque >= 0 in N m, shape (N,)."""
+        return np.zeros_like(torque), self.gain * torque
+
+
+@dataclass(frozen=True, slots=True)
+class Polynomials:
+    """i_d(T) and i_q(T) as piecewise polynomials in A over N m (paper 000, (31) and (34))."""
+
+    d: SinglePolynomial
+    q: SinglePolynomial
+
+    def currents(self, torque: SingleArray, muladd: MultiplyAdd) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for torque >= 0 in N m, shape (N,)."""
+        return self.d.evaluate(torque, muladd), self.q.evaluate(torque, muladd)
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueExact:
+    """i_d(T) as a piecewise polynomial and i_q = T / (magnet + slope i_d): no torque error by construction.
+
+    ``magnet`` = 3/2 p psi_pm in N m/A, ``slope`` = 3/2 p (l_d - l_q) in N m/A^2.
+    """
+
+    d: SinglePolynomial
+    magnet: np.float32
+    slope: np.float32
+
+    def currents(self, torque: SingleArray, muladd: MultiplyAdd) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for torque >= 0 in N m, shape (N,)."""
+        i_d = self.d.evaluate(torque, muladd)
+        return i_d, torque / muladd(np.broadcast_to(self.slope, i_d.shape), i_d, np.asarray(self.magnet))
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedForm:
+    """i_q(T) as a piecewise polynomial and i_d from it by the MTPA locus, with one square root.
+
+    i_d = sign (base - sqrt(base^2 + i_q^2)), ``base`` = psi_pm / (2 |l_q - l_d|) in A, ``sign`` that of l_q - l_d
+    (paper 000, (15)). The current lies on the optimum locus, whatever the error of i_q. sqrtf of the stored square
+    gives back ``base`` exactly, so that i_d(0) = 0.
+    """
+
+    q: SinglePolynomial
+    base: np.float32
+    sign: int
+
+    @property
+    def base_squared(self) -> np.float32:
+        """Square of ``base`` in A^2, rounded to float."""
+        return self.base * self.base
+
+    def currents(self, torque: SingleArray, muladd: MultiplyAdd) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for torque >= 0 in N m, shape (N,)."""
+        i_q = self.q.evaluate(torque, muladd)
+        root = np.sqrt(muladd(i_q, i_q, np.asarray(self.base_squared)))
+        return (self.base - root if self.sign > 0 else root - self.base), i_q
+
+
+@dataclass(frozen=True, slots=True)
+class ReluctanceClosedForm:
+    """i_q = sqrt(gain T), i_d = +-i_q: the exact optimum of a machine without magnet. ``gain`` in A^2/(N m)."""
+
+    gain: np.float32
+    sign: int
+
+    def currents(self, torque: SingleArray, _muladd: MultiplyAdd) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for torque >= 0 in N m, shape (N,)."""
+        i_q = np.sqrt(self.gain * torque)
+        return (-i_q if self.sign > 0 else i_q), i_q
+
+
+Form = Proportional | Polynomials | TorqueExact | ClosedForm | ReluctanceClosedForm
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentReference:
+    """A form with its domain: i_d is even and i_q odd in the torque, which is clamped to +-``torque_max`` N m."""
+
+    form: Form
+    torque_max: np.float32
+
+    def currents(self, torque: SingleArray, *, fused: bool = False) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A as the emitted C returns them, bit for bit, for any float32 torque in N m, shape (N,).
+
+        NaN gives the reference of zero torque. ``fused`` models a compiler that contracts products and sums.
+        """
+        torque = np.asarray(torque, dtype=np.float32)
+        # Written as in the emitted C, which leaves the sign of -0 alone and sends NaN past both comparisons.
+        with np.errstate(invalid="ignore", under="ignore"):
+            magnitude = np.where(torque < 0.0, -torque, torque)
+            magnitude = np.where(magnitude > self.torque_max, self.torque_max, magnitude)
+            magnitude = np.where(np.isnan(magnitude), np.float32(0.0), magnitude)
+            i_d, i_q = self.form.currents(magnitude, fused_multiply_add if fused else multiply_add)
+            return i_d, np.where(torque < 0.0, -i_q, i_q)
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceErrors:
+    """Largest errors found over a dense set of torques, with and without fused multiply-add.
+
+    ``i_d``, ``i_q`` in A against the exact strategy; ``torque`` in N m against the request; ``torque_relative`` is
+    that over the largest torque; ``loss`` in W is the copper loss above the least for the torque that is produced;
+    ``loss_relative`` the same over that least loss, from 5 % of the largest torque upwards; ``step_at_zero`` in A is
+    the current reference left at zero torque. Found by sampling: not bounds.
+    """
+
+    i_d: float
+    i_q: float
+    torque: float
+    torque_relative: float
+    loss: float
+    loss_relative: float
+    step_at_zero: float
+    samples: int
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorCurves:
+    """Errors over the torque axis, arrays of shape (N,).
+
+    Torque in N m, errors of i_d and i_q in A and of the torque in N m, excess copper loss in W and relative to the
+    least loss.
+    """
+
+    torque: FloatArray
+    i_d: FloatArray
+    i_q: FloatArray
+    torque_error: FloatArray
+    loss: FloatArray
+    loss_relative: FloatArray
+
+
+def sample_torques(reference: CurrentReference, count: int) -> SingleArray:
+    """Float32 torques in [0, torque_max]: evenly and logarithmically spaced, and both neighbours of each breakpoint."""
+    end = reference.torque_max
+    parts = [np.linspace(0.0, float(end), count), np.geomspace(1e-6, 1.0, count // 4) * float(end)]
+    for polynomial in (getattr(reference.form, name, None) for name in ("d", "q")):
+        if isinstance(polynomial, SinglePolynomial):
+            edges = polynomial.starts[1:]
+            parts += [edges, np.nextafter(edges, np.float32(0.0))]
+    return np.unique(np.minimum(np.concatenate(parts).astype(np.float32), end))
+
+
+def error_curves(
+    machine: LinearMachine, strategy: str, reference: CurrentReference, torque: SingleArray, *, fused: bool = False
+) -> ErrorCurves:
+    """Compare the float32 reference with the exact strategy in double at torques >= 0, shape (N,)."""
+    i_d, i_q = (np.asarray(current, dtype=np.float64) for current in reference.currents(torque, fused=fused))
+    request = np.asarray(torque, dtype=np.float64)
+    exact_d, exact_q = (mtpa_currents if strategy == "mtpa" else id0_currents)(machine, request)
+    produced = machine.torque(i_d, i_q)
+    # The loss that an exact strategy would need for the torque that is really produced.
+    least_d, least_q = (mtpa_currents if strategy == "mtpa" else id0_currents)(machine, produced)
+    least = copper_loss(machine.r_s, least_d, least_q)
+    excess = copper_loss(machine.r_s, i_d, i_q) - least
+    relative = np.divide(excess, least, out=np.zeros_like(excess), where=least > 0.0)
+    return ErrorCurves(request, i_d - exact_d, i_q - exact_q, produced - request, excess, relative)
+
+
+def reference_errors(
+    machine: LinearMachine, strategy: str, reference: CurrentReference, samples: int = 4000
+) -> ReferenceErrors:
+    """Largest errors of the reference over its domain, in the arithmetic of the emitted C (both contractions)."""
+    torque = sample_torques(reference, samples)
+    curves = [error_curves(machine, strategy, reference, torque, fused=fused) for fused in (False, True)]
+    loaded = torque >= PENALTY_FROM * float(reference.torque_max)
+
+    def worst(name: str) -> float:
+        return max(float(np.max(np.abs(getattr(curve, name)))) for curve in curves)
+
+    zero_d, zero_q = reference.currents(np.zeros(1, dtype=np.float32))
+    return ReferenceErrors(
+        i_d=worst("i_d"),
+        i_q=worst("i_q"),
+        torque=worst("torque_error"),
+        torque_relative=worst("torque_error") / float(reference.torque_max),
+        loss=worst("loss"),
+        loss_relative=max(float(np.max(curve.loss_relative[loaded])) for curve in curves),
+        step_at_zero=float(np.hypot(zero_d[0], zero_q[0])),
+        samples=2 * torque.size,
+    )

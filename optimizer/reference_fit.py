@@ -1,0 +1,231 @@
+"""From a machine and fit settings to the current reference of the firmware, with its errors and its alternatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dqforge.machines.errors import InputError
+from dqforge.machines.settings import FitForm, FitSettings, Strategy
+from dqforge.machines.synchronous import FloatArray, LinearMachine
+from dqforge.optimizer.breakpoints import search
+from dqforge.optimizer.current_reference import (
+    ClosedForm,
+    CurrentReference,
+    Form,
+    Polynomials,
+    Proportional,
+    ReferenceErrors,
+    ReluctanceClosedForm,
+    TorqueExact,
+    reference_errors,
+)
+from dqforge.optimizer.fitting import Curve, SideConditions, fit_curve, largest_error, squared_error_integral
+from dqforge.optimizer.mtpa import largest_torque, mtpa_currents, require_torque
+from dqforge.optimizer.piecewise import PiecewisePolynomial
+from dqforge.optimizer.single_precision import SinglePolynomial
+
+AXES: dict[FitForm, tuple[str, ...]] = {"polynomial": ("d", "q"), "torque-exact": ("d",), "closed-form": ("q",)}
+"""The axes that each form holds as polynomials."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceFit:
+    """A current reference with what led to it.
+
+    ``form`` is the name of the form that is emitted: one of the settings' names, or ``proportional`` where the exact
+    reference is a straight line, or ``reluctance`` for the exact square root. ``d`` and ``q`` are the polynomials in
+    double, A over N m, where the form has them. ``errors`` are those of the float32 arithmetic.
+    """
+
+    settings: FitSettings
+    form: str
+    torque_max: float
+    d: PiecewisePolynomial | None
+    q: PiecewisePolynomial | None
+    reference: CurrentReference
+    errors: ReferenceErrors
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """One row of the table of alternatives: what was changed, and the errors that result."""
+
+    label: str
+    settings: FitSettings
+    errors: ReferenceErrors
+
+
+def target_curves(machine: LinearMachine) -> dict[str, Curve]:
+    """Exact MTPA currents i_d(T) and i_q(T) in A over torque in N m."""
+    return {
+        "d": lambda torque: mtpa_currents(machine, torque)[0],
+        "q": lambda torque: mtpa_currents(machine, torque)[1],
+    }
+
+
+def _cost(curves: list[Curve], settings: FitSettings, *, exchange: bool) -> Callable[[FloatArray], float]:
+    """Objective of the edges: the largest error for minimax, the paper's epsilon for the two other methods."""
+    side = SideConditions(settings.exact_at_zero, settings.continuous)
+
+    def cost(edges: FloatArray) -> float:
+        fits = [fit_curve(curve, edges, settings.degree, settings.method, side, exchange=exchange) for curve in curves]
+        if settings.method == "minimax":
+            return max(largest_error(curve, fit) for curve, fit in zip(curves, fits, strict=True))
+        return sum(squared_error_integral(curve, fit) for curve, fit in zip(curves, fits, strict=True))
+
+    return cost
+
+
+def _coarse_cost(curves: list[Curve], settings: FitSettings) -> Callable[[FloatArray], float]:
+    """Cheap ranking for the global search: interpolation in place of the linear programme of the minimax fit."""
+    if settings.method != "minimax":
+        return _cost(curves, settings, exchange=False)
+    side = SideConditions(settings.exact_at_zero, settings.continuous)
+    return lambda edges: max(
+        largest_error(curve, fit_curve(curve, edges, settings.degree, "lagrange", side)) for curve in curves
+    )
+
+
+def find_edges(curves: dict[str, Curve], settings: FitSettings, end: float) -> dict[str, FloatArray]:
+    """Segment edges per axis, each of shape (S + 1,), given or searched for, shared or own."""
+    if settings.breakpoints is not None:
+        return dict.fromkeys(curves, np.array([0.0, *settings.breakpoints, end]))
+    groups = [[axis] for axis in curves] if settings.breakpoint_mode == "own" else [list(curves)]
+    edges: dict[str, FloatArray] = {}
+    for group in groups:
+        members = [curves[axis] for axis in group]
+        found = search(
+            _coarse_cost(members, settings), _cost(members, settings, exchange=False), settings.segments, end
+        )
+        edges.update(dict.fromkeys(group, found))
+    return edges
+
+
+def _exact_form(machine: LinearMachine, strategy: Strategy, form: FitForm) -> tuple[str, Form] | None:
+    """The form that needs no polynomial, where the machine and the strategy have one."""
+    if machine.psi_pm > 0.0 and (strategy == "id0" or machine.saliency == 0.0):
+        return "proportional", Proportional(np.float32(1.0 / machine.torque_per_ampere))
+    if machine.psi_pm == 0.0 and form == "closed-form":
+        gain = 1.0 / (1.5 * machine.pole_pairs * abs(machine.saliency))
+        return "reluctance", ReluctanceClosedForm(np.float32(gain), 1 if machine.saliency > 0.0 else -1)
+    if machine.psi_pm == 0.0 and form == "torque-exact":
+        raise InputError(
+            "fit.form torque-exact divides by the magnet torque, which this machine does not have; "
+            "write form: closed-form, which is exact for it"
+        )
+    return None
+
+
+def _assemble(machine: LinearMachine, form: FitForm, fits: dict[str, PiecewisePolynomial]) -> Form:
+    """Round the polynomials of a form, and the machine constants beside them, to float."""
+    single = {axis: SinglePolynomial.from_double(fit) for axis, fit in fits.items()}
+    if form == "polynomial":
+        return Polynomials(single["d"], single["q"])
+    if form == "torque-exact":
+        slope = -1.5 * machine.pole_pairs * machine.saliency
+        return TorqueExact(single["d"], np.float32(machine.torque_per_ampere), np.float32(slope))
+    base = machine.psi_pm / (2.0 * abs(machine.saliency))
+    return ClosedForm(single["q"], np.float32(base), 1 if machine.saliency > 0.0 else -1)
+
+
+def domain_end(machine: LinearMachine, strategy: Strategy, i_max: float, settings: FitSettings) -> float:
+    """End of the torque domain in N m: as given, or the largest torque that the current limit allows.
+
+    Raises
+    ------
+    NoSolutionError
+        The given end needs more current than the limit.
+    """
+    if settings.torque_max is None:
+        return largest_torque(machine, strategy, i_max)
+    require_torque(machine, strategy, i_max, settings.torque_max, "fit.torque_max")
+    return settings.torque_max
+
+
+def fit_reference(machine: LinearMachine, strategy: Strategy, i_max: float, settings: FitSettings) -> ReferenceFit:
+    """Current reference of a machine with constant inductances.
+
+    Parameters
+    ----------
+    machine, strategy:
+        What is to be approximated.
+    i_max:
+        Current limit in A (peak); it sets the domain where the settings give none.
+    settings:
+        Form, method, degree, segments, breakpoints and side conditions.
+
+    Raises
+    ------
+    InputError
+        The form does not suit the machine, or a breakpoint lies outside the domain.
+    NoSolutionError
+        The torque domain needs more current than the limit, or the fit failed.
+    """
+    end = domain_end(machine, strategy, i_max, settings)
+    exact = _exact_form(machine, strategy, settings.form)
+    fits: dict[str, PiecewisePolynomial] = {}
+    if exact is None:
+        if settings.breakpoints is not None and settings.breakpoints and settings.breakpoints[-1] >= end:
+            raise InputError(f"fit.breakpoints must lie below the largest torque, {end:.4g} N m")
+        all_curves = target_curves(machine)
+        curves = {axis: all_curves[axis] for axis in AXES[settings.form]}
+        side = SideConditions(settings.exact_at_zero, settings.continuous)
+        edges = find_edges(curves, settings, end)
+        fits = {
+            axis: fit_curve(curve, edges[axis], settings.degree, settings.method, side)
+            for axis, curve in curves.items()
+        }
+        name: str = settings.form
+        form = _assemble(machine, settings.form, fits)
+    else:
+        name, form = exact
+    reference = CurrentReference(form, np.float32(end))
+    errors = reference_errors(machine, strategy, reference)
+    return ReferenceFit(settings, name, end, fits.get("d"), fits.get("q"), reference, errors)
+
+
+def _fixed_breakpoints(fit: ReferenceFit) -> FitSettings:
+    """The settings of a fit with its breakpoints written in, where it has one set of them."""
+    polynomial = fit.d or fit.q
+    shared = fit.settings.breakpoint_mode == "shared" or fit.d is None or fit.q is None
+    if polynomial is None or not shared:
+        return fit.settings
+    return replace(fit.settings, breakpoints=tuple(float(edge) for edge in polynomial.breakpoints))
+
+
+def alternatives(
+    machine: LinearMachine, strategy: Strategy, i_max: float, fit: ReferenceFit
+) -> tuple[Alternative, ...]:
+    """What other forms, methods and side conditions would give: one change at a time against ``fit``.
+
+    Other forms search their own breakpoints; other methods and side conditions keep those of ``fit``, so that the
+    price of each option is seen alone. Empty where the reference needs no polynomial.
+    """
+    if fit.d is None and fit.q is None:
+        return ()
+    fixed = _fixed_breakpoints(fit)
+    rows: list[tuple[str, FitSettings]] = []
+    forms: tuple[FitForm, ...] = ("polynomial", "torque-exact", "closed-form")
+    unfit = ("torque-exact", "closed-form") if machine.psi_pm == 0.0 else ()
+    rows += [
+        (f"form {form}", replace(fit.settings, form=form)) for form in forms if form not in (fit.settings.form, *unfit)
+    ]
+    methods = ("lagrange", "least-squares", "minimax")
+    rows += [(f"method {method}", replace(fixed, method=method)) for method in methods if method != fixed.method]
+    rows.append(
+        (
+            f"exact at zero: {'off' if fixed.exact_at_zero else 'on'}",
+            replace(fixed, exact_at_zero=not fixed.exact_at_zero),
+        )
+    )
+    if fixed.segments > 1:
+        rows.append(
+            (f"continuous: {'off' if fixed.continuous else 'on'}", replace(fixed, continuous=not fixed.continuous))
+        )
+    return tuple(
+        Alternative(label, settings, fit_reference(machine, strategy, i_max, settings).errors)
+        for label, settings in rows
+    )

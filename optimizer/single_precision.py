@@ -1,0 +1,74 @@
+"""Single-precision arithmetic as the emitted C performs it, operation by operation.
+
+NumPy's float32 operations are IEEE 754 and rounded to nearest, as are those of a host compiler without contraction.
+With contraction a compiler may fuse a product and the sum that follows; both readings are modelled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.optimizer.piecewise import PiecewisePolynomial
+
+SingleArray = NDArray[np.float32]
+MultiplyAdd = Callable[[SingleArray, SingleArray, SingleArray], SingleArray]
+
+
+def multiply_add(factor: SingleArray, other: SingleArray, addend: SingleArray) -> SingleArray:
+    """``factor * other + addend`` with both operations rounded, any broadcastable shapes."""
+    return (factor * other) + addend
+
+
+def fused_multiply_add(factor: SingleArray, other: SingleArray, addend: SingleArray) -> SingleArray:
+    """``factor * other + addend`` rounded once, any broadcastable shapes; finite operands.
+
+    The product of two floats is exact in double. Rounding the double sum to odd keeps the information that a second
+    rounding to float needs, so that the result is the correctly rounded one (Boldo and Melquiond, 2008,
+    doi:10.1109/TC.2007.70819).
+    """
+    product = factor.astype(np.float64) * other.astype(np.float64)
+    summand = np.broadcast_to(addend, product.shape).astype(np.float64)
+    total = product + summand
+    virtual = total - product
+    remainder = (product - (total - virtual)) + (summand - virtual)
+    bits = total.view(np.int64)
+    is_even = (bits & 1) == 0
+    towards = np.where((remainder > 0.0) == (total > 0.0), 1, -1)
+    odd = np.where((remainder != 0.0) & is_even, bits + towards, bits)
+    return odd.view(np.float64).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class SinglePolynomial:
+    """A piecewise polynomial with float32 coefficients, evaluated by Horner's rule in t - start.
+
+    Parameters
+    ----------
+    starts:
+        First edge of each segment, shape (S,); the first is 0.
+    coefficients:
+        Ascending powers, shape (S, n + 1). A constant that is zero is neither stored nor added in the emitted C.
+    """
+
+    starts: SingleArray
+    coefficients: SingleArray
+
+    @classmethod
+    def from_double(cls, piecewise: PiecewisePolynomial) -> SinglePolynomial:
+        """Round every coefficient and every edge to the nearest float."""
+        return cls(piecewise.edges[:-1].astype(np.float32), piecewise.coefficients.astype(np.float32))
+
+    def evaluate(self, argument: SingleArray, muladd: MultiplyAdd) -> SingleArray:
+        """Value at non-negative float32 arguments, shape (N,), with the given multiply-add."""
+        segment = np.searchsorted(self.starts[1:], argument, side="right")
+        local = argument - self.starts[segment]
+        rows = self.coefficients[segment]
+        value = rows[:, -1]
+        for power in range(rows.shape[1] - 2, 0, -1):
+            value = muladd(value, local, rows[:, power])
+        constant = rows[:, 0]
+        return np.where(constant == 0.0, value * local, muladd(value, local, constant))

@@ -1,0 +1,45 @@
+"""Numbers and text for C source: shortest decimals that read back to the same float, and comments that stay comments."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+
+_UNPRINTABLE = re.compile(r"[^\x20-\x7e]")
+
+
+def float_literal(value: float) -> str:
+    """Shortest decimal literal of a float, such as ``0.1049F``, that reads back to the same 32 bits.
+
+    Raises
+    ------
+    ValueError
+        The value is not finite as a float: an emitted header must not hold it.
+    """
+    with np.errstate(over="ignore"):
+        single = np.float32(value)
+    if not math.isfinite(single):
+        raise ValueError(f"{value!r} is not finite in single precision")
+    if single == 0.0 or 1e-4 <= abs(single) < 1e7:
+        text = np.format_float_positional(single, unique=True, trim="0")
+    else:
+        text = np.format_float_scientific(single, unique=True, trim="0", exp_digits=1)
+    return f"{text}F"
+
+
+def addend(value: float) -> str:
+    """A float literal behind a sum, with its sign as the operator: ``+ 1.5F`` or ``- 1.5F`` (the same operation)."""
+    return f"{'-' if math.copysign(1.0, value) < 0.0 else '+'} {float_literal(abs(value))}"
+
+
+def comment_text(text: str) -> str:
+    """Text that cannot leave a C comment or add a line: printable ASCII without comment marks or trigraphs."""
+    ascii_text = _UNPRINTABLE.sub("?", text.replace("\u00b5", "u").replace("\u03a9", "Ohm"))
+    return ascii_text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").replace("\\", "/")
+
+
+def hexadecimal_word(value: np.float32) -> str:
+    """The 32 bits of a float as a C constant, such as ``0x3F800000U``."""
+    return f"0x{int(np.float32(value).view(np.uint32)):08X}U"

@@ -1,0 +1,288 @@
+"""The neutral C header and its test vectors: from a solution to text, through plain data only (design, section 7)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from dqforge import __version__
+from dqforge.optimizer.current_reference import CurrentReference, sample_torques
+from dqforge.optimizer.gains import LoopGains, per_unit, to_q
+from dqforge.optimizer.single_precision import SingleArray
+from dqforge.optimizer.solution import Solution
+from dqforge.reports.reference_ir import PlainData, shortest, to_plain
+from dqforge.reports.templating import render
+
+_VECTOR_SEED = 20_260_501
+"""Seed of the random test vectors; any fixed number does."""
+
+_FORM_TEXT = {
+    "proportional": ("i_d = 0 and i_q proportional to the torque (exact)",),
+    "polynomial": ("i_d and i_q are polynomials of the torque",),
+    "torque-exact": (
+        "i_d is a polynomial of the torque; i_q is the torque over (magnet + slope i_d),",
+        "so the torque has no error but rounding",
+    ),
+    "closed-form": (
+        "i_q is a polynomial of the torque; i_d follows from it by the MTPA locus,",
+        "so the current lies on the optimum locus",
+    ),
+    "reluctance": ("i_q is a square root of the torque and |i_d| = |i_q| (exact)",),
+}
+
+
+def _entry(name: str, value: float, comment: str) -> PlainData:
+    return {"name": name, "value": value, "comment": comment}
+
+
+def _machine_group(solution: Solution) -> PlainData:
+    machine = solution.design.machine
+    return {
+        "title": "Machine (dq quantities are amplitude-invariant: peak of phase)",
+        "comment": [],
+        "entries": [
+            _entry("POLE_PAIRS", machine.pole_pairs, "number of pole pairs"),
+            _entry("R_S_OHM", machine.r_s, "phase resistance, Ohm"),
+            _entry("L_D_H", machine.l_d, "d-axis inductance, H; decoupling v_q += omega_e (L_D i_d + PSI_PM)"),
+            _entry("L_Q_H", machine.l_q, "q-axis inductance, H; decoupling v_d -= omega_e L_Q i_q"),
+            _entry("PSI_PM_WB", machine.psi_pm, "magnet flux linkage, Wb (peak)"),
+            _entry("CURRENT_MAX_A", solution.design.i_max, "current limit, A (peak)"),
+            _entry("TORQUE_MAX_NM", shortest(solution.fit.reference.torque_max), "end of the torque domain, N m"),
+        ],
+    }
+
+
+def _bases_group(solution: Solution) -> PlainData:
+    bases = solution.design.control.bases
+    return {
+        "title": "Bases of the per-unit gains",
+        "comment": [],
+        "entries": [
+            _entry("BASE_CURRENT_A", bases.current, "A"),
+            _entry("BASE_VOLTAGE_V", bases.voltage, "V"),
+            _entry("BASE_SPEED_RAD_PER_S", bases.speed, "mechanical speed, rad/s"),
+            _entry("BASE_TORQUE_NM", bases.torque, "N m"),
+        ],
+    }
+
+
+def margin_text(gains: LoopGains) -> list[str]:
+    """Two lines that say how good a loop is, in engineering units."""
+    gain_margin = 20.0 * math.log10(gains.gain_margin) if math.isfinite(gains.gain_margin) else math.inf
+    return [
+        f"Crossover {gains.crossover / (2.0 * math.pi):.4g} Hz, phase margin {math.degrees(gains.phase_margin):.1f} deg, "
+        f"gain margin {gain_margin:.1f} dB,",
+        f"delay margin {gains.delay_margin_samples:.2f} samples, largest closed-loop pole {abs(gains.poles[0]):.4f}, "
+        f"M_s {gains.max_sensitivity:.2f}.",
+    ]
+
+
+def _gain_group(
+    gains: LoopGains, name: str, units: tuple[str, str], bases: tuple[float, float], q_formats: tuple[int, int] | None
+) -> PlainData:
+    """Macros of one PI controller; ``units`` are those of kp and ki as (macro suffix, text) pairs joined by '|'."""
+    kp_suffix, kp_unit = units[0].split("|")
+    ki_suffix, ki_unit = units[1].split("|")
+    kp_pu, ki_ts_pu = per_unit(gains, *bases)
+    entries = [
+        _entry(f"{name}_KP_{kp_suffix}", gains.kp, f"proportional gain, {kp_unit}"),
+        _entry(f"{name}_KI_{ki_suffix}", gains.ki, f"integral gain, {ki_unit}"),
+        _entry(f"{name}_KI_TS_{kp_suffix}", gains.ki_ts, f"integral gain times sampling period, {kp_unit}"),
+        _entry(f"{name}_T_I_S", gains.t_i, "integral time kp/ki of the series form, s"),
+        _entry(f"{name}_ANTI_WINDUP_PER_S", gains.anti_windup, "back-calculation gain, 1/s"),
+        _entry(f"{name}_KP_PU", kp_pu, "proportional gain, per unit"),
+        _entry(f"{name}_KI_TS_PU", ki_ts_pu, "integral gain times sampling period, per unit"),
+    ]
+    if q_formats is not None:
+        kp_bits, ki_bits = q_formats
+        entries.append(_entry(f"{name}_KP_PU_Q{kp_bits}", to_q(kp_pu, kp_bits), f"per unit times 2^{kp_bits}"))
+        entries.append(_entry(f"{name}_KI_TS_PU_Q{ki_bits}", to_q(ki_ts_pu, ki_bits), f"per unit times 2^{ki_bits}"))
+    titles = {
+        "ID": "PI controller of i_d",
+        "IQ": "PI controller of i_q",
+        "SPEED": "PI controller of the speed (its output is torque)",
+    }
+    return {
+        "title": f"{titles[name]}: method {gains.method}, sampled every {gains.t_s * 1e6:.6g} us",
+        "comment": ["d[k] = d[k-1] + kp (e[k] - e[k-1]) + ki_ts e[k]", *margin_text(gains)],
+        "entries": entries,
+    }
+
+
+def _gain_groups(solution: Solution) -> list[PlainData]:
+    control, gains = solution.design.control, solution.gains
+    bases = control.bases
+    volts = ("V_PER_A|V/A", "V_PER_AS|V/(A s)")
+    current = (bases.current, bases.voltage)
+    groups = [
+        {
+            "title": "Sampling",
+            "comment": [],
+            "entries": [_entry("T_S_S", control.t_s, "sampling period of the current control, s")],
+        },
+        _gain_group(gains.i_d, "ID", volts, current, control.current_loop.q_formats),
+        _gain_group(gains.i_q, "IQ", volts, current, control.current_loop.q_formats),
+    ]
+    if gains.speed is not None and control.speed_loop is not None:
+        torque = ("NMS_PER_RAD|N m s/rad", "NM_PER_RAD|N m/rad")
+        group = _gain_group(gains.speed, "SPEED", torque, (bases.speed, bases.torque), control.speed_loop.q_formats)
+        ratio = _entry("SPEED_RATIO", control.speed_loop.ratio, "current samples per speed sample")
+        group["entries"].insert(0, ratio)
+        groups.append(group)
+    return groups
+
+
+def _observer_group(solution: Solution) -> list[PlainData]:
+    observer = solution.gains.observer
+    if observer is None:
+        return []
+    group = {
+        "title": "Reduced-order speed observer (mechanical speed)",
+        "comment": [
+            "omega_hat[k] = zeta[k] - C i_q[k];  zeta[k+1] = A zeta[k] + B_U u_q[k] + B_I i_q[k]",
+            "u_q = v_q - p omega_m L_D i_d, with the voltage that acts from sample k to k+1.",
+            f"Continuous pole {observer.continuous_pole:.6g} 1/s; exact for held voltage.",
+        ],
+        "entries": [
+            _entry("OBSERVER_A", observer.a, "pole in the z plane, dimensionless"),
+            _entry("OBSERVER_B_U_RAD_PER_VS", observer.b_u, "rad/(s V)"),
+            _entry("OBSERVER_B_I_RAD_PER_AS", observer.b_i, "rad/(s A)"),
+            _entry("OBSERVER_C_RAD_PER_AS", observer.c, "rad/(s A)"),
+        ],
+    }
+    return [group]
+
+
+def _ladders(plain: PlainData) -> list[list[PlainData]]:
+    """Branch ladders of the evaluator: one for both axes where they share their breakpoints, else one per axis."""
+    axes = [axis for axis in ("d", "q") if axis in plain]
+    starts = {axis: tuple(segment["start"] for segment in plain[axis]) for axis in axes}
+    groups = [axes] if len(set(starts.values())) == 1 else [[axis] for axis in axes]
+    ladders = []
+    for group in groups:
+        edges = starts[group[0]]
+        ladders.append(
+            [
+                {
+                    "start": start,
+                    "end": edges[index + 1] if index + 1 < len(edges) else plain["torque_max"],
+                    "polynomials": [(f"i_{axis}", plain[axis][index]["coefficients"]) for axis in group],
+                }
+                for index, start in enumerate(edges)
+            ]
+        )
+    return ladders if axes else []
+
+
+def error_text(solution: Solution) -> list[str]:
+    """What the current reference errs by, as lines of at most 110 characters."""
+    errors = solution.fit.errors
+    return [
+        f"Largest errors found at {errors.samples} torques (single precision, with and without fused multiply-add;",
+        "sampled, not proven):",
+        f"i_d {errors.i_d:.3g} A, i_q {errors.i_q:.3g} A against the exact {solution.design.strategy} currents;",
+        f"torque {errors.torque:.3g} N m ({100.0 * errors.torque_relative:.2g} % of the largest torque);",
+        f"copper loss {errors.loss:.3g} W above the least ({100.0 * errors.loss_relative:.2g} % from 5 % torque upwards).",
+    ]
+
+
+def _reference_context(solution: Solution, plain: PlainData) -> PlainData:
+    fit = solution.fit
+    shape = (
+        []
+        if fit.d is None and fit.q is None
+        else [
+            f"{fit.settings.method}, degree {fit.settings.degree}, {fit.settings.segments} segment(s) between 0 and "
+            f"{fit.torque_max:.6g} N m;"
+        ]
+    )
+    base_squared = (
+        {"base_squared": shortest(np.float32(plain["base"]) * np.float32(plain["base"]))} if "base" in plain else {}
+    )
+    return (
+        plain
+        | base_squared
+        | {
+            "uses_sqrt": plain["form"] in ("closed-form", "reluctance"),
+            "ladders": _ladders(plain),
+            "comment": [
+                "torque_Nm: torque in N m, clamped to +-TORQUE_MAX; i_d_A, i_q_A: currents in A (peak).",
+                "i_d is even and i_q odd in the torque; not-a-number gives the reference of zero torque.",
+                f"Strategy {solution.design.strategy}; form {plain['form']}:",
+                *_FORM_TEXT[plain["form"]],
+                *shape,
+                *error_text(solution),
+            ],
+        }
+    )
+
+
+def header_context(solution: Solution) -> PlainData:
+    """Everything that the header prints, as plain data.
+
+    The `reference` entry alone rebuilds the evaluator's float32 model (`reference_ir.from_plain`).
+    """
+    design = solution.design
+    plain = to_plain(solution.fit.reference)
+    return {
+        "prefix": design.export.prefix,
+        "macro": design.export.prefix.upper(),
+        "name": design.name,
+        "version": __version__,
+        "digest": design.digest,
+        "preamble": [
+            f"{design.machine.pole_pairs} pole pairs, {design.inverter.v_dc:.6g} V dc link, "
+            f"{design.i_max:.6g} A (peak), control sampled every {design.control.t_s * 1e6:.6g} us.",
+            "Units stand in the names and comments; angles in rad, dq quantities as peak of phase.",
+            "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated errors hold either way.",
+            "Plain C99 and C++11; sqrtf is the only library function that may be used.",
+        ],
+        "groups": [
+            _machine_group(solution),
+            _bases_group(solution),
+            *_gain_groups(solution),
+            *_observer_group(solution),
+        ],
+        "reference": _reference_context(solution, plain),
+    }
+
+
+def vector_torques(reference: CurrentReference, count: int) -> SingleArray:
+    """Float32 torques of the test vectors: special values, breakpoints and their neighbours, both signs, random ones."""
+    end = np.float32(reference.torque_max)
+    above = np.nextafter(end, np.float32(np.inf))
+    tiny = np.float32(1e-45)
+    special = np.array(
+        [0.0, -0.0, np.nan, np.inf, -np.inf, tiny, -tiny, 1e-38, end, -end, above, 1e30], dtype=np.float32
+    )
+    edges = sample_torques(reference, 9)
+    generator = np.random.default_rng(_VECTOR_SEED)
+    rest = max(count - special.size - 2 * edges.size, 0)
+    random = (generator.uniform(-1.05, 1.05, rest) * float(end)).astype(np.float32)
+    return np.concatenate([special, edges, -edges, random])
+
+
+def vectors_context(solution: Solution) -> PlainData:
+    """Test vectors beside the names that their header needs."""
+    design, reference = solution.design, solution.fit.reference
+    torque = vector_torques(reference, design.export.vectors)
+    i_d, i_q = reference.currents(torque)
+    return {
+        "prefix": design.export.prefix,
+        "macro": design.export.prefix.upper(),
+        "version": __version__,
+        "digest": design.digest,
+        "vectors": list(zip(torque, i_d, i_q, strict=True)),
+    }
+
+
+def header_files(solution: Solution) -> dict[str, bytes]:
+    """Names and bytes of the emitted C files: the header and its test vectors."""
+    prefix = solution.design.export.prefix
+    contents: dict[str, Any] = {
+        f"{prefix}.h": render("header.h.j2", header_context(solution)),
+        f"{prefix}_vectors.h": render("vectors.h.j2", vectors_context(solution)),
+    }
+    return {name: text.encode("ascii") for name, text in contents.items()}

@@ -1,0 +1,111 @@
+"""The current reference as plain data: what the header template prints and what `result.json` keeps.
+
+Every number is a float32 value written as a Python float, so that the shortest decimal of either reads back the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.current_reference import (
+    ClosedForm,
+    CurrentReference,
+    Form,
+    Polynomials,
+    Proportional,
+    ReluctanceClosedForm,
+    TorqueExact,
+)
+from dqforge.optimizer.single_precision import SinglePolynomial
+
+PlainData = dict[str, Any]
+
+
+def shortest(value: np.float32) -> float:
+    """The double whose shortest decimal is that of the float: 0.1 for float32(0.1)."""
+    return float(str(value))
+
+
+def _segments(polynomial: SinglePolynomial) -> list[PlainData]:
+    return [
+        {"start": shortest(start), "coefficients": [shortest(c) for c in row]}
+        for start, row in zip(polynomial.starts, polynomial.coefficients, strict=True)
+    ]
+
+
+def to_plain(reference: CurrentReference) -> PlainData:
+    """Describe a reference by its form's name and its constants."""
+    plain: PlainData = {"torque_max": shortest(reference.torque_max)}
+    match reference.form:
+        case Proportional(gain):
+            plain |= {"form": "proportional", "gain": shortest(gain)}
+        case Polynomials(d, q):
+            plain |= {"form": "polynomial", "d": _segments(d), "q": _segments(q)}
+        case TorqueExact(d, magnet, slope):
+            plain |= {
+                "form": "torque-exact",
+                "d": _segments(d),
+                "magnet": shortest(magnet),
+                "slope": shortest(slope),
+            }
+        case ClosedForm(q, base, sign):
+            plain |= {"form": "closed-form", "q": _segments(q), "base": shortest(base), "sign": sign}
+        case ReluctanceClosedForm(gain, sign):
+            plain |= {"form": "reluctance", "gain": shortest(gain), "sign": sign}
+    return plain
+
+
+def _number(plain: Mapping[str, Any], key: str) -> np.float32:
+    value = plain.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"reference.{key} must be a finite number, got {value!r}; run the design again")
+    return np.float32(value)
+
+
+def _polynomial(plain: Mapping[str, Any], key: str) -> SinglePolynomial:
+    rows = plain.get(key)
+    try:
+        if not isinstance(rows, Sequence) or not rows:
+            raise TypeError
+        starts = np.array([row["start"] for row in rows], dtype=np.float32)
+        coefficients = np.array([row["coefficients"] for row in rows], dtype=np.float32)
+        if coefficients.ndim != 2 or coefficients.shape[1] < 2:
+            raise ValueError
+        if not (np.all(np.isfinite(starts)) and np.all(np.isfinite(coefficients)) and np.all(np.diff(starts) > 0)):
+            raise ValueError
+    except (TypeError, ValueError, KeyError, OverflowError) as error:
+        raise InputError(
+            f"reference.{key} is not a list of segments with coefficients; run the design again"
+        ) from error
+    return SinglePolynomial(starts, coefficients)
+
+
+def from_plain(plain: Mapping[str, Any]) -> CurrentReference:
+    """Read a reference back.
+
+    Raises
+    ------
+    InputError
+        The data are not what `to_plain` makes; it names the entry.
+    """
+    sign = 1 if plain.get("sign", 1) == 1 else -1
+    form: Form
+    match plain.get("form"):
+        case "proportional":
+            form = Proportional(_number(plain, "gain"))
+        case "polynomial":
+            form = Polynomials(_polynomial(plain, "d"), _polynomial(plain, "q"))
+        case "torque-exact":
+            form = TorqueExact(_polynomial(plain, "d"), _number(plain, "magnet"), _number(plain, "slope"))
+        case "closed-form":
+            form = ClosedForm(_polynomial(plain, "q"), _number(plain, "base"), sign)
+        case "reluctance":
+            form = ReluctanceClosedForm(_number(plain, "gain"), sign)
+        case other:
+            raise InputError(f"reference.form {other!r} is unknown; run the design again")
+    return CurrentReference(form, _number(plain, "torque_max"))

@@ -1,0 +1,214 @@
+"""Proof by execution: the emitted header is compiled as C and as C++, run, and compared bit for bit with the model."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dqforge.machines.entries import EntryError
+from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.identifiers import check_prefix
+from dqforge.optimizer.current_reference import CurrentReference
+from dqforge.optimizer.single_precision import SingleArray
+from dqforge.reports.header import vector_torques
+from dqforge.reports.reference_ir import from_plain
+from dqforge.reports.templating import render
+
+WARNINGS = (
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Wconversion",
+    "-Wdouble-promotion",
+    "-Wfloat-conversion",
+    "-Werror",
+)
+"""Warning flags of the header contract (design, section 7)."""
+
+_TIMEOUT_S = 60
+_SWEEP_POINTS = 20_000
+_SWEEP_SEED = 7
+_LARGEST_FILE = 64 * 1024 * 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Compiler:
+    """A compiler of the host: language and standard, the program, and the Debian package that brings it."""
+
+    standard: str
+    program: str
+    language: str
+    package: str
+
+
+COMPILERS = (Compiler("c99", "cc", "c", "gcc"), Compiler("c++11", "c++", "c++", "g++"))
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One language: how many results were compared, or why none was. ``missing`` names the absent Debian package."""
+
+    standard: str
+    compared: int
+    missing: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """Outcome of a verification that found no difference: one check per language."""
+
+    vectors: int
+    sweep: int
+    checks: tuple[Check, ...]
+
+    @property
+    def languages(self) -> tuple[str, ...]:
+        """Standards that were really compiled and run."""
+        return tuple(check.standard for check in self.checks if not check.missing)
+
+
+def sweep_torques(reference: CurrentReference, count: int = _SWEEP_POINTS) -> SingleArray:
+    """Float32 torques beyond the test vectors: across the domain of both signs, and raw bit patterns of any kind."""
+    generator = np.random.default_rng(_SWEEP_SEED)
+    across = (generator.uniform(-1.1, 1.1, count // 2) * float(reference.torque_max)).astype(np.float32)
+    patterns = generator.integers(0, 2**32, count - across.size, dtype=np.uint32).view(np.float32)
+    return np.concatenate([across, patterns])
+
+
+def _compile(compiler: Compiler, program: str, folder: Path) -> Path:
+    target = folder / f"harness-{compiler.language.replace('+', 'x')}"
+    command = [
+        program,
+        "-x",
+        compiler.language,
+        f"-std={compiler.standard}",
+        "-O2",
+        "-ffp-contract=off",
+        *WARNINGS,
+        "-o",
+        str(target),
+        "harness.c",
+        "-lm",
+    ]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
+    if done.returncode != 0:
+        first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip()[:200])
+        raise VerificationError(f"the header does not compile as {compiler.standard} with {compiler.program}: {first}")
+    return target
+
+
+def _run(program: Path, torque: SingleArray, standard: str) -> SingleArray:
+    """Currents of the compiled evaluator, shape (N, 2)."""
+    done = subprocess.run([program], input=torque.tobytes(), capture_output=True, timeout=_TIMEOUT_S, check=False)
+    if done.returncode not in (0, 1) or len(done.stdout) != 8 * torque.size:
+        raise VerificationError(f"the compiled {standard} program stopped with exit code {done.returncode}")
+    if done.returncode == 1:
+        raise VerificationError(f"compiled as {standard}, the header does not give the results of its test vectors")
+    return np.frombuffer(done.stdout, dtype=np.float32).reshape(-1, 2)
+
+
+def _compare(compiled: SingleArray, torque: SingleArray, reference: CurrentReference, standard: str) -> None:
+    model = np.stack(reference.currents(torque), axis=1)
+    differing = np.any(compiled.view(np.uint32) != np.ascontiguousarray(model).view(np.uint32), axis=1)
+    if differing.any():
+        first = int(np.argmax(differing))
+        raise VerificationError(
+            f"compiled as {standard}, {int(differing.sum())} of {torque.size} results differ from the float32 model; "
+            f"first at torque {torque[first]!s} N m: C gives {compiled[first].tolist()}, model {model[first].tolist()}"
+        )
+
+
+def verify_files(files: Mapping[str, bytes], prefix: str, reference: CurrentReference, vectors: int) -> Verification:
+    """Compile a header and its vectors as C99 and as C++11, run both, and compare every bit with the float32 model.
+
+    Parameters
+    ----------
+    files:
+        Contents of ``<prefix>.h`` and ``<prefix>_vectors.h``.
+    prefix:
+        Checked C identifier.
+    reference:
+        The model.
+    vectors:
+        Number of test vectors that were asked for.
+
+    Raises
+    ------
+    VerificationError
+        No C compiler is there, the header does not compile, or a result differs.
+    """
+    torque = np.concatenate([vector_torques(reference, vectors), sweep_torques(reference)])
+    checks = []
+    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
+        folder = Path(name)
+        for file_name, content in files.items():
+            (folder / file_name).write_bytes(content)
+        (folder / "harness.c").write_text(render("harness.c.j2", {"prefix": prefix}), encoding="ascii")
+        for compiler in COMPILERS:
+            program = shutil.which(compiler.program)
+            if program is None:
+                checks.append(Check(compiler.standard, 0, compiler.package))
+                continue
+            compiled = _run(_compile(compiler, program, folder), torque, compiler.standard)
+            _compare(compiled, torque, reference, compiler.standard)
+            checks.append(Check(compiler.standard, torque.size))
+    if checks[0].missing:
+        raise VerificationError("no C compiler found: install the Debian package gcc, or give --no-verify")
+    return Verification(torque.size - _SWEEP_POINTS, _SWEEP_POINTS, tuple(checks))
+
+
+def _read(path: Path) -> bytes:
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise InputError("the file is larger than 64 MiB; that is no output of dqforge", source=str(path))
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"cannot be read ({error.strerror}); give the folder that 'dqforge run' or 'dqforge export' wrote",
+            source=str(path),
+        ) from error
+
+
+def _load_result(path: Path) -> dict[str, Any]:
+    try:
+        loaded = json.loads(_read(path))
+    except (ValueError, RecursionError) as error:
+        raise InputError("is not JSON; run the design again", source=str(path)) from error
+    if not isinstance(loaded, dict) or not isinstance(loaded.get("header"), dict):
+        raise InputError("holds no header; run the design again", source=str(path))
+    return dict(loaded["header"])
+
+
+def verify_folder(folder: Path) -> Verification:
+    """Verify what an earlier run wrote into a folder, by the model that its ``result.json`` describes.
+
+    Raises
+    ------
+    InputError
+        A file is missing or is not what dqforge writes.
+    VerificationError
+        As `verify_files`.
+    """
+    path = folder / "result.json"
+    header = _load_result(path)
+    vectors = header.get("vectors")
+    try:
+        prefix = check_prefix(str(header.get("prefix", "")))
+    except EntryError as error:
+        raise InputError(f"header.prefix: {error.message}; run the design again", source=str(path)) from error
+    if not isinstance(vectors, int) or not isinstance(header.get("reference"), dict):
+        raise InputError("header.vectors or header.reference is missing; run the design again", source=str(path))
+    try:
+        reference = from_plain(header["reference"])
+    except InputError as error:
+        raise InputError(error.message, source=str(path)) from error
+    files = {name: _read(folder / name) for name in (f"{prefix}.h", f"{prefix}_vectors.h")}
+    return verify_files(files, prefix, reference, vectors)

@@ -1,0 +1,39 @@
+"""Shared fixtures: the reference drives in SI numbers and the folder of data made by others."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from dqforge.machines.synchronous import LinearMachine
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder with real files made by others; it lies beside the checkout and is no part of the project."""
+    folder = REPOSITORY.parent / "shared" / "data"
+    if not folder.is_dir():
+        if os.environ.get("CI"):
+            pytest.fail(f"{folder} is missing; CI needs it")
+        pytest.skip("shared/data is not beside this checkout")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def ipm100() -> LinearMachine:
+    """Machine of paper 000 with the values that its Table 2 identifies (design 3.1)."""
+    return LinearMachine(
+        pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0, inertia=0.05, omega_m_max=942.478
+    )
+
+
+@pytest.fixture(scope="session")
+def bench001() -> LinearMachine:
+    """Machine of paper 001, appendix A."""
+    return LinearMachine(
+        pole_pairs=3, r_s=2.35, l_d=1.61e-3, l_q=1.74e-3, psi_pm=0.06, i_max=2.263, inertia=200e-6, friction=40e-6
+    )
