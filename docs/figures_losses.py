@@ -1,0 +1,116 @@
+"""Figures of docs/modulation.md and docs/loss-budget.md."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dqforge.machines.inverter import Inverter, SwitchDevice
+from dqforge.machines.modulation import linear_limit, period_waveforms
+from dqforge.machines.semiconductors import bridge_load
+from dqforge.machines.settings import LoadPoint, LossSettings, ModulationName
+from dqforge.machines.synchronous import LinearMachine
+from dqforge.optimizer.loss_budget import LossComparison, calibrate_switching, compare
+from dqforge.optimizer.mtpa import id0_currents, mtpa_currents
+
+COLOURS = {"spwm": "#6b7280", "svpwm": "#d97706", "ddt-gdpwm": "#1d4ed8"}
+PARTS = {"copper": "#b45309", "conduction": "#0f766e", "switching": "#1d4ed8"}
+LABELS = {"spwm": "SPWM", "svpwm": "SVPWM", "ddt-gdpwm": "DDT-GDPWM", "id0": "i_d = 0", "mtpa": "MTPA"}
+NAMES: tuple[ModulationName, ...] = ("spwm", "svpwm", "ddt-gdpwm")
+
+# Paper 000, Table 4: total loss in W by strategy and modulator; the first calibrates, the others are predicted.
+PRINTED = {("id0", "spwm"): 1064.0, ("mtpa", "spwm"): 934.0, ("mtpa", "ddt-gdpwm"): 759.0}
+
+
+def modulation_waveforms(path: Path) -> None:
+    """Draw duty cycle and zero-sequence voltage of the three modulators over a period, as an SVG."""
+    v_dc, lag = 1.0, math.radians(45.0)
+    amplitude = 0.9 * linear_limit("spwm", v_dc)
+    figure = Figure(figsize=(7.2, 5.4), layout="constrained")
+    upper, middle, lower = figure.subplots(3, 1, sharex=True)
+    for name in NAMES:
+        wave = period_waveforms(name, amplitude, 0.0, math.cos(lag), -math.sin(lag), v_dc, angles=360)
+        degrees = np.degrees(wave.theta_e)
+        style = {"color": COLOURS[name], "label": LABELS[name]}
+        upper.plot(degrees, wave.modulation.duty[:, 0], **style)
+        middle.plot(degrees, wave.modulation.zero_sequence - 0.5 * v_dc, **style)
+        current = np.abs(wave.current[:, 0])
+        lower.plot(degrees, np.where(wave.modulation.clamped[:, 0], 0.0, current), **style)
+    upper.set_ylabel("duty cycle, phase a")
+    middle.set_ylabel("V0 / v_dc - 1/2")
+    lower.set_ylabel("switched |i_a|")
+    lower.set_xlabel("angle of the voltage vector in degrees; the current lags by 45")
+    lower.set_xticks(range(0, 361, 60))
+    lower.set_xlim(0.0, 360.0)
+    for axes in (upper, middle, lower):
+        axes.grid(alpha=0.3)
+    figure.legend(*upper.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    _save(figure, path)
+
+
+def loss_comparison(path: Path) -> None:
+    """Draw the losses of paper 000, Table 4, and the switching loss over the angle of the load, as an SVG."""
+    figure = Figure(figsize=(9.6, 4.2), layout="constrained")
+    bars, curve = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
+    _draw_bars(bars, _table_4())
+    _draw_switching_factor(curve)
+    _save(figure, path)
+
+
+def _table_4() -> LossComparison:
+    """Compare all alternatives at the point of Table 4, calibrated on its first column."""
+    machine = LinearMachine(pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0)
+    device = SwitchDevice("mosfet", 9.5e-3, 1e-3, 1e-3, 200.0, 500.0, thermal_resistance=0.306)
+    inverter = Inverter(v_dc=500.0, f_sw=100e3, device=device, coolant_temperature=64.0)
+    id0, mtpa = (choose(machine, np.array([130.0])) for choose in (id0_currents, mtpa_currents))
+    device = calibrate_switching(1064.0, machine, inverter, float(id0[0][0]), float(id0[1][0]), 300.0, "spwm")
+    settings = LossSettings(points=(LoadPoint(torque=130.0, omega_m=300.0),))
+    return compare(machine, replace(inverter, device=device), settings, {"id0": id0, "mtpa": mtpa})
+
+
+def _draw_bars(axes: Axes, result: LossComparison) -> None:
+    pairs = [(s, m) for s in result.strategies for m in result.modulations]
+    position = np.arange(len(pairs))
+    bottom = np.zeros(len(pairs))
+    for part, colour in PARTS.items():
+        height = getattr(result.budget, part)[:, :, 0].ravel()
+        axes.bar(position, height, bottom=bottom, color=colour, label=part, width=0.7)
+        bottom = bottom + height
+    for x, total in zip(position, bottom, strict=True):
+        axes.text(float(x), total + 15.0, f"{total:.0f}", ha="center", fontsize="small")
+    printed = [(k, PRINTED[pair]) for k, pair in enumerate(pairs) if pair in PRINTED]
+    axes.plot(*zip(*printed, strict=True), "k_", markersize=26, markeredgewidth=2, label="printed in the paper")
+    axes.set_xticks(position, [f"{LABELS[s]}\n{LABELS[m]}" for s, m in pairs], fontsize="x-small")
+    axes.set_ylabel("loss in W at 130 N m, 300 rad/s")
+    axes.set_ylim(0.0, 1350.0)
+    axes.legend(fontsize="small", ncols=2, loc="upper right")
+
+
+def _draw_switching_factor(axes: Axes) -> None:
+    device = SwitchDevice("mosfet", 1e-3, 1e-3, 1e-3, 1.0, 1.0, thermal_resistance=0.1)
+    lag = np.radians(np.linspace(-90.0, 90.0, 361))
+    loss = {
+        name: bridge_load(Inverter(1.0, 1.0, device), name, 0.4, 0.0, np.cos(lag), -np.sin(lag)).switching
+        for name in NAMES
+    }
+    for name in ("spwm", "ddt-gdpwm"):
+        label = "SPWM, SVPWM" if name == "spwm" else LABELS[name]
+        axes.plot(np.degrees(lag), loss[name] / loss["spwm"], color=COLOURS[name], label=label)
+    axes.set_xlabel("lag of the current in degrees")
+    axes.set_ylabel("switching loss relative to SPWM")
+    axes.set_xticks(range(-90, 91, 30))
+    axes.set_ylim(0.4, 1.05)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small", loc="center right")
+
+
+def _save(figure: Figure, path: Path) -> None:
+    """Write the same bytes every time: no date, ids from a fixed salt, text as text."""
+    with mpl.rc_context({"svg.hashsalt": "dqforge", "svg.fonttype": "none"}):
+        figure.savefig(path, format="svg", metadata={"Date": None})
