@@ -7,8 +7,10 @@ the very arithmetic that runs.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqforge.machines.synchronous import FloatArray, LinearMachine, copper_loss
 from dqforge.optimizer.mtpa import id0_currents, mtpa_currents
@@ -166,7 +168,7 @@ class ErrorCurves:
 def sample_torques(reference: CurrentReference, count: int) -> SingleArray:
     """Float32 torques in [0, torque_max]: evenly and logarithmically spaced, and both neighbours of each breakpoint."""
     end = reference.torque_max
-    parts = [np.linspace(0.0, float(end), count), np.geomspace(1e-6, 1.0, count // 4) * float(end)]
+    parts: list[NDArray[Any]] = [np.linspace(0.0, float(end), count), np.geomspace(1e-6, 1.0, count // 4) * float(end)]
     for polynomial in (getattr(reference.form, name, None) for name in ("d", "q")):
         if isinstance(polynomial, SinglePolynomial):
             edges = polynomial.starts[1:]

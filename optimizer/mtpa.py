@@ -156,7 +156,8 @@ def _stationarity(machine: LinearMachine, i_d: FloatArray, i_q: FloatArray) -> F
     torque_q = machine.psi_pm - machine.saliency * i_d
     scale = np.hypot(i_d, i_q) * np.hypot(torque_d, torque_q)
     cross = i_d * torque_q - i_q * torque_d
-    return np.divide(cross, scale, out=np.zeros_like(cross), where=scale > 0.0)
+    sine: FloatArray = np.divide(cross, scale, out=np.zeros_like(cross), where=scale > 0.0)
+    return sine
 
 
 def operating_points(

@@ -54,12 +54,12 @@ class PiecewisePolynomial:
         value = rows[..., -1]
         for power in range(self.degree - 1, -1, -1):
             value = value * local + rows[..., power]
-        return value
+        return np.asarray(value)
 
     def jumps(self) -> FloatArray:
         """Right minus left limit at each breakpoint, shape (S - 1,)."""
         width = np.diff(self.edges)[:-1]
-        left = np.array(
+        left: FloatArray = np.array(
             [np.polynomial.polynomial.polyval(w, c) for w, c in zip(width, self.coefficients, strict=False)]
         )
         return self.coefficients[1:, 0] - left
@@ -72,10 +72,11 @@ def _chebyshev_to_local(degree: int) -> FloatArray:
     for order in range(degree + 1):
         unit = np.polynomial.chebyshev.cheb2poly(np.eye(degree + 1)[order])
         powers[order, : unit.size] = unit
-    shift = np.array(
+    shift: FloatArray = np.array(
         [[comb(j, k) * (-1.0) ** (j - k) if k <= j else 0.0 for k in range(degree + 1)] for j in range(degree + 1)]
     )
-    return powers @ shift
+    matrix: FloatArray = powers @ shift
+    return matrix
 
 
 def local_coefficients(chebyshev: FloatArray, edges: FloatArray) -> FloatArray:
@@ -83,7 +84,8 @@ def local_coefficients(chebyshev: FloatArray, edges: FloatArray) -> FloatArray:
     degree = chebyshev.shape[1] - 1
     half_width = 0.5 * np.diff(edges)[:, np.newaxis]
     # With s in [-1, 1] on the segment, t - start = half_width * (s + 1).
-    return chebyshev @ _chebyshev_to_local(degree) / half_width ** np.arange(degree + 1)
+    converted: FloatArray = chebyshev @ _chebyshev_to_local(degree) / half_width ** np.arange(degree + 1)
+    return converted
 
 
 def absolute_coefficients(piecewise: PiecewisePolynomial) -> FloatArray:

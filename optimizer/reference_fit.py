@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.settings import FitForm, FitSettings, Strategy
+from dqforge.machines.settings import FitForm, FitMethod, FitSettings, Strategy
 from dqforge.machines.synchronous import FloatArray, LinearMachine
 from dqforge.optimizer.breakpoints import search
 from dqforge.optimizer.current_reference import (
@@ -213,7 +213,7 @@ def alternatives(
     rows += [
         (f"form {form}", replace(fit.settings, form=form)) for form in forms if form not in (fit.settings.form, *unfit)
     ]
-    methods = ("lagrange", "least-squares", "minimax")
+    methods: tuple[FitMethod, ...] = ("lagrange", "least-squares", "minimax")
     rows += [(f"method {method}", replace(fixed, method=method)) for method in methods if method != fixed.method]
     rows.append(
         (

@@ -1,4 +1,4 @@
-"""Numbers and text for C source: shortest decimals that read back to the same float, and comments that stay comments."""
+"""Numbers and text for C source: shortest decimals that read back to the same float, comments that stay comments."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dqforge import __version__
+from dqforge.machines.design import Design
 from dqforge.optimizer.current_reference import CurrentReference, sample_torques
 from dqforge.optimizer.gains import LoopGains, per_unit, to_q
 from dqforge.optimizer.single_precision import SingleArray
@@ -71,11 +72,12 @@ def _bases_group(solution: Solution) -> PlainData:
 def margin_text(gains: LoopGains) -> list[str]:
     """Two lines that say how good a loop is, in engineering units."""
     gain_margin = 20.0 * math.log10(gains.gain_margin) if math.isfinite(gains.gain_margin) else math.inf
+    crossover = gains.crossover / (2.0 * math.pi)
+    phase_margin = math.degrees(gains.phase_margin)
+    pole, delay = abs(gains.poles[0]), gains.delay_margin_samples
     return [
-        f"Crossover {gains.crossover / (2.0 * math.pi):.4g} Hz, phase margin {math.degrees(gains.phase_margin):.1f} deg, "
-        f"gain margin {gain_margin:.1f} dB,",
-        f"delay margin {gains.delay_margin_samples:.2f} samples, largest closed-loop pole {abs(gains.poles[0]):.4f}, "
-        f"M_s {gains.max_sensitivity:.2f}.",
+        f"Crossover {crossover:.4g} Hz, phase margin {phase_margin:.1f} deg, gain margin {gain_margin:.1f} dB,",
+        f"delay margin {delay:.2f} samples, largest pole {pole:.6f}, M_s {gains.max_sensitivity:.2f}.",
     ]
 
 
@@ -184,20 +186,17 @@ def error_text(solution: Solution) -> list[str]:
         "sampled, not proven):",
         f"i_d {errors.i_d:.3g} A, i_q {errors.i_q:.3g} A against the exact {solution.design.strategy} currents;",
         f"torque {errors.torque:.3g} N m ({100.0 * errors.torque_relative:.2g} % of the largest torque);",
-        f"copper loss {errors.loss:.3g} W above the least ({100.0 * errors.loss_relative:.2g} % from 5 % torque upwards).",
+        f"copper loss {errors.loss:.3g} W above the least ({100.0 * errors.loss_relative:.2g} % from 5 % torque up).",
     ]
 
 
 def _reference_context(solution: Solution, plain: PlainData) -> PlainData:
     fit = solution.fit
     shape = (
-        []
-        if fit.d is None and fit.q is None
-        else [
-            f"{fit.settings.method}, degree {fit.settings.degree}, {fit.settings.segments} segment(s) between 0 and "
-            f"{fit.torque_max:.6g} N m;"
-        ]
+        f"{fit.settings.method}, degree {fit.settings.degree}, {fit.settings.segments} segment(s) "
+        f"over 0 to {fit.torque_max:.6g} N m;"
     )
+    has_polynomials = fit.d is not None or fit.q is not None
     base_squared = (
         {"base_squared": shortest(np.float32(plain["base"]) * np.float32(plain["base"]))} if "base" in plain else {}
     )
@@ -212,10 +211,17 @@ def _reference_context(solution: Solution, plain: PlainData) -> PlainData:
                 "i_d is even and i_q odd in the torque; not-a-number gives the reference of zero torque.",
                 f"Strategy {solution.design.strategy}; form {plain['form']}:",
                 *_FORM_TEXT[plain["form"]],
-                *shape,
+                *([shape] if has_polynomials else []),
                 *error_text(solution),
             ],
         }
+    )
+
+
+def _drive_text(design: Design) -> str:
+    return (
+        f"{design.machine.pole_pairs} pole pairs, {design.inverter.v_dc:.6g} V dc link, "
+        f"{design.i_max:.6g} A (peak), control sampled every {design.control.t_s * 1e6:.6g} us."
     )
 
 
@@ -233,8 +239,7 @@ def header_context(solution: Solution) -> PlainData:
         "version": __version__,
         "digest": design.digest,
         "preamble": [
-            f"{design.machine.pole_pairs} pole pairs, {design.inverter.v_dc:.6g} V dc link, "
-            f"{design.i_max:.6g} A (peak), control sampled every {design.control.t_s * 1e6:.6g} us.",
+            _drive_text(design),
             "Units stand in the names and comments; angles in rad, dq quantities as peak of phase.",
             "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated errors hold either way.",
             "Plain C99 and C++11; sqrtf is the only library function that may be used.",
@@ -250,7 +255,7 @@ def header_context(solution: Solution) -> PlainData:
 
 
 def vector_torques(reference: CurrentReference, count: int) -> SingleArray:
-    """Float32 torques of the test vectors: special values, breakpoints and their neighbours, both signs, random ones."""
+    """Float32 torques of the test vectors: special values, breakpoints and neighbours, both signs, random ones."""
     end = np.float32(reference.torque_max)
     above = np.nextafter(end, np.float32(np.inf))
     tiny = np.float32(1e-45)

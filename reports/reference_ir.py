@@ -6,7 +6,7 @@ Every number is a float32 value written as a Python float, so that the shortest 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from dqforge.optimizer.current_reference import (
     ReluctanceClosedForm,
     TorqueExact,
 )
-from dqforge.optimizer.single_precision import SinglePolynomial
+from dqforge.optimizer.single_precision import SingleArray, SinglePolynomial
 
 PlainData = dict[str, Any]
 
@@ -67,21 +67,22 @@ def _number(plain: Mapping[str, Any], key: str) -> np.float32:
     return np.float32(value)
 
 
+def _is_polynomial(starts: SingleArray, coefficients: SingleArray) -> bool:
+    """Whether arrays read from a file are a piecewise polynomial: finite, ascending from 0, at least degree 1."""
+    shaped = starts.ndim == 1 and coefficients.ndim == 2 and coefficients.shape[1] >= 2
+    finite = shaped and bool(np.all(np.isfinite(starts)) and np.all(np.isfinite(coefficients)))
+    return finite and starts[0] == 0.0 and bool(np.all(np.diff(starts) > 0.0))
+
+
 def _polynomial(plain: Mapping[str, Any], key: str) -> SinglePolynomial:
-    rows = plain.get(key)
+    fault = f"reference.{key} is not a list of segments with coefficients; run the design again"
     try:
-        if not isinstance(rows, Sequence) or not rows:
-            raise TypeError
-        starts = np.array([row["start"] for row in rows], dtype=np.float32)
-        coefficients = np.array([row["coefficients"] for row in rows], dtype=np.float32)
-        if coefficients.ndim != 2 or coefficients.shape[1] < 2:
-            raise ValueError
-        if not (np.all(np.isfinite(starts)) and np.all(np.isfinite(coefficients)) and np.all(np.diff(starts) > 0)):
-            raise ValueError
+        starts = np.array([row["start"] for row in plain[key]], dtype=np.float32)
+        coefficients = np.array([row["coefficients"] for row in plain[key]], dtype=np.float32)
     except (TypeError, ValueError, KeyError, OverflowError) as error:
-        raise InputError(
-            f"reference.{key} is not a list of segments with coefficients; run the design again"
-        ) from error
+        raise InputError(fault) from error
+    if not _is_polynomial(starts, coefficients):
+        raise InputError(fault)
     return SinglePolynomial(starts, coefficients)
 
 
