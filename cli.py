@@ -1,1 +1,320 @@
-"""Command line of dqforge."""
+"""Command line of dqforge: options in, one call per command, tables or JSON out.
+
+Everything heavy is imported inside the command that needs it, so that ``dqforge --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dqforge import __version__
+
+if TYPE_CHECKING:
+    from dqforge.machines.design import Design
+    from dqforge.reports.tables import Table
+
+app = typer.Typer(
+    name="dqforge",
+    help="Controller coefficients, loss budgets and checked C headers for permanent-magnet drives.",
+    epilog="DESIGN is a design file, or the name of a drive that 'dqforge machines' lists.",
+    invoke_without_command=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+DesignArgument = Annotated[str, typer.Argument(metavar="DESIGN", help="Design file, or the name of a library drive.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+PlotOption = Annotated[
+    Path | None, typer.Option("--plot", metavar="FILE", help="Draw into an .svg, .png or .pdf file.")
+]
+OutOption = Annotated[Path, typer.Option("-o", "--out", metavar="OUT", help="Folder to write into.")]
+NoVerifyOption = Annotated[bool, typer.Option("--no-verify", help="Skip compiling and running the header.")]
+
+
+def _load(design: str) -> Design:
+    """Load a design file, or a library drive when no such file exists and the text can be its name."""
+    from dqforge.machines import catalogue, loader
+
+    if not Path(design).exists() and design in catalogue.names():
+        return catalogue.load(design)
+    return loader.load_design(design)
+
+
+def _show(tables: Sequence[Table]) -> None:
+    from dqforge.reports.console import show
+
+    show(tables)
+
+
+def _print_json(command: str, name: str, result: dict[str, Any]) -> None:
+    from dqforge.reports.result_json import to_text
+
+    typer.echo(to_text(command, name, result), nl=False)
+
+
+def _plot(figure: Callable[[], Any], path: Path | None) -> None:
+    if path is not None:
+        from dqforge.reports.figures import save
+
+        save(figure(), path)
+
+
+def _print_version(value: bool) -> None:
+    if value:
+        typer.echo(f"dqforge {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    context: typer.Context,
+    _version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help(), err=True)
+        raise typer.Exit(2)
+
+
+@app.command()
+def new(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to make; it gets a file design.yaml.")],
+    machine: Annotated[
+        str | None, typer.Option("--machine", metavar="NAME", help="Start from a library drive.")
+    ] = None,
+) -> None:
+    """Write a commented design file to start from."""
+    from dqforge.machines import catalogue
+    from dqforge.machines.errors import InputError
+    from dqforge.reports.files import write_all
+
+    content = catalogue.template(machine)
+    path = folder / "design.yaml"
+    if path.exists():
+        raise InputError(f"{path} exists already and is kept; choose another folder")
+    write_all(folder, {path.name: content})
+    typer.echo(f"{path} written; next: dqforge check {path}")
+
+
+@app.command()
+def check(design: DesignArgument, json: JsonOption = False) -> None:
+    """Validate a design, cross-check its data, and list every value's origin and what was assumed."""
+    from dqforge.reports.result_json import plain_design
+    from dqforge.reports.tables import check_tables
+
+    loaded = _load(design)
+    if json:
+        _print_json("check", loaded.name, {"input": plain_design(loaded)})
+    else:
+        _show(check_tables(loaded))
+
+
+@app.command()
+def run(design: DesignArgument, out: OutOption = Path("out"), no_verify: NoVerifyOption = False) -> None:
+    """Do everything the design asks for: header, test vectors, verification, report.html and result.json."""
+    from dqforge.reports.console import status
+    from dqforge.reports.files import write_all
+    from dqforge.reports.run import run_design
+    from dqforge.reports.tables import run_tables
+
+    loaded = _load(design)
+    with status("solving, emitting, compiling and comparing"):
+        output = run_design(loaded, verify=not no_verify)
+    paths = write_all(out, output.files)
+    _show(run_tables(output.solution, output.verification))
+    typer.echo("written: " + " ".join(str(path) for path in paths))
+
+
+@app.command()
+def export(design: DesignArgument, out: OutOption = Path("out"), no_verify: NoVerifyOption = False) -> None:
+    """Write the header and its test vectors, and verify them."""
+    from dqforge.reports.files import write_all
+    from dqforge.reports.run import export_design
+    from dqforge.reports.tables import verification_text
+
+    output = export_design(_load(design), verify=not no_verify)
+    paths = write_all(out, output.files)
+    typer.echo(verification_text(output.verification))
+    typer.echo("written: " + " ".join(str(path) for path in paths))
+
+
+@app.command()
+def verify(
+    folder: Annotated[Path, typer.Argument(metavar="OUT", help="Folder that 'dqforge run' or 'export' wrote.")],
+) -> None:
+    """Compile the emitted C as C99 and C++11, run it, and compare every bit with the float32 model."""
+    from dqforge.reports.tables import verification_text
+    from dqforge.reports.verify import verify_folder
+
+    typer.echo(verification_text(verify_folder(folder)))
+
+
+@app.command()
+def mtpa(design: DesignArgument, json: JsonOption = False, plot: PlotOption = None) -> None:
+    """Show the currents over torque."""
+    from dqforge.optimizer.solution import solve_curves
+    from dqforge.reports.result_json import plain_curves
+    from dqforge.reports.tables import mtpa_tables
+
+    loaded = _load(design)
+    curves = solve_curves(loaded)
+    if plot is not None:
+        from dqforge.reports.figures import plot_mtpa
+
+        _plot(lambda: plot_mtpa(loaded, curves), plot)
+    if json:
+        _print_json("mtpa", loaded.name, {"mtpa": plain_curves(curves)})
+    else:
+        _show(mtpa_tables(loaded, curves))
+
+
+@app.command()
+def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = None) -> None:
+    """Fit the current references and show their errors beside the alternatives."""
+    from dqforge.optimizer.reference_fit import alternatives
+    from dqforge.optimizer.solution import solve_fit
+    from dqforge.reports.result_json import plain_fit
+    from dqforge.reports.tables import fit_tables
+
+    loaded = _load(design)
+    found = solve_fit(loaded)
+    rows = alternatives(loaded.machine, loaded.strategy, loaded.i_max, found)
+    if plot is not None:
+        from dqforge.reports.figures import plot_fit
+
+        _plot(lambda: plot_fit(loaded, found), plot)
+    if json:
+        _print_json("fit", loaded.name, {"fit": plain_fit(found, rows)})
+    else:
+        _show(fit_tables(loaded, found, rows))
+
+
+@app.command()
+def tune(design: DesignArgument, json: JsonOption = False, plot: PlotOption = None) -> None:
+    """Tune the controllers and the observer and show their margins."""
+    from dqforge.optimizer.solution import solve_gains
+    from dqforge.reports.result_json import plain_gains
+    from dqforge.reports.tables import gains_tables
+
+    loaded = _load(design)
+    gains = solve_gains(loaded)
+    if plot is not None:
+        from dqforge.reports.figures import plot_gains
+
+        _plot(lambda: plot_gains(loaded, gains), plot)
+    if json:
+        _print_json("tune", loaded.name, {"gains": plain_gains(loaded, gains)})
+    else:
+        _show(gains_tables(loaded, gains))
+
+
+@app.command()
+def losses(design: DesignArgument, json: JsonOption = False, plot: PlotOption = None) -> None:
+    """Compare the losses of strategies and modulators."""
+    from dqforge.machines.errors import InputError
+    from dqforge.optimizer.solution import solve_losses
+    from dqforge.reports.result_json import plain_losses
+    from dqforge.reports.tables import losses_tables
+
+    loaded = _load(design)
+    comparison = solve_losses(loaded)
+    if comparison is None:
+        raise InputError("the design asks for no comparison; add a section 'losses' with 'points'", source=design)
+    if plot is not None:
+        from dqforge.reports.figures import plot_losses
+
+        _plot(lambda: plot_losses(loaded, comparison), plot)
+    if json:
+        _print_json("losses", loaded.name, {"losses": plain_losses(comparison)})
+    else:
+        _show(losses_tables(loaded, comparison))
+
+
+@app.command()
+def reproduce(
+    paper: Annotated[str, typer.Argument(metavar="PAPER", help="Number of the paper: 000.")], json: JsonOption = False
+) -> None:
+    """Recompute a paper's tables beside the printed values."""
+    from dqforge.machines.errors import InputError
+    from dqforge.reports.paper000 import plain_reproduction, reproduce_paper, reproduction_tables
+
+    if paper != "000":
+        raise InputError(f"paper {paper!r} cannot be reproduced; write: dqforge reproduce 000")
+    reproduction = reproduce_paper()
+    if json:
+        _print_json("reproduce", "paper 000", plain_reproduction(reproduction))
+    else:
+        _show(reproduction_tables(reproduction))
+
+
+@app.command()
+def machines(
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Print this drive's design file.")] = None,
+) -> None:
+    """List the library of drives, or print one."""
+    from dqforge.machines import catalogue
+    from dqforge.reports.tables import Table
+
+    if name is not None:
+        typer.echo(catalogue.read_text(name).decode("utf-8"), nl=False)
+        return
+    rows = tuple(
+        (entry, loaded.name, loaded.about) for entry in catalogue.names() for loaded in [catalogue.load(entry)]
+    )
+    _show(
+        [Table("Library drives", ("name", "drive", "about"), rows, ("dqforge new DIR --machine NAME starts from one",))]
+    )
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of the design file."""
+    import json
+
+    from dqforge.machines.schema import json_schema
+
+    typer.echo(json.dumps(json_schema(), indent=1))
+
+
+def _usage_line(error: Exception) -> str:
+    """One line for a wrong command line: what the parser says, and where help is."""
+    context = getattr(error, "ctx", None)
+    path = "dqforge" if context is None else context.command_path
+    message = error.format_message() if hasattr(error, "format_message") else str(error)
+    return f"{message.rstrip('.')}; see '{path} --help'"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line; errors become one line on stderr and an exit code, never a traceback."""
+    from typer.exceptions import TyperException
+
+    from dqforge.machines.errors import DqforgeError
+
+    command = typer.main.get_command(app)
+    given = None if arguments is None else list(arguments)
+    try:
+        code = command.main(args=given, prog_name="dqforge", standalone_mode=False)
+    except DqforgeError as error:
+        typer.echo(f"dqforge: {error}", err=True)
+        code = error.exit_code
+    except TyperException as error:
+        typer.echo(f"dqforge: {_usage_line(error)}", err=True)
+        code = 2
+    except (typer.Abort, KeyboardInterrupt):
+        typer.echo("dqforge: interrupted", err=True)
+        code = 130
+    except BrokenPipeError:
+        # The reader of a pipe has left; there is nobody to tell. Closing stderr hushes the interpreter's own remark.
+        sys.stderr.close()
+        code = 0
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+if __name__ == "__main__":
+    main()

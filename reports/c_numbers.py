@@ -36,8 +36,17 @@ def addend(value: float) -> str:
 
 def comment_text(text: str) -> str:
     """Text that cannot leave a C comment or add a line: printable ASCII without comment marks or trigraphs."""
-    ascii_text = _UNPRINTABLE.sub("?", text.replace("\u00b5", "u").replace("\u03a9", "Ohm"))
-    return ascii_text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").replace("\\", "/")
+    ascii_text = _UNPRINTABLE.sub(".", text.replace("\u00b5", "u").replace("\u03a9", "Ohm"))
+    without_marks = ascii_text.replace("\\", "/").replace("*/", "* /").replace("/*", "/ *")
+    return re.sub(r"\?(?=\?)", "? ", without_marks)
+
+
+def rounded_up(value: float, digits: int = 3) -> str:
+    """Positive number with significant digits, rounded away from zero: a stated error is never below the found one."""
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    scale = 10.0 ** (digits - 1 - math.floor(math.log10(abs(value))))
+    return f"{math.ceil(value * scale) / scale:.{digits}g}"
 
 
 def hexadecimal_word(value: np.float32) -> str:

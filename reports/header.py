@@ -13,6 +13,7 @@ from dqforge.optimizer.current_reference import CurrentReference, sample_torques
 from dqforge.optimizer.gains import LoopGains, per_unit, to_q
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution
+from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.reference_ir import PlainData, shortest, to_plain
 from dqforge.reports.templating import render
 
@@ -181,12 +182,14 @@ def _ladders(plain: PlainData) -> list[list[PlainData]]:
 def error_text(solution: Solution) -> list[str]:
     """What the current reference errs by, as lines of at most 110 characters."""
     errors = solution.fit.errors
+    i_d, i_q, torque, loss = (rounded_up(value) for value in (errors.i_d, errors.i_q, errors.torque, errors.loss))
+    torque_percent, loss_percent = (rounded_up(100.0 * v) for v in (errors.torque_relative, errors.loss_relative))
     return [
         f"Largest errors found at {errors.samples} torques (single precision, with and without fused multiply-add;",
         "sampled, not proven):",
-        f"i_d {errors.i_d:.3g} A, i_q {errors.i_q:.3g} A against the exact {solution.design.strategy} currents;",
-        f"torque {errors.torque:.3g} N m ({100.0 * errors.torque_relative:.2g} % of the largest torque);",
-        f"copper loss {errors.loss:.3g} W above the least ({100.0 * errors.loss_relative:.2g} % from 5 % torque up).",
+        f"i_d {i_d} A, i_q {i_q} A against the exact {solution.design.strategy} currents;",
+        f"torque {torque} N m ({torque_percent} % of the largest torque);",
+        f"copper loss {loss} W above the least ({loss_percent} % from 5 % torque up).",
     ]
 
 

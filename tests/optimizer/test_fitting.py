@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
@@ -205,7 +206,8 @@ def test_breakpoints_of_table_1(degree: int, phi_d: float, phi_q: float, there: 
     assert 100.0 * (1.0 - printed / undivided) == pytest.approx(there, abs=0.02)
     found = 0.0
     for axis in CURVES:
-        edges = search(lambda e, axis=axis: epsilon(axis, e), lambda e, axis=axis: epsilon(axis, e), 2, 5.0)
+        objective = partial(epsilon, axis)
+        edges = search(objective, objective, 2, 5.0)
         swept = min(epsilon(axis, np.array([0.0, phi, 5.0])) for phi in np.linspace(0.1, 4.9, 481))
         assert epsilon(axis, edges) <= swept * 1.001
         found += epsilon(axis, edges)

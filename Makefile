@@ -1,0 +1,68 @@
+# make demo: set everything up and run the main job on a shipped drive; make test: set everything up and run the tests.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+DEMO_DESIGN ?= paper000-ipmsm-100kw
+
+.PHONY: demo test check lint types contracts format figures wheel lock clean
+
+demo: $(VENV)/runtime.stamp
+	$(BIN)/dqforge run $(DEMO_DESIGN) -o out/demo
+
+test: $(VENV)/dev.stamp
+	$(BIN)/python -m pytest -n auto
+
+check: lint types contracts
+
+lint: $(VENV)/dev.stamp
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+
+types: $(VENV)/dev.stamp
+	$(BIN)/mypy
+
+contracts: $(VENV)/dev.stamp
+	$(BIN)/lint-imports
+
+format: $(VENV)/dev.stamp
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+figures: $(VENV)/dev.stamp
+	$(BIN)/python docs/make_figures.py
+
+wheel: $(VENV)/dev.stamp
+	rm -rf build dist
+	$(BIN)/python -m build
+
+# Needs uv; the locks hold the hashes of every file that may be installed.
+lock:
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q \
+	    pyproject.toml --extra build -o requirements.lock
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q \
+	    pyproject.toml --extra build --extra test --extra dev -o requirements-dev.lock
+
+clean:
+	rm -rf $(VENV) build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+
+# Debian and Ubuntu keep Python's venv module in a package of its own; root gets it installed, others are told its name.
+$(BIN)/pip:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	    { echo "dqforge needs Python 3.11 or newer; if you have one, say e.g.: make PYTHON=python3.12 demo" >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 || { \
+	    rm -rf $(VENV); \
+	    package=$$($(PYTHON) -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])'); \
+	    if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	        apt-get update -q && apt-get install -y -q --no-install-recommends $$package && $(PYTHON) -m venv $(VENV); \
+	    else \
+	        echo "Python's venv module is missing; install it with: sudo apt-get install $$package" >&2; exit 1; \
+	    fi; }
+
+$(VENV)/runtime.stamp: requirements.lock pyproject.toml | $(BIN)/pip
+	$(BIN)/pip install -q --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/dev.stamp: requirements-dev.lock $(VENV)/runtime.stamp
+	$(BIN)/pip install -q --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	@touch $@

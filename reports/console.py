@@ -1,0 +1,46 @@
+"""The terminal: tables as text and a sign of life for long work; colour and motion only where a person is looking."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from dqforge.reports.tables import Table
+
+_PIPE_WIDTH = 160
+
+
+def show(tables: Sequence[Table]) -> None:
+    """Print tables to stdout; text from a design file is never read as markup."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    console = Console(width=None if sys.stdout.isatty() else _PIPE_WIDTH, highlight=False, soft_wrap=False)
+    for table in tables:
+        console.print(Text(table.title, style="bold"))
+        if table.columns:
+            has_header = any(table.columns)
+            grid = RichTable(box=box.SIMPLE_HEAD if has_header else None, show_header=has_header, pad_edge=False)
+            for column in table.columns:
+                grid.add_column(Text(column), overflow="fold")
+            for row in table.rows:
+                grid.add_row(*(Text(cell) for cell in row))
+            console.print(grid)
+        for note in table.notes:
+            console.print(Text(note, style="dim"))
+        console.print()
+
+
+@contextmanager
+def status(text: str) -> Iterator[None]:
+    """Show a spinner on a terminal while the block runs; silent in a pipe."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(text):
+        yield

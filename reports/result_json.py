@@ -1,0 +1,185 @@
+"""Results as plain data for ``--json`` and ``result.json``: documented, versioned and the same bytes every time."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from dqforge import __version__
+from dqforge.machines.design import Design
+from dqforge.optimizer.gains import LoopGains, per_unit, to_q
+from dqforge.optimizer.loss_budget import LossComparison
+from dqforge.optimizer.mtpa import OperatingPoints
+from dqforge.optimizer.piecewise import PiecewisePolynomial
+from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
+from dqforge.optimizer.solution import Curves, GainSet, Solution
+from dqforge.reports.reference_ir import PlainData, to_plain
+
+FORMAT = 1
+"""Version of the layout; it rises when a key is renamed or removed."""
+
+_DIGITS = 9
+
+
+def _clean(value: Any) -> Any:
+    """Plain data with nine significant digits: enough to read back a float32, few enough to be the same everywhere.
+
+    Infinite and undefined numbers become null, which JSON can hold.
+    """
+    if isinstance(value, dict):
+        return {key: _clean(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_clean(entry) for entry in value]
+    if isinstance(value, np.ndarray):
+        return _clean(value.tolist())
+    if isinstance(value, np.generic):
+        return _clean(value.item())
+    if isinstance(value, float):
+        return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+    return value
+
+
+def to_text(command: str, name: str, result: PlainData) -> str:
+    """The JSON document of a command: an envelope with the versions around the result; ends with a line feed."""
+    envelope = {"dqforge": __version__, "format": FORMAT, "command": command, "design": name, **result}
+    return json.dumps(_clean(envelope), indent=1, ensure_ascii=True, allow_nan=False) + "\n"
+
+
+def plain_design(design: Design) -> PlainData:
+    """Name, origin of every value, assumptions and the digest of the input."""
+    return {
+        "name": design.name,
+        "about": design.about,
+        "digest": design.digest,
+        "values": [asdict(value) for value in design.values],
+        "assumptions": list(design.assumptions),
+    }
+
+
+def _plain_points(points: OperatingPoints) -> PlainData:
+    return {
+        "torque_Nm": points.torque,
+        "i_d_A": points.i_d,
+        "i_q_A": points.i_q,
+        "limited": points.limited,
+        "torque_residual_largest": float(np.max(np.abs(points.torque_residual))),
+    }
+
+
+def plain_curves(curves: Curves) -> PlainData:
+    """Operating points over torque."""
+    return {
+        "chosen": _plain_points(curves.chosen),
+        "id0": None if curves.id0 is None else _plain_points(curves.id0),
+    }
+
+
+def _plain_polynomial(polynomial: PiecewisePolynomial | None) -> PlainData | None:
+    if polynomial is None:
+        return None
+    return {"edges_Nm": polynomial.edges, "coefficients_local": polynomial.coefficients}
+
+
+def plain_fit(fit: ReferenceFit, rows: tuple[Alternative, ...]) -> PlainData:
+    """The fit in double, its float32 constants, its errors, and the alternatives with theirs."""
+    return {
+        "form": fit.form,
+        "method": fit.settings.method,
+        "degree": fit.settings.degree,
+        "segments": fit.settings.segments,
+        "torque_max_Nm": fit.torque_max,
+        "d": _plain_polynomial(fit.d),
+        "q": _plain_polynomial(fit.q),
+        "reference": to_plain(fit.reference),
+        "errors": asdict(fit.errors),
+        "alternatives": [{"label": row.label, "errors": asdict(row.errors)} for row in rows],
+    }
+
+
+def _plain_loop(gains: LoopGains, bases: tuple[float, float], q_formats: tuple[int, int] | None) -> PlainData:
+    kp_pu, ki_ts_pu = per_unit(gains, *bases)
+    integers = {}
+    if q_formats is not None:
+        integers = {"kp_q": to_q(kp_pu, q_formats[0]), "ki_ts_q": to_q(ki_ts_pu, q_formats[1]), "q_formats": q_formats}
+    return {
+        "method": gains.method,
+        "kp": gains.kp,
+        "ki": gains.ki,
+        "t_s": gains.t_s,
+        "kp_pu": kp_pu,
+        "ki_ts_pu": ki_ts_pu,
+        **integers,
+        "crossover_rad_per_s": gains.crossover,
+        "phase_margin_rad": gains.phase_margin,
+        "gain_margin": gains.gain_margin,
+        "delay_margin_s": gains.delay_margin,
+        "max_sensitivity": gains.max_sensitivity,
+        "poles": [[pole.real, pole.imag] for pole in gains.poles.tolist()],
+    }
+
+
+def plain_gains(design: Design, gains: GainSet) -> PlainData:
+    """Gains of each loop with their margins; None where the design has no such loop."""
+    control = design.control
+    current = (control.bases.current, control.bases.voltage)
+    speed = None
+    if gains.speed is not None and control.speed_loop is not None:
+        bases = (control.bases.speed, control.bases.torque)
+        speed = _plain_loop(gains.speed, bases, control.speed_loop.q_formats)
+    return {
+        "i_d": _plain_loop(gains.i_d, current, control.current_loop.q_formats),
+        "i_q": _plain_loop(gains.i_q, current, control.current_loop.q_formats),
+        "speed": speed,
+        "observer": None if gains.observer is None else asdict(gains.observer),
+        "bases": asdict(control.bases),
+    }
+
+
+def plain_losses(comparison: LossComparison | None) -> PlainData | None:
+    """One row per point, strategy and modulator."""
+    if comparison is None:
+        return None
+    budget = comparison.budget
+    rows = [
+        {
+            "torque_Nm": point.torque,
+            "omega_m_rad_per_s": point.omega_m,
+            "strategy": strategy,
+            "modulation": modulation,
+            "copper_W": budget.copper[index],
+            "conduction_W": budget.conduction[index],
+            "switching_W": budget.switching[index],
+            "total_W": budget.total[index],
+            "junction_degC": budget.junction_temperature[index],
+            "voltage_V": budget.voltage[index],
+            "feasible": budget.feasible[index],
+            "saving_percent": comparison.saving[index],
+        }
+        for p, point in enumerate(comparison.points)
+        for s, strategy in enumerate(comparison.strategies)
+        for m, modulation in enumerate(comparison.modulations)
+        for index in [(s, m, p)]
+    ]
+    best = [None if labels is None else list(labels) for labels in comparison.best_labels]
+    return {"rows": rows, "best": best}
+
+
+def plain_solution(solution: Solution) -> PlainData:
+    """Everything that a run found, with what `dqforge verify` needs under ``header``."""
+    design = solution.design
+    return {
+        "input": plain_design(design),
+        "header": {
+            "prefix": design.export.prefix,
+            "vectors": design.export.vectors,
+            "reference": to_plain(solution.fit.reference),
+        },
+        "mtpa": plain_curves(solution.curves),
+        "fit": plain_fit(solution.fit, solution.alternatives),
+        "gains": plain_gains(design, solution.gains),
+        "losses": plain_losses(solution.losses),
+    }

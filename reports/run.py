@@ -1,0 +1,54 @@
+"""The main job: solve a design, emit its header, prove the header, and gather the files to be written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dqforge.machines.design import Design
+from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.header import header_files
+from dqforge.reports.html_report import render_report
+from dqforge.reports.result_json import plain_solution, to_text
+from dqforge.reports.verify import Verification, verify_files
+
+
+@dataclass(frozen=True, slots=True)
+class RunOutput:
+    """What a run made: the solution, the outcome of the verification (None if it was skipped), and the files."""
+
+    solution: Solution
+    verification: Verification | None
+    files: dict[str, bytes]
+
+
+def _verified(solution: Solution, files: dict[str, bytes]) -> Verification:
+    export = solution.design.export
+    return verify_files(files, export.prefix, solution.fit.reference, export.vectors)
+
+
+def export_design(design: Design, *, verify: bool) -> RunOutput:
+    """Header, test vectors and ``result.json`` of a design; nothing else is computed for show.
+
+    Raises
+    ------
+    VerificationError
+        The compiled header differs from the model, or no compiler is there to try it.
+    """
+    solution = solve(design)
+    files = header_files(solution)
+    verification = _verified(solution, files) if verify else None
+    files["result.json"] = to_text("run", design.name, plain_solution(solution)).encode("ascii")
+    return RunOutput(solution, verification, files)
+
+
+def run_design(design: Design, *, verify: bool) -> RunOutput:
+    """Everything that the design asks for, the report included.
+
+    Raises
+    ------
+    VerificationError
+        As `export_design`.
+    """
+    output = export_design(design, verify=verify)
+    output.files["report.html"] = render_report(output.solution, output.verification).encode("utf-8")
+    return output

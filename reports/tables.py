@@ -1,0 +1,273 @@
+"""Tables for the terminal: results become rows of text here, and nowhere are they computed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dqforge.machines.design import Design
+from dqforge.optimizer.current_reference import ReferenceErrors
+from dqforge.optimizer.gains import LoopGains, per_unit, to_q
+from dqforge.optimizer.loss_budget import LossComparison
+from dqforge.optimizer.mtpa import OperatingPoints
+from dqforge.optimizer.observer import steady_state_error
+from dqforge.optimizer.piecewise import PiecewisePolynomial
+from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
+from dqforge.optimizer.solution import Curves, GainSet, Solution
+from dqforge.reports.verify import Verification
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A titled table of text: ``columns`` are the headings with units, ``rows`` the cells, ``notes`` lines below."""
+
+    title: str
+    columns: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+
+def _number(value: float, digits: int = 4) -> str:
+    # Adding zero turns -0 into 0.
+    return f"{value + 0.0:.{digits}g}" if math.isfinite(value) else "none"
+
+
+def check_tables(design: Design) -> list[Table]:
+    """Every value with its origin, and what was assumed."""
+    rows = tuple(
+        (
+            value.path,
+            value.text,
+            f"{value.si:.6g} {value.unit}".strip(),
+            "inferred" if value.inferred else "",
+            value.source,
+        )
+        for value in design.values
+    )
+    columns = ("key", "in the file", "in SI", "", "source")
+    notes = tuple(f"assumed: {sentence}" for sentence in design.assumptions)
+    return [Table(f"{design.name}: valid", columns, rows, notes)]
+
+
+def _point_rows(points: OperatingPoints) -> tuple[tuple[str, ...], ...]:
+    indices = np.unique(np.linspace(0, points.torque.size - 1, 11).round().astype(int))
+    return tuple(
+        (
+            _number(points.torque[k]),
+            _number(points.i_d[k]),
+            _number(points.i_q[k]),
+            _number(float(np.hypot(points.i_d[k], points.i_q[k]))),
+            "current limit" if points.limited[k] else "",
+        )
+        for k in indices
+    )
+
+
+def mtpa_tables(design: Design, curves: Curves) -> list[Table]:
+    """Currents over torque for the design's strategy, and what i_d = 0 would draw at the end of the domain."""
+    notes = [f"limit {design.i_max:.4g} A (peak); currents are peak of phase"]
+    if curves.id0 is not None and design.strategy == "mtpa":
+        chosen = float(np.hypot(curves.chosen.i_d[-1], curves.chosen.i_q[-1]))
+        if not curves.id0.limited[-1]:
+            notes.append(
+                f"i_d = 0 draws {curves.id0.i_q[-1]:.4g} A at the last torque, {design.strategy} {chosen:.4g} A"
+            )
+        else:
+            notes.append(f"i_d = 0 reaches {curves.id0.torque[-1]:.4g} N m within the limit")
+    columns = ("torque N m", "i_d A", "i_q A", "|i| A", "limited by")
+    return [Table(f"{design.name}: {design.strategy}", columns, _point_rows(curves.chosen), tuple(notes))]
+
+
+def _error_cells(errors: ReferenceErrors) -> tuple[str, ...]:
+    return (
+        _number(errors.i_d, 3),
+        _number(errors.i_q, 3),
+        _number(100.0 * errors.torque_relative, 3),
+        _number(100.0 * errors.loss_relative, 3),
+        _number(errors.step_at_zero, 3),
+    )
+
+
+def _coefficient_rows(axis: str, polynomial: PiecewisePolynomial | None) -> list[tuple[str, ...]]:
+    if polynomial is None:
+        return []
+    return [
+        (axis, _number(start), _number(end), "  ".join(f"{c:.5g}" for c in series[::-1]))
+        for start, end, series in zip(polynomial.edges[:-1], polynomial.edges[1:], polynomial.coefficients, strict=True)
+    ]
+
+
+def fit_tables(design: Design, fit: ReferenceFit, rows: tuple[Alternative, ...]) -> list[Table]:
+    """Errors of the fit beside its alternatives, and its coefficients."""
+    columns = ("", "i_d error A", "i_q error A", "torque error %", "loss penalty %", "step at zero A")
+    chosen = (f"chosen: {fit.form}", *_error_cells(fit.errors))
+    others = tuple((row.label, *_error_cells(row.errors)) for row in rows)
+    note = (
+        "largest values found in the float32 arithmetic of the header (sampled, not proven); torque error in % of "
+        f"{fit.torque_max:.4g} N m, loss penalty in % of the least copper loss from 5 % torque upwards"
+    )
+    tables = [Table(f"{design.name}: current reference, {fit.settings.method}", columns, (chosen, *others), (note,))]
+    coefficients = [*_coefficient_rows("i_d", fit.d), *_coefficient_rows("i_q", fit.q)]
+    if coefficients:
+        headings = ("axis", "from N m", "to N m", "coefficients of T - from, highest power first, A/(N m)^k")
+        tables.append(Table("Coefficients", headings, tuple(coefficients)))
+    return tables
+
+
+def _loop_row(gains: LoopGains, unit: str, per_unit_text: str) -> tuple[str, ...]:
+    return (
+        gains.loop,
+        gains.method,
+        f"{gains.kp:.5g} {unit}",
+        f"{gains.ki:.5g}",
+        per_unit_text,
+        _number(gains.crossover / (2.0 * math.pi)),
+        f"{math.degrees(gains.phase_margin):.1f}",
+        f"{20.0 * math.log10(gains.gain_margin):.1f}" if math.isfinite(gains.gain_margin) else "none",
+        _number(gains.delay_margin * 1e6, 3),
+        f"{gains.max_sensitivity:.2f}",
+    )
+
+
+def _per_unit_text(gains: LoopGains, bases: tuple[float, float], q_formats: tuple[int, int] | None) -> str:
+    kp, ki_ts = per_unit(gains, *bases)
+    if q_formats is None:
+        return f"{kp:.5g}, {ki_ts:.4g}"
+    return f"{to_q(kp, q_formats[0])} (Q{q_formats[0]}), {to_q(ki_ts, q_formats[1])} (Q{q_formats[1]})"
+
+
+def gains_tables(design: Design, gains: GainSet) -> list[Table]:
+    """Gains of each loop with their margins, and the observer with its error for a wrong resistance."""
+    control, bases = design.control, design.control.bases
+    current = (bases.current, bases.voltage)
+    rows = [
+        _loop_row(loop, "V/A", _per_unit_text(loop, current, control.current_loop.q_formats))
+        for loop in (gains.i_d, gains.i_q)
+    ]
+    if gains.speed is not None and control.speed_loop is not None:
+        text = _per_unit_text(gains.speed, (bases.speed, bases.torque), control.speed_loop.q_formats)
+        rows.append(_loop_row(gains.speed, "N m s/rad", text))
+    columns = (
+        "loop",
+        "method",
+        "kp",
+        "ki (kp unit)/s",
+        "per unit: kp, ki t_s",
+        "crossover Hz",
+        "phase margin deg",
+        "gain margin dB",
+        "delay margin us",
+        "M_s",
+    )
+    tables = [Table(f"{design.name}: gains, sampled every {control.t_s * 1e6:.4g} us", columns, tuple(rows))]
+    if gains.observer is not None:
+        tables.append(_observer_table(design, gains))
+    return tables
+
+
+def _observer_table(design: Design, gains: GainSet) -> Table:
+    observer, machine = gains.observer, design.machine
+    assert observer is not None
+    rows = (
+        ("A", f"{observer.a:.7g}", ""),
+        ("B_U", f"{observer.b_u:.7g}", "rad/(s V)"),
+        ("B_I", f"{observer.b_i:.7g}", "rad/(s A)"),
+        ("C", f"{observer.c:.7g}", "rad/(s A)"),
+    )
+    speed = 0.5 * design.control.bases.speed
+    error = steady_state_error(machine, observer.g, observer.t_s, speed, r_error=0.3)
+    note = f"speed error at {speed * 30.0 / math.pi:.4g} rpm without load: {100.0 * error.relative:.3g} % for R + 30 %"
+    return Table(
+        "Speed observer: omega_hat = zeta - C i_q; zeta' = A zeta + B_U u_q + B_I i_q",
+        ("", "value", "unit"),
+        rows,
+        (note,),
+    )
+
+
+def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
+    """One table per operating point: strategy and modulator against losses and junction temperature."""
+    columns = (
+        "strategy",
+        "modulator",
+        "copper W",
+        "conduction W",
+        "switching W",
+        "total W",
+        "junction degC",
+        "saving %",
+        "",
+    )
+    tables = []
+    budget = comparison.budget
+    for p, (point, best) in enumerate(zip(comparison.points, comparison.best_labels, strict=True)):
+        rows = []
+        for s, strategy in enumerate(comparison.strategies):
+            for m, modulation in enumerate(comparison.modulations):
+                index = (s, m, p)
+                mark = "best" if best == (strategy, modulation) else "" if budget.feasible[index] else "not feasible"
+                cells = [budget.copper, budget.conduction, budget.switching, budget.total, budget.junction_temperature]
+                texts = [f"{cell[index]:.1f}" for cell in cells]
+                rows.append((strategy, modulation, *texts, f"{comparison.saving[index]:.1f}", mark))
+        title = f"{design.name}: losses at {point.torque:.4g} N m, {point.omega_m * 30.0 / math.pi:.5g} rpm"
+        tables.append(Table(title, columns, tuple(rows)))
+    return tables
+
+
+def verification_text(verification: Verification | None) -> str:
+    """One line on what was compiled, run and compared."""
+    if verification is None:
+        return "not verified (--no-verify)"
+    done = " and ".join(check.standard.upper() for check in verification.checks if not check.missing)
+    missing = [
+        f"; {check.standard.upper()} was not tried: install the Debian package {check.missing}"
+        for check in verification.checks
+        if check.missing
+    ]
+    count = verification.vectors + verification.sweep
+    return f"{count} results equal the float32 model bit for bit, compiled as {done}{''.join(missing)}"
+
+
+def _errors_text(errors: ReferenceErrors) -> str:
+    percent = f"torque {100.0 * errors.torque_relative:.2g} %, copper loss +{100.0 * errors.loss_relative:.2g} %"
+    return f"i_d {errors.i_d:.2g} A, i_q {errors.i_q:.2g} A, {percent}"
+
+
+def _loop_text(gains: LoopGains) -> str:
+    crossover, margin = gains.crossover / (2.0 * math.pi), math.degrees(gains.phase_margin)
+    return f"{crossover:.4g} Hz crossover, {margin:.0f} deg phase margin"
+
+
+def run_tables(solution: Solution, verification: Verification | None) -> list[Table]:
+    """The short summary of a run."""
+    fit, gains = solution.fit, solution.gains
+    polynomial = fit.d or fit.q
+    shape = "" if polynomial is None else f", degree {polynomial.degree}, {polynomial.segments} segments"
+    rows = [
+        ("current reference", f"{fit.form}{shape}, 0 to {fit.torque_max:.4g} N m"),
+        ("  largest errors", _errors_text(fit.errors)),
+    ]
+    rows += [
+        (f"{loop.loop} loop", _loop_text(loop)) for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None
+    ]
+    if solution.losses is not None:
+        rows += _best_rows(solution.losses)
+    rows.append(("verification", verification_text(verification)))
+    return [Table(solution.design.name, ("", ""), tuple(rows))]
+
+
+def _best_rows(comparison: LossComparison) -> list[tuple[str, str]]:
+    rows = []
+    for p, (point, best) in enumerate(zip(comparison.points, comparison.best_labels, strict=True)):
+        label = f"losses at {point.torque:.4g} N m"
+        if best is None:
+            rows.append((label, "no alternative is feasible"))
+            continue
+        index = (int(comparison.best_strategy[p]), int(comparison.best_modulation[p]), p)
+        budget = comparison.budget
+        chosen = f"{budget.total[index]:.0f} W, {budget.junction_temperature[index]:.0f} degC"
+        first = f"{comparison.strategies[0]} with {comparison.modulations[0]}: {budget.total[0, 0, p]:.0f} W"
+        rows.append((label, f"{best[0]} with {best[1]}: {chosen} ({first})"))
+    return rows
