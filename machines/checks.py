@@ -1,0 +1,186 @@
+"""Checks between the keys of a design file: what each value alone cannot show."""
+
+from __future__ import annotations
+
+import math
+
+from dqforge.machines import datasheet
+from dqforge.machines.entries import Quantity
+from dqforge.machines.quantities import format_quantity
+from dqforge.machines.schema import CurrentLoopSection, DesignFile, MachineSection, SpeedLoopSection
+from dqforge.machines.synchronous import LinearMachine
+from dqforge.machines.yaml_source import KeyPath, YamlDocument
+
+# A torque that is written as the limit itself, rounded, is meant to be the limit.
+_ROUNDING = 1e-3
+_EXAMPLES: dict[tuple[str | int, str], str] = {
+    ("current_loop", "bandwidth"): "500 Hz",
+    ("current_loop", "kp"): "1.1 V/A",
+    ("current_loop", "ki"): "32 V/(A s)",
+    ("speed_loop", "bandwidth"): "20 Hz",
+    ("speed_loop", "kp"): "0.1 N m s/rad",
+    ("speed_loop", "ki"): "6 N m/rad",
+}
+
+
+def si_of(quantity: Quantity | None) -> float | None:
+    """SI value of an optional entry."""
+    return None if quantity is None else quantity.si
+
+
+def check_machine(section: MachineSection, machine: LinearMachine, document: YamlDocument) -> None:
+    """Check the machine as a whole against its name plate; raises `InputError` with a position."""
+    if machine.psi_pm == 0.0 and machine.l_d == machine.l_q:
+        raise document.error(
+            "machine: no magnet flux and inductance_d equal to inductance_q, so it gives no torque; "
+            "write magnet_flux or two different inductances",
+            ("machine", "inductance_q"),
+        )
+    rated = section.rated
+    torque, speed, power, frequency = map(si_of, (rated.torque, rated.speed, rated.power, rated.frequency))
+    if frequency is not None and speed is not None:
+        with document.at(("machine", "rated", "frequency")):
+            datasheet.check_rated_frequency(machine.pole_pairs, frequency, speed)
+    if power is not None and torque is not None and speed is not None:
+        with document.at(("machine", "rated", "power")):
+            datasheet.check_rated_power(power, torque, speed)
+    if rated.current is not None:
+        _check_rated_current(datasheet.peak_current(rated.current.si, rated.current.kind or ""), machine, document)
+    if torque is not None:
+        with document.at(("machine", "rated", "torque")):
+            largest = datasheet.largest_torque(machine.pole_pairs, machine.psi_pm, machine.saliency, machine.i_max)
+            datasheet.check_rated_torque(torque, largest)
+    if speed is not None and machine.omega_m_max is not None and speed > machine.omega_m_max * (1.0 + _ROUNDING):
+        message = f"machine.rated.speed {format_quantity(speed, 'rpm')} is above max_speed; correct one of them"
+        raise document.error(message, ("machine", "rated", "speed"))
+
+
+def _check_rated_current(current: float, machine: LinearMachine, document: YamlDocument) -> None:
+    if current <= machine.i_max * (1.0 + _ROUNDING):
+        return
+    raise document.error(
+        f"machine.rated.current is {format_quantity(current, 'A')} peak, above max_current "
+        f"{format_quantity(machine.i_max, 'A')} peak; check the kinds (peak or rms) of both",
+        ("machine", "rated", "current"),
+    )
+
+
+def check_inverter(sections: DesignFile, document: YamlDocument) -> None:
+    """Check dead time and sampling against the switching frequency; raises `InputError` with a position."""
+    f_sw = sections.inverter.switching_frequency.si
+    dead_time = sections.inverter.dead_time
+    if dead_time is not None and dead_time.si >= 0.5 / f_sw:
+        raise document.error(
+            f"inverter.dead_time {dead_time.text} is not shorter than half a switching period, "
+            f"{format_quantity(0.5 / f_sw, 's')}; check both units",
+            ("inverter", "dead_time"),
+        )
+    sampling = sections.control.sampling_frequency
+    if sampling is not None and not f_sw / 10.0 <= sampling.si <= 2.0 * f_sw * (1.0 + _ROUNDING):
+        raise document.error(
+            f"control.sampling_frequency {sampling.text} does not belong to a switching frequency of "
+            f"{format_quantity(f_sw, 'Hz')}; write {format_quantity(f_sw / 10.0, 'Hz')} to "
+            f"{format_quantity(2.0 * f_sw, 'Hz')}",
+            ("control", "sampling_frequency"),
+        )
+    if sections.losses is not None and sections.inverter.device is None:
+        raise document.error(
+            "losses: the loss comparison needs the switch; write the section inverter.device, or remove losses",
+            ("losses",),
+            key=True,
+        )
+
+
+def check_loops(sections: DesignFile, machine: LinearMachine, document: YamlDocument) -> None:
+    """Check that each controller has the keys that its method needs; raises `InputError` with a position."""
+    control = sections.control
+    _check_method(control.current_loop, ("control", "current_loop"), document)
+    wants_inertia = []
+    if control.speed_loop is not None:
+        _check_method(control.speed_loop, ("control", "speed_loop"), document)
+        wants_inertia.append("speed_loop")
+    if control.observer is not None:
+        wants_inertia.append("observer")
+        if machine.psi_pm == 0.0:
+            message = "control.observer: this observer needs a magnet flux, the machine has none; remove it"
+            raise document.error(message, ("control", "observer"), key=True)
+    if wants_inertia and machine.inertia is None:
+        message = f"control.{wants_inertia[0]} needs the inertia; write machine.inertia, such as 200e-6 kg m^2"
+        raise document.error(message, ("control", wants_inertia[0]), key=True)
+
+
+def _check_method(loop: CurrentLoopSection | SpeedLoopSection, path: KeyPath, document: YamlDocument) -> None:
+    needed = {"bandwidth": ("bandwidth",), "damping": ("bandwidth",), "given": ("kp", "ki")}.get(loop.method, ())
+    where = ".".join(map(str, path))
+    for key in needed:
+        if getattr(loop, key) is None:
+            example = _EXAMPLES[path[-1], key]
+            raise document.error(
+                f"{where}: the method '{loop.method}' needs the key '{key}'; write {key}: {example}", (*path, "method")
+            )
+    for key in ("bandwidth", "kp", "ki"):
+        if getattr(loop, key) is not None and key not in needed:
+            method = "bandwidth" if key == "bandwidth" else "given"
+            raise document.error(
+                f"{where}: the method '{loop.method}' does not use '{key}'; write method: {method}, or remove the key",
+                (*path, key),
+                key=True,
+            )
+
+
+def check_fit(sections: DesignFile, machine: LinearMachine, i_max: float, document: YamlDocument) -> None:
+    """Check strategy, form and domain of the current references; raises `InputError` with a position."""
+    strategy, fit = sections.operation.strategy, sections.fit
+    if strategy == "id0" and machine.psi_pm == 0.0:
+        message = "operation.strategy: id0 gives no torque without magnets; write strategy: mtpa"
+        raise document.error(message, ("operation", "strategy"))
+    if strategy == "mtpa" and fit.form == "closed-form" and machine.l_d == machine.l_q:
+        message = "fit.form: closed-form needs inductance_d and inductance_q to differ; write form: torque-exact"
+        raise document.error(message, ("fit", "form"))
+    saliency = machine.saliency if strategy == "mtpa" else 0.0
+    largest = datasheet.largest_torque(machine.pole_pairs, machine.psi_pm, saliency, i_max)
+    end = largest if fit.torque_max is None else fit.torque_max.si
+    if fit.breakpoints is not None:
+        _check_breakpoints(fit.breakpoints, fit.segments, end, document)
+
+
+def _check_breakpoints(breakpoints: tuple[Quantity, ...], segments: int, end: float, document: YamlDocument) -> None:
+    path = ("fit", "breakpoints")
+    if len(breakpoints) != segments - 1:
+        raise document.error(
+            f"fit.breakpoints lists {len(breakpoints)}, but {segments} segments meet at {segments - 1}; "
+            f"write segments: {len(breakpoints) + 1}, or {segments - 1} breakpoints",
+            path,
+        )
+    for index, point in enumerate(breakpoints):
+        before = breakpoints[index - 1].si if index else 0.0
+        if point.si <= before:
+            message = f"fit.breakpoints: {point.text} does not ascend; write the breakpoints in order"
+            raise document.error(message, (*path, index))
+        if point.si >= end:
+            limit = format_quantity(end, "N m")
+            message = f"fit.breakpoints: {point.text} lies beyond the end of the domain, {limit}; write less"
+            raise document.error(message, (*path, index))
+
+
+def check_comparison(sections: DesignFile, document: YamlDocument) -> None:
+    """Refuse alternatives that the loss comparison lists twice; raises `InputError` with a position."""
+    if sections.losses is None:
+        return
+    for key, names in (("strategies", sections.losses.strategies), ("modulations", sections.losses.modulations)):
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                raise document.error(f"losses.{key}: '{name}' is listed twice; remove one", ("losses", key, index))
+
+
+def sampling_warning(machine: LinearMachine, f_s: float) -> str:
+    """Sentence on a sampling (Hz) that is slow against the electrical frequency at top speed, or an empty text."""
+    if machine.omega_m_max is None:
+        return ""
+    f_e = machine.pole_pairs * machine.omega_m_max / (2.0 * math.pi)
+    if f_s >= 10.0 * f_e:
+        return ""
+    return (
+        f"at {format_quantity(machine.omega_m_max, 'rpm')} there are only {f_s / f_e:.2g} samples per electrical "
+        "period; the current control needs about ten"
+    )

@@ -1,0 +1,65 @@
+"""Where the values of a design come from, and what was taken for granted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from dqforge.machines.design import InputValue
+from dqforge.machines.entries import Quantity
+from dqforge.machines.schema import DesignFile, Section
+from dqforge.machines.yaml_source import KeyPath, dotted
+
+_ALTERNATIVE = {
+    "phase": "write kind: line-to-line if it was measured between two terminals",
+    "peak": "write kind: rms if it is an r.m.s. value",
+}
+_WHAT = {"phase": "a phase value", "peak": "a peak value"}
+
+
+def quantities(section: Section, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Quantity]]:
+    """All entries of a section with their paths, in the order of the schema."""
+    for name in type(section).model_fields:
+        value = getattr(section, name)
+        parts = enumerate(value) if isinstance(value, tuple) else [(None, value)]
+        for index, part in parts:
+            inner = (*path, name) if index is None else (*path, name, index)
+            if isinstance(part, Quantity):
+                yield inner, part
+            elif isinstance(part, Section):
+                yield from quantities(part, inner)
+
+
+def input_values(sections: DesignFile, converted: Mapping[str, tuple[float, str]]) -> tuple[InputValue, ...]:
+    """Each quantity of the file with its origin.
+
+    Parameters
+    ----------
+    sections:
+        The file's content.
+    converted:
+        For the paths of values that were converted: the value that is used, in SI units, and what was done.
+    """
+    values = []
+    for parts, quantity in quantities(sections):
+        path = dotted(parts)
+        si, conversion = converted.get(path, (quantity.si, ""))
+        kind = f" ({quantity.kind})" if quantity.kind and quantity.kind_given else ""
+        note = "; ".join(text for text in (conversion, quantity.note) if text)
+        values.append(
+            InputValue(path, quantity.text + kind, si, quantity.unit, quantity.source, quantity.inferred, note)
+        )
+    return tuple(values)
+
+
+def kind_assumptions(sections: DesignFile) -> tuple[str, ...]:
+    """Sentences on conventions that the file does not name, and on values that it marks as inferred."""
+    sentences = []
+    for parts, quantity in quantities(sections):
+        path = dotted(parts)
+        if quantity.kind is not None and not quantity.kind_given and quantity.si != 0.0:
+            what, otherwise = _WHAT[quantity.kind], _ALTERNATIVE[quantity.kind]
+            sentences.append(f"{path} is taken as {what}; {otherwise}")
+        if quantity.inferred:
+            reason = quantity.note or quantity.source or "no reason is given"
+            sentences.append(f"{path} is inferred: {reason}")
+    return tuple(sentences)
