@@ -35,7 +35,9 @@ class InputError(DqforgeError, ValueError):
 
     def __str__(self) -> str:
         position = [str(part) for part in (self.source, self.line, self.column) if part is not None]
-        return f"{':'.join(position)}: {self.message}" if position else self.message
+        text = f"{':'.join(position)}: {self.message}" if position else self.message
+        # A file name may hold control characters; they must not reach a terminal or break the one line.
+        return "".join(character if character.isprintable() else "?" for character in text)
 
 
 class NoSolutionError(DqforgeError):

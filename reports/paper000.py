@@ -215,7 +215,7 @@ def _table_2_text(rows: tuple[PolynomialRow, ...]) -> Table:
         ),
         (
             "Read as: columns degree 2, 3, 4 per axis with segments k = 0, 1; row m = 0 is the highest power.",
-            "Machine: psi_pm = 0.1049 Wb, l_q - l_d = 242 uH, p = 4, identified; Table 5 prints 8 pole pairs and no flux.",
+            "Machine: psi_pm = 0.1049 Wb, l_q - l_d = 242 uH, p = 4, identified; Table 5 prints 8 pole pairs, no flux.",
             "The paper's section 7.2 states a largest error of 1.09 A for degree 2.",
             "Degree 3 on the q axis suffers from its printed digits: 1.62 +-0.005 A/(N m) is +-1.2 A at 250 N m.",
         ),

@@ -178,8 +178,9 @@ def _read(path: Path) -> bytes:
 
 
 def _load_result(path: Path) -> dict[str, Any]:
+    content = _read(path)
     try:
-        loaded = json.loads(_read(path))
+        loaded = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError("is not JSON; run the design again", source=str(path)) from error
     if not isinstance(loaded, dict) or not isinstance(loaded.get("header"), dict):

@@ -1,0 +1,293 @@
+"""The command line in-process: tables, JSON, files, exit codes, and one clear line for every wrong input."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import yaml
+
+from dqforge import __version__, cli
+from dqforge.machines import catalogue
+
+
+@dataclass(frozen=True)
+class Outcome:
+    code: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Outcome]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Run one command inside an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: object) -> Outcome:
+        with pytest.raises(SystemExit) as stop:
+            cli.main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        assert isinstance(stop.value.code, int)
+        return Outcome(stop.value.code, captured.out, captured.err)
+
+    return call
+
+
+def one_line(outcome: Outcome, code: int) -> str:
+    assert outcome.code == code
+    assert outcome.out == ""
+    assert outcome.err.count("\n") == 1
+    assert "Traceback" not in outcome.err
+    return outcome.err
+
+
+IPM = "paper000-ipmsm-100kw"
+COMMANDS = sorted(command.callback.__name__ for command in cli.app.registered_commands if command.callback)
+PROPORTIONAL = {"form": "proportional", "gain": 1, "torque_max": 1}
+BENCH = "paper001-pmsm-bench"
+
+
+def test_version_and_help(run: Run) -> None:
+    assert run("--version").out == f"dqforge {__version__}\n"
+    outcome = run("--help")
+    assert outcome.code == 0
+    assert all(re.search(rf"^  {command} ", outcome.out, re.MULTILINE) for command in COMMANDS)
+    assert run().code == 2
+
+
+def test_help_of_each_command_says_what_it_does(run: Run) -> None:
+    for command in COMMANDS:
+        outcome = run(command, "--help")
+        assert outcome.code == 0
+        assert len(outcome.out.splitlines()) > 4
+
+
+def test_run_writes_everything_and_verify_agrees(run: Run, tmp_path: Path) -> None:
+    outcome = run("run", IPM, "-o", "out")
+    assert outcome.code == 0, outcome.err
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "ipm100.h",
+        "ipm100_vectors.h",
+        "report.html",
+        "result.json",
+    }
+    assert "20256 results equal the float32 model bit for bit, compiled as C99 and C++11" in outcome.out
+    assert "mtpa with ddt-gdpwm: 781 W" in outcome.out
+    verified = run("verify", "out")
+    assert verified.code == 0
+    assert "bit for bit" in verified.out
+
+
+def test_same_design_same_bytes(run: Run, tmp_path: Path) -> None:
+    for folder in ("first", "second"):
+        assert run("run", BENCH, "-o", folder, "--no-verify").code == 0
+    for path in (tmp_path / "first").iterdir():
+        assert path.read_bytes() == (tmp_path / "second" / path.name).read_bytes(), path.name
+        assert str(tmp_path).encode() not in path.read_bytes()
+
+
+@pytest.mark.parametrize("name", catalogue.names())
+def test_every_library_drive_exports_and_verifies(run: Run, name: str) -> None:
+    outcome = run("export", name)
+    assert outcome.code == 0, outcome.err
+    assert "bit for bit" in outcome.out
+
+
+def test_changed_header_fails_verification(run: Run, tmp_path: Path) -> None:
+    run("export", IPM, "-o", "out")
+    header = tmp_path / "out" / "ipm100.h"
+    text = header.read_text()
+    header.write_text(re.sub(r"0\.6294F", "0.6295F", text, count=1))
+    assert "does not give the results of its test vectors" in one_line(run("verify", "out"), 1)
+    header.write_text(text.replace("i_q = t /", "i_q = t //"))
+    assert "does not compile as c99" in one_line(run("verify", "out"), 1)
+
+
+@pytest.mark.parametrize(
+    ("content", "phrase"),
+    [
+        (None, "cannot be read"),
+        ("{", "is not JSON"),
+        ("[]", "holds no header"),
+        ('{"header": {}}', "header.prefix"),
+        ('{"header": {"prefix": "../../etc/x"}}', "not an identifier"),
+        ('{"header": {"prefix": "a"}}', "header.vectors"),
+        ('{"header": {"prefix": "a", "vectors": 16, "reference": {"form": "x"}}}', "unknown"),
+        (
+            json.dumps({"header": {"prefix": "a", "vectors": 16, "reference": PROPORTIONAL}}),
+            "a.h: cannot be read",
+        ),
+        ("[" * 100_000, "is not JSON"),
+    ],
+)
+def test_verify_refuses_what_is_no_output(run: Run, tmp_path: Path, content: str | None, phrase: str) -> None:
+    (tmp_path / "out").mkdir()
+    if content is not None:
+        (tmp_path / "out" / "result.json").write_text(content)
+    assert phrase in one_line(run("verify", "out"), 2)
+
+
+JSON_KEYS = {
+    "check": {"input"},
+    "mtpa": {"mtpa"},
+    "fit": {"fit"},
+    "tune": {"gains"},
+    "losses": {"losses"},
+}
+
+
+@pytest.mark.parametrize("command", JSON_KEYS)
+def test_json_envelope_is_versioned_and_pinned(run: Run, command: str) -> None:
+    outcome = run(command, IPM, "--json")
+    assert outcome.code == 0
+    document = json.loads(outcome.out)
+    assert set(document) == {"dqforge", "format", "command", "design"} | JSON_KEYS[command]
+    assert document["dqforge"] == __version__
+    assert document["format"] == 1
+    assert document["command"] == command
+    assert outcome.out == run(command, IPM, "--json").out
+
+
+def test_json_holds_the_physics(run: Run) -> None:
+    curves = json.loads(run("mtpa", IPM, "--json").out)["mtpa"]["chosen"]
+    torque, i_d, i_q = (curves[key][100] for key in ("torque_Nm", "i_d_A", "i_q_A"))
+    assert 1.5 * 4 * (0.1049 + (350e-6 - 592e-6) * i_d) * i_q == pytest.approx(torque, rel=1e-7)
+    losses = json.loads(run("losses", IPM, "--json").out)["losses"]
+    assert losses["best"] == [["mtpa", "ddt-gdpwm"]]
+    assert {row["modulation"] for row in losses["rows"]} == {"spwm", "svpwm", "ddt-gdpwm"}
+
+
+def test_bench_drive_has_the_paper_integers(run: Run) -> None:
+    gains = json.loads(run("tune", BENCH, "--json").out)["gains"]
+    assert (gains["speed"]["kp_q"], gains["speed"]["ki_ts_q"], gains["speed"]["q_formats"]) == (20000, 2500, [10, 10])
+    assert (gains["i_q"]["kp_q"], gains["i_q"]["ki_ts_q"], gains["i_q"]["q_formats"]) == (136, 26, [10, 15])
+    assert "20000 (Q10), 2500 (Q10)" in run("tune", BENCH).out
+
+
+@pytest.mark.parametrize("command", ["check", "mtpa", "fit", "tune", "losses"])
+def test_tables_print(run: Run, command: str) -> None:
+    outcome = run(command, IPM)
+    assert outcome.code == 0
+    assert outcome.out.startswith("IPMSM 100 kW (paper 000)")
+    assert "\x1b" not in outcome.out
+
+
+@pytest.mark.parametrize("command", ["mtpa", "fit", "tune", "losses"])
+@pytest.mark.parametrize("suffix", ["svg", "png"])
+def test_plots(run: Run, tmp_path: Path, command: str, suffix: str) -> None:
+    outcome = run(command, IPM, "--plot", f"figure.{suffix}")
+    assert outcome.code == 0, outcome.err
+    content = (tmp_path / f"figure.{suffix}").read_bytes()
+    assert content.startswith(b"<?xml" if suffix == "svg" else b"\x89PNG")
+
+
+def test_plot_with_an_unknown_suffix_or_folder(run: Run, tmp_path: Path) -> None:
+    assert ".svg" in one_line(run("mtpa", IPM, "--plot", "figure.bmp"), 2)
+    assert "cannot write" in one_line(run("mtpa", IPM, "--plot", "missing/figure.svg"), 2)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_new_check_run_round_trip(run: Run, tmp_path: Path) -> None:
+    assert run("new", "bench").code == 0
+    design = tmp_path / "bench" / "design.yaml"
+    assert run("check", design).code == 0
+    assert run("run", design, "-o", "out", "--no-verify").code == 0
+    assert "exists already" in one_line(run("new", "bench"), 2)
+    assert run("new", "copy", "--machine", IPM).code == 0
+    assert (tmp_path / "copy" / "design.yaml").read_bytes() == catalogue.read_text(IPM)
+    assert IPM in one_line(run("new", "other", "--machine", "paper000"), 2)
+
+
+def test_machines_schema_and_reproduce(run: Run) -> None:
+    listing = run("machines").out
+    assert all(name in listing for name in catalogue.names())
+    assert yaml.safe_load(run("machines", IPM).out)["machine"]["resistance"]["value"] == "2 mOhm"
+    schema = json.loads(run("schema").out)
+    assert {"machine", "inverter", "control", "fit", "losses", "export"} <= set(schema["properties"])
+    assert "98.6767" in run("reproduce", "000").out
+    assert json.loads(run("reproduce", "000", "--json").out)["table_4"][0]["printed_loss"] == 1064.0
+    assert "write: dqforge reproduce 000" in one_line(run("reproduce", "007"), 2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "phrase"),
+    [
+        (["frobnicate"], "frobnicate"),
+        (["fit"], "Missing argument"),
+        (["fit", IPM, "--bogus"], "--bogus"),
+        (["check", "missing.yaml"], "missing.yaml"),
+        (["check", "."], "."),
+        (["machines", "paper00"], "paper000"),
+        (["run", "paper000"], "paper000"),
+    ],
+)
+def test_wrong_command_lines(run: Run, tmp_path: Path, arguments: list[str], phrase: str) -> None:
+    assert phrase in one_line(run(*arguments), 2)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_file_names_with_control_characters_stay_one_line(run: Run) -> None:
+    line = one_line(run("check", "a\nb\x1b[31m.yaml"), 2)
+    assert "\x1b" not in line
+
+
+def broken_designs() -> list[tuple[str, str | bytes, int, int, str]]:
+    path = Path(__file__).parent / "machines" / "broken_designs.py"
+    spec = importlib.util.spec_from_file_location("broken_designs", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return list(module.BROKEN)
+
+
+BROKEN = broken_designs()
+
+
+def test_there_are_enough_broken_designs() -> None:
+    assert len(BROKEN) >= 40
+
+
+@pytest.mark.parametrize("case", BROKEN, ids=[case[0] for case in BROKEN])
+def test_broken_designs_give_one_line_exit_2_and_no_file(
+    run: Run, tmp_path: Path, case: tuple[str, str | bytes, int, int, str]
+) -> None:
+    _, content, row, column, phrase = case
+    path = tmp_path / "broken.yaml"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    line = one_line(run("run", "broken.yaml", "-o", "out"), 2)
+    assert line.startswith(f"dqforge: broken.yaml:{row}:{column}: ")
+    assert phrase in line
+    assert [entry.name for entry in tmp_path.iterdir()] == ["broken.yaml"]
+
+
+def test_design_without_solution_exits_1_and_leaves_nothing(run: Run, tmp_path: Path) -> None:
+    text = catalogue.read_text(IPM).decode()
+    path = tmp_path / "design.yaml"
+    path.write_text(re.sub(r"torque_max: [^#\n]+", "torque_max: 250 N m ", text))
+    assert "250 N m cannot be had" in one_line(run("run", "design.yaml", "-o", "out"), 1)
+    path.write_text(re.sub(r"bandwidth: 1 kHz", "bandwidth: 40 kHz", text))
+    assert "current_loop" in one_line(run("run", "design.yaml", "-o", "out"), 1)
+    path.write_text(re.sub(r"torque: 130 N m", "torque: 1300 N m", text))
+    assert "losses" in one_line(run("run", "design.yaml", "-o", "out"), 1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_out_that_cannot_be_written(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("kept")
+    assert "-o" in one_line(run("export", IPM, "-o", "file", "--no-verify"), 2)
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+def test_losses_of_a_design_without_comparison(run: Run) -> None:
+    assert "section 'losses'" in one_line(run("losses", "abb-ipmsm-2k2"), 2)

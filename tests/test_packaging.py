@@ -1,0 +1,67 @@
+"""The wheel holds exactly the package, its library and its templates, and the import order of the house is kept."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("machines", "optimizer", "reports")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
+    """A wheel built from a copy of the tracked and new files, under a folder that is not called dqforge."""
+    copy = tmp_path_factory.mktemp("build") / "checkout"
+    ignored = shutil.ignore_patterns(
+        ".git", ".venv", ".typing", "build", "dist", "out", "*.egg-info", ".*_cache", "__pycache__"
+    )
+    shutil.copytree(ROOT, copy, ignore=ignored)
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(copy / "dist"), str(copy)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    (path,) = (copy / "dist").glob("*.whl")
+    return zipfile.ZipFile(path)
+
+
+def expected_files() -> set[str]:
+    names = {"dqforge/__init__.py", "dqforge/cli.py", "dqforge/py.typed"}
+    for package in PACKAGES:
+        names |= {f"dqforge/{package}/{path.name}" for path in (ROOT / package).glob("*.py")}
+    names |= {f"dqforge/machines/library/{path.name}" for path in (ROOT / "machines" / "library").glob("*.yaml")}
+    names |= {f"dqforge/reports/templates/{path.name}" for path in (ROOT / "reports" / "templates").glob("*.j2")}
+    return names
+
+
+def test_wheel_holds_exactly_the_package(wheel: zipfile.ZipFile) -> None:
+    names = {name for name in wheel.namelist() if ".dist-info/" not in name}
+    assert names == expected_files()
+
+
+def test_wheel_installs_the_command_and_the_licence(wheel: zipfile.ZipFile) -> None:
+    entry = next(name for name in wheel.namelist() if name.endswith("entry_points.txt"))
+    assert "dqforge = dqforge.cli:main" in wheel.read(entry).decode()
+    assert any(name.endswith("licenses/LICENSE") for name in wheel.namelist())
+    metadata = next(name for name in wheel.namelist() if name.endswith("METADATA"))
+    assert "License-Expression: Apache-2.0" in wheel.read(metadata).decode()
+
+
+def test_help_imports_nothing_heavy() -> None:
+    """`dqforge --help` must not pay for numerics, plots or templates."""
+    heavy = ("numpy", "scipy", "matplotlib", "nlopt", "pint", "pydantic", "jinja2", "rich", "yaml")
+    program = (
+        "import sys\nfrom dqforge import cli\n"
+        "try:\n    cli.main(['--help'])\nexcept SystemExit:\n    pass\n"
+        f"print([name for name in {heavy!r} if name in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+
+
+def test_only_two_modules_lie_in_the_root() -> None:
+    assert {path.name for path in ROOT.glob("*.py")} == {"__init__.py", "cli.py"}
