@@ -163,14 +163,21 @@ def _check_breakpoints(breakpoints: tuple[Quantity, ...], segments: int, end: fl
             raise document.error(message, (*path, index))
 
 
-def check_comparison(sections: DesignFile, document: YamlDocument) -> None:
-    """Refuse alternatives that the loss comparison lists twice; raises `InputError` with a position."""
+def check_comparison(sections: DesignFile, machine: LinearMachine, document: YamlDocument) -> None:
+    """Check the loss comparison: no alternative twice, no point beyond the largest speed."""
     if sections.losses is None:
         return
     for key, names in (("strategies", sections.losses.strategies), ("modulations", sections.losses.modulations)):
         for index, name in enumerate(names):
             if name in names[:index]:
                 raise document.error(f"losses.{key}: '{name}' is listed twice; remove one", ("losses", key, index))
+    most = machine.omega_m_max
+    for index, point in enumerate(sections.losses.points):
+        if most is not None and abs(point.speed.si) > most * (1.0 + _ROUNDING):
+            shown, limit = format_quantity(point.speed.si, "rpm"), format_quantity(most, "rpm")
+            message = f"losses.points[{index}].speed: {shown} is above machine.max_speed {limit}"
+            hint = "; a bare number is in rad/s, write e.g. '1500 rpm'" if point.speed.text[-1:].isdigit() else ""
+            raise document.error(message + (hint or "; correct one of them"), ("losses", "points", index, "speed"))
 
 
 def sampling_warning(machine: LinearMachine, f_s: float) -> str:

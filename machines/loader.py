@@ -95,7 +95,7 @@ class _Build:
         inverter = self.inverter(sections.inverter)
         i_max = machine.i_max if inverter.i_max is None else min(machine.i_max, inverter.i_max)
         checks.check_fit(sections, machine, i_max, document)
-        checks.check_comparison(sections, document)
+        checks.check_comparison(sections, machine, document)
         control = self.control(sections.control, machine, inverter, i_max)
         self.general_remarks(machine, inverter, control)
         return Design(

@@ -176,14 +176,18 @@ def _observer_table(design: Design, gains: GainSet) -> Table:
         ("B_I", f"{observer.b_i:.7g}", "rad/(s A)"),
         ("C", f"{observer.c:.7g}", "rad/(s A)"),
     )
-    speed = 0.5 * design.control.bases.speed
-    error = steady_state_error(machine, observer.g, observer.t_s, speed, r_error=0.3)
-    note = f"speed error at {speed * 30.0 / math.pi:.4g} rpm without load: {100.0 * error.relative:.3g} % for R + 30 %"
+    error = steady_state_error(machine, observer.g, observer.t_s, design.control.bases.speed, 1.0, r_error=0.3)
+    rpm = 30.0 / math.pi
+    notes = (
+        "steady speed error: none with exact parameters and no load; an unknown load torque shifts the estimate by "
+        f"{error.load * rpm:.3g} rpm per N m,",
+        f"a resistance that is 30 % too high by {error.resistance / error.i_q * rpm:.3g} rpm per A of i_q",
+    )
     return Table(
         "Speed observer: omega_hat = zeta - C i_q; zeta' = A zeta + B_U u_q + B_I i_q",
         ("", "value", "unit"),
         rows,
-        (note,),
+        notes,
     )
 
 

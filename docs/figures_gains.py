@@ -1,0 +1,55 @@
+"""Figures of the pages on loops and the observer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from dqforge.machines import catalogue
+from dqforge.optimizer.gains import analyse_current_loop, current_step_response
+from dqforge.optimizer.observer import steady_state_error
+from dqforge.reports.figures import save
+
+_METHODS_HZ = {"crossover at 1/30 of the sampling rate": 30.0, "1/12": 12.0, "1/8": 8.0}
+
+
+def current_loop_step(path: Path) -> None:
+    """Step of i_q of paper 001's machine for three bandwidths, and the phase margin each has left."""
+    design = catalogue.load("paper001-pmsm-bench")
+    machine, t_s = design.machine, design.control.t_s
+    figure = Figure(figsize=(7.0, 3.2), layout="constrained")
+    axes = figure.add_subplot()
+    for label, ratio in _METHODS_HZ.items():
+        omega = 2.0 * np.pi / (ratio * t_s)
+        gains = analyse_current_loop(
+            machine.r_s, machine.l_q, t_s, omega * machine.l_q, omega * machine.r_s, "bandwidth"
+        )
+        step = current_step_response(machine.r_s, machine.l_q, gains, 50 * t_s)
+        margin = np.degrees(gains.phase_margin)
+        axes.step(step.times * 1e3, step.reference, where="post", label=f"{label}: {margin:.0f} deg phase margin")
+    axes.axhline(1.0, color="0.7", linewidth=0.8)
+    axes.set(xlabel="Time in ms", ylabel="i_q in A after a step of 1 A", xlim=(0.0, 50 * t_s * 1e3))
+    axes.legend(frameon=False, loc="lower right")
+    save(figure, path)
+
+
+def observer_error(path: Path) -> None:
+    """Steady speed error of the observer of paper 001 over load, for a resistance that is right or 30 % wrong."""
+    design = catalogue.load("paper001-pmsm-bench")
+    machine, t_s = design.machine, design.control.t_s
+    omega = 1500.0 * np.pi / 30.0
+    load = np.linspace(0.0, 0.47, 20)
+    figure = Figure(figsize=(7.0, 3.2), layout="constrained")
+    axes = figure.add_subplot()
+    for label, error in (("R right", 0.0), ("R + 30 %", 0.3), ("R - 30 %", -0.3)):
+        percent = [
+            100.0 * steady_state_error(machine, 900.0, t_s, omega, torque_load=float(t), r_error=error).relative
+            for t in load
+        ]
+        axes.plot(load, percent, label=label)
+    axes.axhline(0.0, color="0.7", linewidth=0.8)
+    axes.set(xlabel="Load torque in N m", ylabel="Speed error in %, 1500 rpm", xlim=(0.0, 0.47))
+    axes.legend(frameon=False)
+    save(figure, path)

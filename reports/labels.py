@@ -1,0 +1,33 @@
+"""Names for people of what the settings call by short words."""
+
+from __future__ import annotations
+
+import math
+
+from dqforge.machines.quantities import format_quantity
+from dqforge.machines.settings import LoadPoint
+from dqforge.optimizer.loss_budget import LossBudget
+
+_SPACE = "\u00a0"  # does not break
+
+STRATEGY_LABELS = {"mtpa": "MTPA", "id0": "$i_d$ = 0"}
+MODULATION_LABELS = {"spwm": "SPWM", "svpwm": "SVPWM", "ddt-gdpwm": "DDT-GDPWM"}
+
+
+def point_text(point: LoadPoint) -> str:
+    """An operating point with its speed in the unit of data sheets."""
+    return f"{point.torque:.4g}{_SPACE}N{_SPACE}m, {point.omega_m * 30.0 / math.pi:.4g}{_SPACE}rpm"
+
+
+def watts(value: float) -> str:
+    """A loss: to the watt from 100 W on, with three digits below, prefixed below 0.1 W."""
+    if value == 0.0 or value >= 0.1:
+        return f"{value:.0f}{_SPACE}W" if value >= 99.95 else f"{value:.3g}{_SPACE}W"
+    return format_quantity(value, "W", 3).replace(" ", _SPACE).replace("u", "\u00b5")
+
+
+def obstacle(budget: LossBudget, index: tuple[int, int, int]) -> str:
+    """Why an alternative cannot be used, or nothing."""
+    if not budget.thermally_stable[index]:
+        return "junction temperature runs away"
+    return "" if budget.linear[index] else "voltage beyond the linear range"
