@@ -10,7 +10,7 @@ from dqforge.machines.design import Design
 from dqforge.machines.settings import Strategy
 from dqforge.optimizer.gains import LoopGains, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loss_budget import LossComparison, compare
-from dqforge.optimizer.mtpa import OperatingPoints, operating_points, require_torque
+from dqforge.optimizer.mtpa import OperatingPoints, PerUnitBase, operating_points, per_unit_base, require_torque
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit, alternatives, domain_end, fit_reference
 
@@ -21,11 +21,12 @@ _CURVE_POINTS = 201
 class Curves:
     """Operating points from zero to the end of the torque domain, for the design's strategy and for i_d = 0.
 
-    ``id0`` is None for a machine without magnet.
+    ``id0`` is None for a machine without magnet; ``base`` is None where the MTPA curve has no scale of its own.
     """
 
     chosen: OperatingPoints
     id0: OperatingPoints | None
+    base: PerUnitBase | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +58,9 @@ def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     )
     torque = np.linspace(0.0, end, _CURVE_POINTS)
     chosen = operating_points(design.machine, torque, strategy=design.strategy, i_max=design.i_max)
-    if design.machine.psi_pm == 0.0:
-        return Curves(chosen, None)
-    return Curves(chosen, operating_points(design.machine, torque, strategy="id0", i_max=design.i_max))
+    has_magnet, has_saliency = design.machine.psi_pm > 0.0, design.machine.saliency != 0.0
+    id0 = operating_points(design.machine, torque, strategy="id0", i_max=design.i_max) if has_magnet else None
+    return Curves(chosen, id0, per_unit_base(design.machine) if has_magnet and has_saliency else None)
 
 
 def solve_fit(design: Design) -> ReferenceFit:

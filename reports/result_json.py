@@ -75,6 +75,7 @@ def plain_curves(curves: Curves) -> PlainData:
     return {
         "chosen": _plain_points(curves.chosen),
         "id0": None if curves.id0 is None else _plain_points(curves.id0),
+        "base": None if curves.base is None else {"current_A": curves.base.current, "torque_Nm": curves.base.torque},
     }
 
 

@@ -11,7 +11,7 @@ from dqforge.machines.design import Design
 from dqforge.optimizer.current_reference import ReferenceErrors
 from dqforge.optimizer.gains import LoopGains, per_unit, to_q
 from dqforge.optimizer.loss_budget import LossComparison
-from dqforge.optimizer.mtpa import OperatingPoints
+from dqforge.optimizer.mtpa import OperatingPoints, PerUnitBase
 from dqforge.optimizer.observer import steady_state_error
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
@@ -51,18 +51,16 @@ def check_tables(design: Design) -> list[Table]:
     return [Table(f"{design.name}: valid", columns, rows, notes)]
 
 
-def _point_rows(points: OperatingPoints) -> tuple[tuple[str, ...], ...]:
+def _point_rows(points: OperatingPoints, base: PerUnitBase | None) -> tuple[tuple[str, ...], ...]:
     indices = np.unique(np.linspace(0, points.torque.size - 1, 11).round().astype(int))
-    return tuple(
-        (
-            _number(points.torque[k]),
-            _number(points.i_d[k]),
-            _number(points.i_q[k]),
-            _number(float(np.hypot(points.i_d[k], points.i_q[k]))),
-            "current limit" if points.limited[k] else "",
-        )
-        for k in indices
-    )
+    rows = []
+    for k in indices:
+        torque, i_d, i_q = (float(values[k]) for values in (points.torque, points.i_d, points.i_q))
+        cells = [torque, i_d, i_q, float(np.hypot(i_d, i_q))]
+        if base is not None:
+            cells += [torque / base.torque, i_d / base.current, i_q / base.current]
+        rows.append((*(_number(cell) for cell in cells), "current limit" if points.limited[k] else ""))
+    return tuple(rows)
 
 
 def mtpa_tables(design: Design, curves: Curves) -> list[Table]:
@@ -76,8 +74,12 @@ def mtpa_tables(design: Design, curves: Curves) -> list[Table]:
             )
         else:
             notes.append(f"i_d = 0 reaches {curves.id0.torque[-1]:.4g} N m within the limit")
-    columns = ("torque N m", "i_d A", "i_q A", "|i| A", "limited by")
-    return [Table(f"{design.name}: {design.strategy}", columns, _point_rows(curves.chosen), tuple(notes))]
+    base = curves.base
+    per_unit_columns = () if base is None else ("torque p.u.", "i_d p.u.", "i_q p.u.")
+    if base is not None:
+        notes.append(f"per unit of {base.current:.5g} A and {base.torque:.5g} N m (the bases of the MTPA curve)")
+    columns = ("torque N m", "i_d A", "i_q A", "|i| A", *per_unit_columns, "limited by")
+    return [Table(f"{design.name}: {design.strategy}", columns, _point_rows(curves.chosen, base), tuple(notes))]
 
 
 def _error_cells(errors: ReferenceErrors) -> tuple[str, ...]:
@@ -178,10 +180,11 @@ def _observer_table(design: Design, gains: GainSet) -> Table:
     )
     error = steady_state_error(machine, observer.g, observer.t_s, design.control.bases.speed, 1.0, r_error=0.3)
     rpm = 30.0 / math.pi
+    load, resistance = error.load * rpm, error.resistance / error.i_q * rpm
     notes = (
-        "steady speed error: none with exact parameters and no load; an unknown load torque shifts the estimate by "
-        f"{error.load * rpm:.3g} rpm per N m,",
-        f"a resistance that is 30 % too high by {error.resistance / error.i_q * rpm:.3g} rpm per A of i_q",
+        "steady speed error: none with exact parameters and no load;",
+        f"an unknown load torque shifts the estimate by {load:.3g} rpm per N m,",
+        f"a resistance that is 30 % too high by {resistance:.3g} rpm per A of i_q",
     )
     return Table(
         "Speed observer: omega_hat = zeta - C i_q; zeta' = A zeta + B_U u_q + B_I i_q",
