@@ -17,6 +17,7 @@ from dqforge.machines.quantities import format_quantity
 def test_names() -> None:
     assert catalogue.names() == [
         "abb-ipmsm-2k2",
+        "abb-syrm-6k7",
         "paper000-ipmsm-100kw",
         "paper001-pmsm-bench",
         "paper002-pmsm-nonsinusoidal",

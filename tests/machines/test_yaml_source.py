@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from pathlib import Path
 
@@ -191,15 +190,6 @@ def test_source_is_the_path_as_given(tmp_path: Path, monkeypatch: pytest.MonkeyP
     with pytest.raises(InputError) as caught:
         read_bytes("./x.yaml")
     assert caught.value.source == "./x.yaml"
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_unreadable_file(tmp_path: Path) -> None:
-    path = tmp_path / "drive.yaml"
-    path.write_text("a: 1\n")
-    path.chmod(0)
-    with pytest.raises(InputError, match="check its permissions"):
-        read_bytes(path)
 
 
 def test_permission_error_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

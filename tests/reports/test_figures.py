@@ -43,7 +43,7 @@ FIGURES: dict[str, tuple[Draw, tuple[str, ...]]] = {
     ),
     "loops": (
         lambda s: plot_gains(s.design, s.gains),
-        ("Time in ms", "Response per unit step", "Magnitude in dB", "Phase in degrees", "Frequency in Hz", "i_d: 84.6"),
+        ("Time in ms", "Response per unit step", "Magnitude in dB", "Phase in degrees", "Frequency in Hz", "i_d: 71.0"),
     ),
     "losses": (_losses, ("Loss in W", "copper loss", "i_d = 0, SPWM", "MTPA, DDT-GDPWM", "\u25c0 least")),
 }

@@ -126,7 +126,7 @@ def test_key_numbers_are_those_of_the_solution(solution: Solution, report: str) 
     assert 0.0 < saving.relative < 1.0
     assert share(saving.relative, 3) in report
     assert quantity(solution.fit.torque_max, "N m") in report
-    assert "84.6\u00b0" in report
+    assert f"{np.degrees(solution.gains.i_d.phase_margin):.1f}\u00b0" in report
     assert "781\u00a0W" in report
     assert solution.design.digest in report
     assert 'IPM100_R_S_OHM</code></td><td class="n"><code>0.002F' in report
