@@ -6,6 +6,7 @@ All dq quantities are amplitude-invariant (peak of phase) and in SI units; the d
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,90 @@ def copper_loss(r_s: float, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
     Paper 000 (12) prints R |i|^2, which holds for another scaling of the currents.
     """
     return 1.5 * r_s * (i_d * i_d + i_q * i_q)
+
+
+@dataclass(frozen=True, slots=True)
+class FluxJet:
+    """Flux linkages with their first and second derivatives by the currents, all of one shape.
+
+    ``psi_d``, ``psi_q`` in Wb; ``l_dd`` = d psi_d/d i_d, ``l_dq`` = d psi_d/d i_q, ``l_qd`` = d psi_q/d i_d, ``l_qq`` =
+    d psi_q/d i_q in H (incremental inductances); ``d_dd`` = d2 psi_d/d i_d^2, ``d_dq`` the mixed one, ``d_qq``, and
+    ``q_dd``, ``q_dq``, ``q_qq`` likewise for psi_q, in H/A.
+    """
+
+    psi_d: FloatArray
+    psi_q: FloatArray
+    l_dd: FloatArray
+    l_dq: FloatArray
+    l_qd: FloatArray
+    l_qq: FloatArray
+    d_dd: FloatArray
+    d_dq: FloatArray
+    d_qq: FloatArray
+    q_dd: FloatArray
+    q_dq: FloatArray
+    q_qq: FloatArray
+
+
+class Machine(Protocol):
+    """What every synchronous machine model offers, whatever its flux linkage.
+
+    The model is symmetric in the q axis: psi_d is even and psi_q odd in i_q. ``psi_pm``, ``l_d`` and ``l_q`` are the
+    open-circuit flux linkage and the incremental inductances at zero current; they say it all for `LinearMachine` only.
+    """
+
+    @property
+    def pole_pairs(self) -> int:
+        """Number of pole pairs p."""
+        ...
+
+    @property
+    def r_s(self) -> float:
+        """Phase resistance in Ohm."""
+        ...
+
+    @property
+    def i_max(self) -> float:
+        """Largest permitted current in A, peak of phase."""
+        ...
+
+    @property
+    def inertia(self) -> float | None:
+        """Moment of inertia in kg m^2, or None."""
+        ...
+
+    @property
+    def friction(self) -> float:
+        """Viscous friction in N m s/rad."""
+        ...
+
+    @property
+    def omega_m_max(self) -> float | None:
+        """Largest mechanical speed in rad/s, or None."""
+        ...
+
+    @property
+    def psi_pm(self) -> float:
+        """Open-circuit flux linkage in Wb, peak of phase."""
+        ...
+
+    @property
+    def l_d(self) -> float:
+        """Incremental d inductance at zero current, in H."""
+        ...
+
+    @property
+    def l_q(self) -> float:
+        """Incremental q inductance at zero current, in H."""
+        ...
+
+    def flux(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Flux linkages (psi_d, psi_q) in Wb at currents in A, any shape."""
+        ...
+
+    def jet(self, i_d: FloatArray, i_q: FloatArray) -> FluxJet:
+        """Flux linkages with first and second derivatives at currents in A, arrays of shape (N,)."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +160,13 @@ class LinearMachine:
     def flux(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Flux linkages (psi_d, psi_q) in Wb at currents in A, any shape."""
         return self.psi_pm + self.l_d * i_d, self.l_q * i_q
+
+    def jet(self, i_d: FloatArray, i_q: FloatArray) -> FluxJet:
+        """Flux linkages with first and second derivatives at currents in A, arrays of shape (N,)."""
+        zero = np.zeros_like(i_d)
+        psi_d, psi_q = self.flux(i_d, i_q)
+        l_d, l_q = zero + self.l_d, zero + self.l_q
+        return FluxJet(psi_d, psi_q, l_d, zero, zero, l_q, zero, zero, zero, zero, zero, zero)
 
     def torque(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
         """Torque in N m at currents in A, any broadcastable shapes."""

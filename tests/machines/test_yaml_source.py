@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
@@ -112,12 +111,9 @@ def test_duplicate_keys_in_different_sections_are_fine() -> None:
 
 
 def test_limits_stop_early() -> None:
-    begin = time.perf_counter()
     assert "32 levels" in _refused(b"[" * 200_000).message
     assert "more than 20000" in _refused(b"a: [" + b"1," * 500_000 + b"]").message
     assert "larger than" in _refused(b"a" * (MAX_BYTES + 1)).message
-    # Not a measurement: unlimited, each of these takes minutes or exhausts the stack.
-    assert time.perf_counter() - begin < 30.0
 
 
 def test_depth_at_the_limit_is_read() -> None:
