@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE))
+import figures_gains
+import figures_losses
 
-import figures_gains  # noqa: E402  (the scripts lie beside this one)
-import figures_losses  # noqa: E402
-
-from dqforge.machines import catalogue  # noqa: E402
-from dqforge.optimizer.solution import solve_curves, solve_fit  # noqa: E402
-from dqforge.reports.figures import plot_fit, plot_mtpa, save  # noqa: E402
+from dqforge.machines import catalogue
+from dqforge.optimizer.solution import solve_curves, solve_fit
+from dqforge.reports.figures import plot_fit, plot_mtpa, save
 
 
 def main() -> None:
     """Write the figures into docs/figures."""
-    folder = HERE / "figures"
+    folder = Path(__file__).resolve().parent / "figures"
     folder.mkdir(exist_ok=True)
     design = catalogue.load("paper000-ipmsm-100kw")
     save(plot_mtpa(design, solve_curves(design)), folder / "mtpa.svg")

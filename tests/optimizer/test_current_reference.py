@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE
@@ -18,8 +20,8 @@ from dqforge.optimizer.reference_fit import ReferenceFit, alternatives, fit_refe
 FORMS: list[FitForm] = ["polynomial", "torque-exact", "closed-form"]
 
 
-def fitted(machine: LinearMachine, **settings_: object) -> ReferenceFit:
-    return fit_reference(machine, "mtpa", machine.i_max, FitSettings(**settings_))  # type: ignore[arg-type]
+def fitted(machine: LinearMachine, **settings_: Any) -> ReferenceFit:
+    return fit_reference(machine, "mtpa", machine.i_max, FitSettings(**settings_))
 
 
 @pytest.fixture(scope="module", params=FORMS)
@@ -79,7 +81,13 @@ def test_figures_of_the_per_unit_problem() -> None:
     """Degree 2, two segments, paper's method and breakpoints over 5 p.u.: 0.15 % torque error, 0.051 % penalty."""
     machine = LinearMachine(4, 2e-3, 350e-6, 592e-6, 0.1049, 1e4)
     base = 0.75 * 4 * 0.1049 * 0.1049 / (2 * 242e-6)
-    common = {"method": "lagrange", "degree": 2, "exact_at_zero": False, "continuous": False, "torque_max": 5 * base}
+    common: dict[str, Any] = {
+        "method": "lagrange",
+        "degree": 2,
+        "exact_at_zero": False,
+        "continuous": False,
+        "torque_max": 5 * base,
+    }
     d_fit = fitted(machine, form="torque-exact", breakpoints=(1.5545 * base,), **common)
     assert d_fit.errors.loss_relative == pytest.approx(0.00051, rel=0.02)
     q_fit = fitted(machine, form="closed-form", breakpoints=(2.7667 * base,), **common)

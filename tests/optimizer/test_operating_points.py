@@ -44,7 +44,7 @@ def random_machine(generator: np.random.Generator) -> tuple[LinearMachine, float
 def random_points(
     machine: Machine, v_max: float, count: int, generator: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Torques to 1.3 times the largest and speeds to five times where the flux of the current limit takes the voltage."""
+    """Torques to 1.3 times the largest and speeds to five times the base speed."""
     most = float(mtpa_locus(machine, machine.i_max).torque[-1])
     flux = max(machine.psi_pm, machine.l_d * machine.i_max, machine.l_q * machine.i_max)
     base = v_max / (machine.pole_pairs * flux)
