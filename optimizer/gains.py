@@ -42,6 +42,8 @@ from dqforge.optimizer.sampled import LoopMargins, loop_margins
 ComplexArray = NDArray[np.complex128]
 LoopName = Literal["i_d", "i_q", "speed"]
 
+MOST_POINTS = 20_000  # of a step response that is to be drawn
+
 
 @dataclass(frozen=True, slots=True)
 class LoopGains:
@@ -159,14 +161,23 @@ def speed_delay(current_gains: LoopGains, t_s: float, settings: SpeedLoopSetting
 
 
 def analyse_current_loop(
-    r_s: float, inductance: float, t_s: float, kp: float, ki: float, method: str = "given", loop: LoopName = "i_q"
+    r_s: float,
+    inductance: float,
+    t_s: float,
+    kp: float,
+    ki: float,
+    method: str = "given",
+    loop: LoopName = "i_q",
+    *,
+    respond: bool = True,
 ) -> LoopGains:
     """Poles, margins and disturbance response of one current loop with any gains, stable or not.
 
-    Parameters as in `dqforge.optimizer.loops.current_loop`.
+    Parameters as in `dqforge.optimizer.loops.current_loop`; without ``respond`` the disturbance response, which can be
+    long, is left out.
     """
     model = current_loop(r_s, inductance, t_s, kp, ki)
-    response = current_step(model, response_length(model.closed)) if _is_stable(model) else None
+    response = current_step(model, response_length(model.closed)) if respond and _is_stable(model) else None
     return _evidence(loop, method, (kp, ki), model, response)
 
 
@@ -177,10 +188,15 @@ def analyse_speed_loop(
     kp: float,
     ki: float,
     method: str = "given",
+    *,
+    respond: bool = True,
 ) -> LoopGains:
-    """Poles, margins and disturbance response of the speed loop with any gains (N m s/rad, N m/rad), stable or not."""
+    """Poles, margins and disturbance response of the speed loop with any gains (N m s/rad, N m/rad), stable or not.
+
+    Without ``respond`` the disturbance response, which can be long, is left out.
+    """
     model = _speed_model(machine, current_gains, control, (kp, ki))
-    response = speed_step(model, response_length(model.loop.closed)) if _is_stable(model.loop) else None
+    response = speed_step(model, response_length(model.loop.closed)) if respond and _is_stable(model.loop) else None
     return _evidence("speed", method, (kp, ki), model.loop, response)
 
 
@@ -206,12 +222,13 @@ def tune_current_loop(
         If a gain is not positive, the loop is unstable or its phase margin too small; says what would hold.
     """
 
-    def attempt(trial: CurrentLoopSettings) -> LoopGains:
+    def attempt(trial: CurrentLoopSettings, *, respond: bool = False) -> LoopGains:
         kp, ki = current_pi(r_s, inductance, t_s, trial)
         require_positive("control.current_loop", loop, trial, (kp, ki), r_s / (2.0 * inductance))
-        return analyse_current_loop(r_s, inductance, t_s, kp, ki, trial.method, loop)
+        return analyse_current_loop(r_s, inductance, t_s, kp, ki, trial.method, loop, respond=respond)
 
-    gains = attempt(settings)
+    gains = attempt(settings, respond=True)
+    _require_crossover("control.current_loop", gains)
     if not _holds(gains, settings.phase_margin_min):
         start = settings
         if settings.method == "magnitude-optimum":  # no free parameter: offer the same family with one
@@ -242,32 +259,42 @@ def tune_speed_loop(machine: LinearMachine, current_gains: LoopGains, control: C
     settings, inertia = _speed_settings(control), _inertia(machine)
     t_sum = speed_delay(current_gains, control.t_s, settings)
 
-    def attempt(trial: SpeedLoopSettings) -> LoopGains:
+    def attempt(trial: SpeedLoopSettings, *, respond: bool = False) -> LoopGains:
         kp, ki = speed_pi(inertia, machine.friction, t_sum, trial)
         require_positive("control.speed_loop", "speed", trial, (kp, ki), machine.friction / (2.0 * inertia))
-        return analyse_speed_loop(machine, current_gains, control, kp, ki, trial.method)
+        return analyse_speed_loop(machine, current_gains, control, kp, ki, trial.method, respond=respond)
 
-    gains = attempt(settings)
+    gains = attempt(settings, respond=True)
+    _require_crossover("control.speed_loop", gains)
     if not _holds(gains, settings.phase_margin_min):
         _refuse("control.speed_loop", gains, settings, attempt)
     return gains
 
 
 def current_step_response(r_s: float, inductance: float, gains: LoopGains, duration: float) -> StepResponse:
-    """Current in A after unit steps of the reference and of a voltage, sampled every ``gains.t_s`` over ``duration`` s.
+    """Current in A after unit steps of the reference and of a voltage, sampled over ``duration`` s.
 
-    ``r_s`` in Ohm, ``inductance`` in H.
+    ``r_s`` in Ohm, ``inductance`` in H. There is a point every ``gains.t_s``, or every few of them where those would be
+    more than a figure can show.
     """
     model = current_loop(r_s, inductance, gains.t_s, gains.kp, gains.ki)
-    return current_step(model, _samples(duration, gains.t_s))
+    stride = _stride(duration, gains.t_s)
+    return current_step(model, _samples(duration, gains.t_s * stride), stride)
 
 
 def speed_step_response(
     machine: LinearMachine, current_gains: LoopGains, control: ControlSettings, gains: LoopGains, duration: float
 ) -> StepResponse:
-    """Speed in rad/s after unit steps of the reference and of the load, at every current sample over ``duration`` s."""
+    """Speed in rad/s after unit steps of the reference and of the load, sampled over ``duration`` s.
+
+    There is a point every current sample, or every few speed samples where those would be more than a figure can show.
+    """
     model = _speed_model(machine, current_gains, control, (gains.kp, gains.ki))
-    return speed_step(model, _samples(duration, gains.t_s))
+    stride = _stride(duration, current_gains.t_s)
+    if stride == 1:
+        return speed_step(model, _samples(duration, gains.t_s))
+    stride = -(-stride // model.ratio)
+    return speed_step(model, _samples(duration, gains.t_s * stride), stride)
 
 
 def per_unit(gains: LoopGains, in_base: float, out_base: float) -> tuple[float, float]:
@@ -310,6 +337,11 @@ def to_q(value: float, bits: int, width: Literal[16, 32] = 16) -> int:
     if result == 0 and value != 0.0:
         raise NoSolutionError(f"{value:.6g} rounds to 0 in Q{bits}: use more fractional bits")
     return result
+
+
+def _stride(duration: float, t_s: float) -> int:
+    """Samples between two points of a response that is to be drawn."""
+    return max(1, int(np.ceil(duration / (t_s * MOST_POINTS))))
 
 
 def _samples(duration: float, t_s: float) -> int:
@@ -363,6 +395,15 @@ def _speed_model(
         speed_gains=speed_gains,
         filter_time=settings.filter_time,
     )
+
+
+def _require_crossover(key: str, gains: LoopGains) -> None:
+    """Refuse a stable loop that is so slow that the scan of its frequencies does not reach its crossover."""
+    if gains.stable and not np.isfinite(gains.crossover):
+        raise NoSolutionError(
+            f"{key}: kp = {gains.kp:.4g} and ki = {gains.ki:.4g} are so small that the {gains.loop} loop has no gain "
+            f"crossover; raise them, or check their units"
+        )
 
 
 def _holds(gains: LoopGains, phase_margin_min: float) -> bool:

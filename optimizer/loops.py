@@ -67,7 +67,7 @@ class DisturbanceResponse:
     """Answer to a unit step of the disturbance.
 
     ``peak`` is the largest deviation (A per V of the current loop, rad/s per N m of the speed loop), ``settling_time``
-    the time in s from which the deviation stays within 2 % of that peak.
+    the time in s from which the deviation stays within 2 % of that peak, inf where the response is not long enough.
     """
 
     peak: float
@@ -194,14 +194,16 @@ def _times(count: int, t_s: float) -> FloatArray:
     return np.asarray(np.arange(count) * t_s, dtype=np.float64)
 
 
-def current_step(loop: PiLoop, steps: int) -> StepResponse:
-    """Current in A after a unit step of its reference and of a voltage at the winding, at ``steps`` samples."""
-    reference = constant_input_states(loop.closed, np.array([1.0, 0.0]), steps)
-    disturbance = constant_input_states(loop.closed, np.array([0.0, 1.0]), steps)
+def current_step(loop: PiLoop, steps: int, stride: int = 1) -> StepResponse:
+    """Current in A after a unit step of its reference and of a voltage at the winding.
+
+    ``steps`` counts the points, which are every ``stride``-th sample.
+    """
+    closed = lift(loop.closed, stride)
+    reference = constant_input_states(closed, np.array([1.0, 0.0]), steps)
+    disturbance = constant_input_states(closed, np.array([0.0, 1.0]), steps)
     return StepResponse(
-        times=_times(steps, loop.closed.t_s),
-        reference=reference @ loop.closed.c[0],
-        disturbance=disturbance @ loop.closed.c[0],
+        times=_times(steps, closed.t_s), reference=reference @ closed.c[0], disturbance=disturbance @ closed.c[0]
     )
 
 
@@ -219,11 +221,16 @@ def _between_samples(speed: SpeedLoop, inputs: FloatArray, steps: int) -> FloatA
     return omega.reshape(-1)
 
 
-def speed_step(speed: SpeedLoop, steps: int) -> StepResponse:
+def speed_step(speed: SpeedLoop, steps: int, stride: int = 1) -> StepResponse:
     """Speed in rad/s (before the filter) after a unit step of its reference (rad/s) and of the load torque (N m).
 
-    ``steps`` counts samples of the speed controller; the result has one point per current sample.
+    ``steps`` counts samples of the speed controller; the result has one point per current sample. With a ``stride``
+    above 1 it has ``steps`` points instead, at every ``stride``-th sample of the speed controller.
     """
+    if stride > 1:
+        closed = lift(speed.loop.closed, stride)
+        reference, disturbance = (constant_input_states(closed, inputs, steps)[:, 3] for inputs in np.eye(2))
+        return StepResponse(times=_times(steps, closed.t_s), reference=reference, disturbance=disturbance)
     return StepResponse(
         times=_times(steps * speed.ratio, speed.drive.t_s),
         reference=_between_samples(speed, np.array([1.0, 0.0]), steps),
@@ -236,5 +243,6 @@ def disturbance_summary(response: StepResponse) -> DisturbanceResponse:
     deviation = np.abs(response.disturbance)
     peak = float(np.max(deviation))
     outside = np.flatnonzero(deviation > SETTLED * peak)
-    last = min(int(outside[-1]) + 1, len(deviation) - 1) if len(outside) else 0
-    return DisturbanceResponse(peak=peak, settling_time=float(response.times[last]))
+    first = int(outside[-1]) + 1 if len(outside) else 0
+    settling_time = float(response.times[first]) if first < len(deviation) else np.inf
+    return DisturbanceResponse(peak=peak, settling_time=settling_time)

@@ -30,7 +30,15 @@ from dqforge.optimizer.gains import (
     tune_current_loop,
     tune_speed_loop,
 )
-from dqforge.optimizer.loops import speed_loop
+from dqforge.optimizer.loops import (
+    DisturbanceResponse,
+    StepResponse,
+    current_loop,
+    current_step,
+    disturbance_summary,
+    speed_loop,
+    speed_step,
+)
 from dqforge.optimizer.pi_methods import current_pi, speed_pi
 
 FloatArray = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
@@ -248,7 +256,7 @@ def test_one_rate_speed_loop_agrees_with_python_control(bench001: LinearMachine)
     np.testing.assert_allclose(np.abs(speed.poles), poles, rtol=1e-6, atol=1e-9)
 
 
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 @given(
     crossover=st.floats(0.02, 2.0),
     zero=st.floats(0.02, 2.0),
@@ -477,3 +485,42 @@ def test_speed_loop_needs_inertia_settings_and_a_ratio(bench001: LinearMachine) 
         tune_speed_loop(bench001, q_axis, control_settings(200e-6, current, SpeedLoopSettings(ratio=0)))
     with pytest.raises(InputError, match=r"control\.speed_loop\.bandwidth is missing"):
         tune_speed_loop(bench001, q_axis, control_settings(200e-6, current, SpeedLoopSettings(method="bandwidth")))
+
+
+def test_gains_too_small_for_any_crossover_are_refused(bench001: LinearMachine) -> None:
+    with pytest.raises(NoSolutionError, match="i_q loop has no gain crossover"):
+        tune_current_loop(bench001.r_s, bench001.l_q, 1e-4, CurrentLoopSettings(method="given", kp=1e-6, ki=1e-6))
+
+
+def test_a_loop_that_settles_beyond_the_response_has_no_settling_time() -> None:
+    times = np.arange(4.0)
+    reference = np.zeros(4)
+    slow = StepResponse(times, reference, np.array([0.0, 1.0, 0.9, 0.8]))
+    assert disturbance_summary(slow) == DisturbanceResponse(peak=1.0, settling_time=np.inf)
+    settled = StepResponse(times, reference, np.array([0.0, 1.0, 0.019, 0.02]))
+    assert disturbance_summary(settled) == DisturbanceResponse(peak=1.0, settling_time=2.0)
+
+
+def test_long_step_responses_are_thinned_not_changed(bench001: LinearMachine) -> None:
+    """Every third sample of the long response is a point of the thin one, for the current as for the speed."""
+    q_axis, speed, control_ = bench_loops(bench001)
+    axis = current_loop(bench001.r_s, bench001.l_q, 200e-6, q_axis.kp, q_axis.ki)
+    drive = speed_loop(
+        (bench001.r_s, bench001.l_q),
+        (bench001.inertia or 0.0, bench001.friction),
+        200e-6,
+        (q_axis.kp, q_axis.ki),
+        10,
+        (speed.kp, speed.ki),
+    )
+    for full, thin, step in (
+        (current_step(axis, 61), current_step(axis, 21, 3), 3),
+        (speed_step(drive, 61), speed_step(drive, 21, 3), 30),
+    ):
+        np.testing.assert_allclose(thin.times, full.times[::step][:21], rtol=1e-12)
+        np.testing.assert_allclose(thin.reference, full.reference[::step][:21], atol=1e-12)
+        np.testing.assert_allclose(thin.disturbance, full.disturbance[::step][:21], atol=1e-12)
+    endless = speed_step_response(bench001, q_axis, control_, speed, 1000.0)
+    assert len(endless.times) <= 20_001
+    assert endless.times[-1] == pytest.approx(1000.0, rel=1e-3)
+    assert endless.reference[-1] == pytest.approx(1.0, abs=1e-9)
