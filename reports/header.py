@@ -185,7 +185,7 @@ def error_text(solution: Solution) -> list[str]:
     i_d, i_q, torque, loss = (rounded_up(value) for value in (errors.i_d, errors.i_q, errors.torque, errors.loss))
     torque_percent, loss_percent = (rounded_up(100.0 * v) for v in (errors.torque_relative, errors.loss_relative))
     return [
-        f"Largest errors found at {errors.samples} torques (single precision, with and without fused multiply-add;",
+        f"Largest errors found in {errors.samples} evaluations (single precision, with and without fused multiply-add;",
         "sampled, not proven):",
         f"i_d {i_d} A, i_q {i_q} A against the exact {solution.design.strategy} currents;",
         f"torque {torque} N m ({torque_percent} % of the largest torque);",

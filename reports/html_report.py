@@ -20,6 +20,7 @@ from dqforge.reports.html_tables import (
     LOOP_TEXT,
     STRATEGY_TEXT,
     alternatives_table,
+    ceiling,
     coefficient_table,
     constant_rows,
     differs_from_id0,
@@ -146,8 +147,8 @@ def tiles(solution: Solution, verification: Verification | None) -> list[Tile]:
         Tile("Largest torque", quantity(fit.torque_max, "N m"), limit),
         Tile(
             "Torque error of the reference",
-            quantity(fit.errors.torque, "N m", 3),
-            f"{share(fit.errors.torque_relative)} of the largest torque, in single precision",
+            quantity(ceiling(fit.errors.torque), "N m", 3),
+            f"{share(ceiling(fit.errors.torque_relative, 2))} of the largest torque, in single precision",
         ),
     ]
     saving = copper_saving(solution)
@@ -171,7 +172,8 @@ def _penalty_text(solution: Solution) -> str:
     if errors.loss_relative <= ROUNDING:
         return f"the copper loss is {least} but for rounding"
     return (
-        f"the copper loss lies at most {quantity(errors.loss, 'W', 3)} or {share(errors.loss_relative)} above {least}"
+        f"the copper loss lies at most {quantity(ceiling(errors.loss), 'W', 3)} or "
+        f"{share(ceiling(errors.loss_relative, 2))} above {least}"
     )
 
 
@@ -180,7 +182,10 @@ def summary(solution: Solution, verification: Verification | None) -> Markup:
     fit, errors, design = solution.fit, solution.fit.errors, solution.design
     sentences = [
         f"The current reference follows {STRATEGY_TEXT[design.strategy]} up to {quantity(fit.torque_max, 'N m')}.",
-        f"The torque errs by at most {quantity(errors.torque, 'N m', 3)}, {_penalty_text(solution)}; both are sampled.",
+        (
+            f"The torque errs by at most {quantity(ceiling(errors.torque), 'N m', 3)}, {_penalty_text(solution)}; "
+            "both are sampled."
+        ),
     ]
     saving = copper_saving(solution)
     if saving is not None:
@@ -269,7 +274,10 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         "reference": _reference_part(solution),
         "errors": {
             "samples": count(errors.samples),
-            "torque": f"{quantity(errors.torque, 'N m', 3)} ({share(errors.torque_relative)} of the largest torque)",
+            "torque": (
+                f"{quantity(ceiling(errors.torque), 'N m', 3)} "
+                f"({share(ceiling(errors.torque_relative, 2))} of the largest torque)"
+            ),
             "loss": symbols(_penalty_text(solution)),
         },
         "loops": [

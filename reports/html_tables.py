@@ -18,6 +18,7 @@ from dqforge.optimizer.mtpa import OperatingPoints
 from dqforge.optimizer.observer import ObserverError, steady_state_error
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet
+from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.html_text import NARROW, decibel, degrees, number, quantity, raised, share, symbols, unit_text
 from dqforge.reports.labels import MODULATION_LABELS, obstacle, point_text, watts
 from dqforge.reports.reference_ir import PlainData
@@ -174,15 +175,20 @@ def constant_rows(plain: PlainData) -> list[tuple[str, str]]:
     ]
 
 
+def ceiling(error: float, digits: int = 3) -> float:
+    """A largest error with ``digits`` significant digits, rounded up."""
+    return float(rounded_up(error, digits))
+
+
 def _error_cells(errors: ReferenceErrors) -> tuple[str, ...]:
     return (
-        quantity(errors.torque, "N m", 3),
-        share(errors.torque_relative, 3),
-        quantity(errors.i_d, "A", 3),
-        quantity(errors.i_q, "A", 3),
-        quantity(errors.loss, "W", 3),
-        share(errors.loss_relative, 3),
-        quantity(errors.step_at_zero, "A", 3),
+        quantity(ceiling(errors.torque), "N m", 3),
+        share(ceiling(errors.torque_relative), 3),
+        quantity(ceiling(errors.i_d), "A", 3),
+        quantity(ceiling(errors.i_q), "A", 3),
+        quantity(ceiling(errors.loss), "W", 3),
+        share(ceiling(errors.loss_relative), 3),
+        quantity(ceiling(errors.step_at_zero), "A", 3),
     )
 
 

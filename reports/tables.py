@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dqforge.machines.design import Design
+from dqforge.machines.quantities import format_quantity
 from dqforge.optimizer.current_reference import ReferenceErrors
 from dqforge.optimizer.gains import LoopGains, per_unit, to_q
 from dqforge.optimizer.loss_budget import LossComparison
@@ -16,6 +17,7 @@ from dqforge.optimizer.observer import steady_state_error
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
+from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.verify import Verification
 
 
@@ -32,6 +34,13 @@ class Table:
 def _number(value: float, digits: int = 4) -> str:
     # Adding zero turns -0 into 0.
     return f"{value + 0.0:.{digits}g}" if math.isfinite(value) else "none"
+
+
+def _fixed(value: float) -> str:
+    """A number with one decimal, or three digits where those are more; a dash where there is none."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.3g}" if 0.0 < abs(value) < 10.0 else f"{value + 0.0:.1f}"
 
 
 def check_tables(design: Design) -> list[Table]:
@@ -83,13 +92,14 @@ def mtpa_tables(design: Design, curves: Curves) -> list[Table]:
 
 
 def _error_cells(errors: ReferenceErrors) -> tuple[str, ...]:
-    return (
-        _number(errors.i_d, 3),
-        _number(errors.i_q, 3),
-        _number(100.0 * errors.torque_relative, 3),
-        _number(100.0 * errors.loss_relative, 3),
-        _number(errors.step_at_zero, 3),
+    values = (
+        errors.i_d,
+        errors.i_q,
+        100.0 * errors.torque_relative,
+        100.0 * errors.loss_relative,
+        errors.step_at_zero,
     )
+    return tuple(rounded_up(value) for value in values)
 
 
 def _coefficient_rows(axis: str, polynomial: PiecewisePolynomial | None) -> list[tuple[str, ...]]:
@@ -216,8 +226,8 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
                 index = (s, m, p)
                 mark = "best" if best == (strategy, modulation) else "" if budget.feasible[index] else "not feasible"
                 cells = [budget.copper, budget.conduction, budget.switching, budget.total, budget.junction_temperature]
-                texts = [f"{cell[index]:.1f}" for cell in cells]
-                rows.append((strategy, modulation, *texts, f"{comparison.saving[index]:.1f}", mark))
+                texts = [_fixed(float(cell[index])) for cell in [*cells, comparison.saving]]
+                rows.append((strategy, modulation, *texts, mark))
         title = f"{design.name}: losses at {point.torque:.4g} N m, {point.omega_m * 30.0 / math.pi:.5g} rpm"
         tables.append(Table(title, columns, tuple(rows)))
     return tables
@@ -238,8 +248,9 @@ def verification_text(verification: Verification | None) -> str:
 
 
 def _errors_text(errors: ReferenceErrors) -> str:
-    percent = f"torque {100.0 * errors.torque_relative:.2g} %, copper loss +{100.0 * errors.loss_relative:.2g} %"
-    return f"i_d {errors.i_d:.2g} A, i_q {errors.i_q:.2g} A, {percent}"
+    i_d, i_q = rounded_up(errors.i_d, 2), rounded_up(errors.i_q, 2)
+    torque, loss = (rounded_up(100.0 * share, 2) for share in (errors.torque_relative, errors.loss_relative))
+    return f"i_d {i_d} A, i_q {i_q} A, torque {torque} %, copper loss +{loss} %"
 
 
 def _loop_text(gains: LoopGains) -> str:
@@ -251,7 +262,8 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
     """The short summary of a run."""
     fit, gains = solution.fit, solution.gains
     polynomial = fit.d or fit.q
-    shape = "" if polynomial is None else f", degree {polynomial.degree}, {polynomial.segments} segments"
+    plural = "" if polynomial is None or polynomial.segments == 1 else "s"
+    shape = "" if polynomial is None else f", degree {polynomial.degree}, {polynomial.segments} segment{plural}"
     rows = [
         ("current reference", f"{fit.form}{shape}, 0 to {fit.torque_max:.4g} N m"),
         ("  largest errors", _errors_text(fit.errors)),
@@ -265,16 +277,21 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
     return [Table(solution.design.name, ("", ""), tuple(rows))]
 
 
+def _watts(value: float) -> str:
+    return f"{value:.0f} W" if value >= 99.95 else format_quantity(value, "W", 3)
+
+
 def _best_rows(comparison: LossComparison) -> list[tuple[str, str]]:
     rows = []
     for p, (point, best) in enumerate(zip(comparison.points, comparison.best_labels, strict=True)):
-        label = f"losses at {point.torque:.4g} N m"
+        label = f"losses at {point.torque:.4g} N m, {point.omega_m * 30.0 / math.pi:.4g} rpm"
         if best is None:
             rows.append((label, "no alternative is feasible"))
             continue
         index = (int(comparison.best_strategy[p]), int(comparison.best_modulation[p]), p)
         budget = comparison.budget
-        chosen = f"{budget.total[index]:.0f} W, {budget.junction_temperature[index]:.0f} degC"
-        first = f"{comparison.strategies[0]} with {comparison.modulations[0]}: {budget.total[0, 0, p]:.0f} W"
+        chosen = f"{_watts(float(budget.total[index]))}, {budget.junction_temperature[index]:.0f} degC"
+        first_loss = _watts(float(budget.total[0, 0, p])) if budget.feasible[0, 0, p] else "not feasible"
+        first = f"{comparison.strategies[0]} with {comparison.modulations[0]}: {first_loss}"
         rows.append((label, f"{best[0]} with {best[1]}: {chosen} ({first})"))
     return rows

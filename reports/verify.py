@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import tempfile
@@ -83,6 +84,23 @@ def sweep_torques(reference: CurrentReference, count: int = _SWEEP_POINTS) -> Si
     return np.concatenate([across, patterns])
 
 
+def _execute(
+    command: list[str], what: str, *, cwd: Path | None = None, content: bytes = b""
+) -> subprocess.CompletedProcess[bytes]:
+    """Run a program to its end; one that cannot be started or does not end is a failed verification."""
+    environment = os.environ | {"LC_ALL": "C"}  # whose messages are searched for "error"
+    try:
+        return subprocess.run(
+            command, cwd=cwd, env=environment, input=content, capture_output=True, timeout=_TIMEOUT_S, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise VerificationError(f"{what} did not end within {_TIMEOUT_S} s") from error
+    except OSError as error:
+        raise VerificationError(
+            f"{what} cannot be started ({error.strerror}); TMPDIR must name a folder whose programs may run"
+        ) from error
+
+
 def _compile(compiler: Compiler, program: str, folder: Path) -> Path:
     target = folder / f"harness-{compiler.language.replace('+', 'x')}"
     command = [
@@ -98,16 +116,17 @@ def _compile(compiler: Compiler, program: str, folder: Path) -> Path:
         "harness.c",
         "-lm",
     ]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False)
+    done = _execute(command, f"the {compiler.standard} compiler {compiler.program}", cwd=folder)
     if done.returncode != 0:
-        first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip()[:200])
+        lines = done.stderr.decode("utf-8", "replace").splitlines()
+        first = next((line for line in lines if "error" in line), "; ".join(lines)[:200])
         raise VerificationError(f"the header does not compile as {compiler.standard} with {compiler.program}: {first}")
     return target
 
 
 def _run(program: Path, torque: SingleArray, standard: str) -> SingleArray:
     """Currents of the compiled evaluator, shape (N, 2)."""
-    done = subprocess.run([program], input=torque.tobytes(), capture_output=True, timeout=_TIMEOUT_S, check=False)
+    done = _execute([str(program)], f"the compiled {standard} program", content=torque.tobytes())
     if done.returncode not in (0, 1) or len(done.stdout) != 8 * torque.size:
         raise VerificationError(f"the compiled {standard} program stopped with exit code {done.returncode}")
     if done.returncode == 1:
