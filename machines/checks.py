@@ -137,6 +137,9 @@ def check_fit(sections: DesignFile, machine: LinearMachine, i_max: float, docume
     if strategy == "mtpa" and fit.form == "closed-form" and machine.l_d == machine.l_q:
         message = "fit.form: closed-form needs inductance_d and inductance_q to differ; write form: torque-exact"
         raise document.error(message, ("fit", "form"))
+    if fit.form == "torque-exact" and machine.psi_pm == 0.0:
+        message = "fit.form: torque-exact divides by the magnet torque, the machine has none; write form: closed-form"
+        raise document.error(message, ("fit", "form"))
     saliency = machine.saliency if strategy == "mtpa" else 0.0
     largest = datasheet.largest_torque(machine.pole_pairs, machine.psi_pm, saliency, i_max)
     end = largest if fit.torque_max is None else fit.torque_max.si

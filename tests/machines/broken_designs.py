@@ -364,11 +364,12 @@ _CONTRADICTIONS: list[Broken] = [
     ("breakpoints-current-limit", _fit("segments: 2", "breakpoints: [2 N m]"), 31, 17, "end of the domain, 1.7282 N m"),
     (
         "speed-base-unknown",
-        changed("0.06 Wb", "0 Wb").replace("  max_speed: 5420 rpm\n", ""),
+        changed("0.06 Wb", "0 Wb").replace("  max_speed: 5420 rpm\n", "").replace("torque-exact", "closed-form"),
         3,
         1,
         "write max_speed: 3000 rpm",
     ),
+    ("form-without-magnet", changed("0.06 Wb", "0 Wb"), 28, 9, "torque-exact divides by the magnet torque"),
     ("losses-without-device", BASE + "losses:\n  points: [{torque: 1, speed: 9}]\n", 34, 1, "inverter.device"),
     ("losses-without-points", _losses("points: []"), 43, 11, "a list of at least 1, got 0"),
     ("losses-point-unit", _losses("points: [{torque: 1 N m, speed: 5 m}]"), 43, 35, "expected a rotational speed"),

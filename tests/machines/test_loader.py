@@ -14,6 +14,7 @@ from dqforge.machines import catalogue
 from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import SwitchDevice
 from dqforge.machines.loader import load_design, load_text
+from dqforge.machines.settings import CurrentLoopSettings, SpeedLoopSettings
 
 
 def _corpus() -> ModuleType:
@@ -115,7 +116,8 @@ def test_given_bases() -> None:
 
 
 def test_reluctance_machine() -> None:
-    design = load_text(_changed(("0.06 Wb", "0 Wb"), ("1.74 mH", "12 mH")), "f")
+    text = _changed(("0.06 Wb", "0 Wb"), ("1.74 mH", "12 mH"), ("torque-exact", "closed-form"))
+    design = load_text(text, "f")
     assert design.machine.psi_pm == 0.0
     assert design.control.bases.torque == 1.0
     assert any("there are no magnets" in sentence for sentence in design.assumptions)
@@ -356,3 +358,50 @@ def test_any_wrong_value_is_read_or_refused(slip: str) -> None:
 
 def test_same_bytes_same_design() -> None:
     assert load_text(BASE.encode(), "a") == load_text(BASE.encode(), "b")
+
+
+def test_each_setting_of_the_speed_loop_reaches_its_own_field() -> None:
+    text = _changed(
+        (
+            "    method: symmetrical-optimum\n    ratio: 10\n",
+            (
+                "    method: damping\n    ratio: 4\n    bandwidth: 20 rad/s\n    damping: 0.8\n    spread: 2.5\n"
+                "    filter_time: 3 ms\n    phase_margin_min: 0.4 rad\n    q_formats: [9, 14]\n"
+            ),
+        )
+    )
+    assert load_text(text, "drive.yaml").control.speed_loop == SpeedLoopSettings(
+        method="damping",
+        ratio=4,
+        bandwidth=20.0,
+        damping=0.8,
+        spread=2.5,
+        filter_time=3e-3,
+        phase_margin_min=0.4,
+        q_formats=(9, 14),
+    )
+
+
+def test_each_setting_of_the_current_loop_reaches_its_own_field() -> None:
+    text = _changed(
+        (
+            "    method: bandwidth\n    bandwidth: 200 Hz\n",
+            (
+                "    method: given\n    kp: 1.5 V/A\n    ki: 32 V/(A s)\n    damping: 0.9\n    spread: 3.5\n"
+                "    phase_margin_min: 0.4 rad\n    q_formats: [9, 14]\n"
+            ),
+        )
+    )
+    assert load_text(text, "drive.yaml").control.current_loop == CurrentLoopSettings(
+        method="given", kp=1.5, ki=32.0, damping=0.9, spread=3.5, phase_margin_min=0.4, q_formats=(9, 14)
+    )
+
+
+@pytest.mark.parametrize(("sampling", "belongs"), [("500 Hz", True), ("499 Hz", False), ("10 kHz", True)])
+def test_sampling_belongs_to_the_switching_from_a_tenth_to_twice_its_frequency(sampling: str, *, belongs: bool) -> None:
+    text = _changed(("sampling_frequency: 5 kHz", f"sampling_frequency: {sampling}"))
+    if belongs:
+        assert load_text(text, "drive.yaml").control.t_s in (2e-3, 1e-4)
+    else:
+        with pytest.raises(InputError, match="does not belong to a switching frequency"):
+            load_text(text, "drive.yaml")
