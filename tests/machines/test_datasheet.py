@@ -183,3 +183,13 @@ def test_back_emf_warning() -> None:
     assert "9000 rpm" in text
     assert "684.96 V" in text
     assert datasheet.back_emf_warning(4, 0.1049, 300.0 * math.pi, 700.0) == ""
+
+
+@pytest.mark.parametrize(("other", "agrees"), [(0.951, True), (0.949, False), (1.052, True), (1.054, False)])
+def test_five_percent_are_five_percent_of_the_larger(other: float, agrees: bool) -> None:
+    statements = [FluxStatement("a", "1", 1.0, counts_poles=False), FluxStatement("b", "2", other, counts_poles=False)]
+    if agrees:
+        datasheet.check_flux_agreement(statements, 3)
+    else:
+        with pytest.raises(InputError, match="contradict"):
+            datasheet.check_flux_agreement(statements, 3)

@@ -143,6 +143,7 @@ REFUSED = [
     ("0.4 V/Hz", "back-emf", "write it with rpm or rad/s"),
     ("1800 rpm", "frequency", "write it in Hz"),
     ("1800 rpm", "bandwidth", "written in Hz (times 2 pi) or rad/s"),
+    ("1.8 krpm", "bandwidth", "written in Hz (times 2 pi) or rad/s"),
     ("130 J", "torque", "not in J"),
     ("30 %", "angle", "in deg or rad"),
     ("30 deg", "number", "without a unit"),

@@ -252,3 +252,30 @@ def test_search_is_repeatable_and_rounds() -> None:
     np.testing.assert_array_equal(first, second)
     assert first[1] == round_significant(first[1]) == pytest.approx(1.2346, abs=1e-3)
     np.testing.assert_array_equal(search(cost, cost, 1, 5.0), [0.0, 5.0])
+
+
+@pytest.mark.parametrize(("exact_at_zero", "continuous"), [(True, False), (False, True)])
+def test_lagrange_ties_only_the_segments_that_a_condition_concerns(*, exact_at_zero: bool, continuous: bool) -> None:
+    """A tied segment has its left end and n Chebyshev nodes, a free one n + 1 of them (paper 000, (25))."""
+    edges, degree = np.array([0.0, 2.0, 5.0]), 3
+    side = SideConditions(exact_at_zero, continuous)
+    fit = fit_curve(curve_q, edges, degree, "lagrange", side)
+    for segment, tied in enumerate((exact_at_zero, continuous)):
+        start, end = edges[segment], edges[segment + 1]
+        count = degree if tied else degree + 1
+        angles = (2.0 * np.arange(1, count + 1) - 1.0) / (2.0 * count) * np.pi
+        nodes = 0.5 * ((end + start) + (end - start) * np.cos(angles))
+        np.testing.assert_allclose(fit(nodes), curve_q(nodes), rtol=1e-12)
+    assert (abs(fit.coefficients[0, 0]) < 1e-12) == exact_at_zero
+    assert (abs(fit.jumps()[0]) < 1e-12) == continuous
+
+
+def test_jump_is_the_right_limit_minus_the_left() -> None:
+    fit = PiecewisePolynomial(np.array([0.0, 2.0, 3.0]), np.array([[1.0, 1.0], [5.0, 0.0]]))
+    assert fit.jumps() == pytest.approx([2.0])  # 5 against 1 + 2
+
+
+def test_cube_becomes_ascending_edges_with_the_least_width() -> None:
+    np.testing.assert_allclose(edges_from_cube(np.array([0.9, 0.1]), 1.0), [0.0, 0.107, 0.893, 1.0])
+    np.testing.assert_allclose(edges_from_cube(np.zeros(3), 10.0), [0.0, 0.1, 0.2, 0.3, 10.0])
+    np.testing.assert_allclose(edges_from_cube(np.ones(3), 10.0), [0.0, 9.7, 9.8, 9.9, 10.0])

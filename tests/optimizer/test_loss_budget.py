@@ -15,7 +15,14 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.inverter import Inverter, SwitchDevice
 from dqforge.machines.settings import LoadPoint, LossSettings, ModulationName, Strategy
 from dqforge.machines.synchronous import LinearMachine
-from dqforge.optimizer.loss_budget import LossBudget, LossComparison, calibrate_switching, compare, loss_budget
+from dqforge.optimizer.loss_budget import (
+    LossBudget,
+    LossComparison,
+    _first_minimum,
+    calibrate_switching,
+    compare,
+    loss_budget,
+)
 
 # Paper 000: Tables 5 and 6, with psi_pm and l_q - l_d as Table 2 identifies them (design, section 3.1).
 MACHINE = LinearMachine(pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0)
@@ -232,3 +239,11 @@ def test_calibration_refuses_a_point_beyond_the_linear_range() -> None:
 def test_calibration_refuses_thermal_runaway() -> None:
     with pytest.raises(NoSolutionError, match="thermal runaway"):
         calibrate_switching(1064.0, MACHINE, hot_inverter(5e-2), *ID0, OMEGA_M, "spwm")
+
+
+def test_a_difference_of_rounding_is_no_advantage() -> None:
+    """SPWM and SVPWM switch alike; whichever sum comes out lower in the last digits, the first is named."""
+    total = np.array([[[100.0 * (1.0 + 1e-12), 100.0 * (1.0 + 1e-6)], [100.0, 100.0]]])
+    strategy, modulation = _first_minimum(total)
+    assert strategy.tolist() == [0, 0]
+    assert modulation.tolist() == [0, 1]

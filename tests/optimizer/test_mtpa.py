@@ -147,3 +147,10 @@ def test_refusals_name_the_reason(ipm100: LinearMachine) -> None:
         mtpa.per_unit_base(replace(ipm100, l_q=ipm100.l_d))
     with pytest.raises(NoSolutionError, match=r"283 A \(peak\) give at most"):
         mtpa.require_torque(ipm100, "mtpa", 283.0, 1000.0, "fit.torque_max")
+
+
+def test_a_given_limit_replaces_that_of_the_machine(ipm100: LinearMachine) -> None:
+    """At i_d = 0 the largest torque is 3/2 p psi_pm i_max = 0.6294 N m/A times 100 A."""
+    points = mtpa.operating_points(ipm100, np.array([60.0, 70.0]), strategy="id0", i_max=100.0)
+    assert points.limited.tolist() == [False, True]
+    assert points.torque.tolist() == pytest.approx([60.0, 62.94])

@@ -42,6 +42,15 @@ def test_fused_multiply_add_where_two_roundings_would_err() -> None:
     assert multiply_add(a, b, c)[0] == 0.0
 
 
+@pytest.mark.parametrize(("sign", "tail", "expected"), [(1, -1, 0), (1, 1, 1), (-1, 1, 0), (-1, -1, 1)])
+def test_fused_multiply_add_keeps_what_a_rounding_to_double_would_lose(sign: int, tail: int, expected: int) -> None:
+    """24929 * 673 = 2^24 + 1, so that the product is halfway between two floats; 2^-80 decides between them."""
+    a, b = np.array([sign * 24929.0 * 2.0**-12], np.float32), np.array([673.0 * 2.0**-12], np.float32)
+    c = np.array([tail * 2.0**-80], np.float32)
+    assert Fraction(float(a[0])) * Fraction(float(b[0])) == sign * (1 + Fraction(1, 2**24))
+    assert fused_multiply_add(a, b, c)[0] == np.float32(sign * (1.0 + expected * 2.0**-23))
+
+
 @pytest.mark.parametrize("fused", [False, True])
 def test_horner_equals_a_scalar_loop(fused: bool) -> None:
     generator = np.random.default_rng(3)
