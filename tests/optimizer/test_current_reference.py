@@ -14,6 +14,7 @@ from scipy.optimize import minimize_scalar
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.settings import FitForm, FitSettings
 from dqforge.machines.synchronous import LinearMachine
+from dqforge.optimizer.current_reference import error_curves, sample_torques
 from dqforge.optimizer.mtpa import largest_torque
 from dqforge.optimizer.reference_fit import ReferenceFit, alternatives, fit_reference
 
@@ -173,3 +174,35 @@ def test_any_machine_gives_finite_sound_references(
         assert np.all(np.isfinite(i_q))
         error = machine.torque(i_d.astype(float), i_q.astype(float)) - torque.astype(float)
         assert np.max(np.abs(error)) <= fit.errors.torque * 1.2 + 1e-6 * most
+
+
+def test_step_at_zero_is_the_length_of_the_current_vector_left_there() -> None:
+    fit = fitted(IPM, form="polynomial", degree=1, segments=1, exact_at_zero=False, method="lagrange")
+    assert fit.d is not None
+    assert fit.q is not None
+    i_d, i_q = fit.d.coefficients[0, 0], fit.q.coefficients[0, 0]
+    assert abs(i_q) > 1.0
+    assert fit.errors.step_at_zero == pytest.approx(np.hypot(i_d, i_q), rel=1e-6)
+
+
+def test_stated_errors_cover_both_contractions() -> None:
+    """The larger of both counts: on these machines now the fused, now the separate operations err more."""
+    larger = set()
+    for machine in (IPM, INVERSE_SALIENT):
+        for degree in (3, 4, 5, 6):
+            fit = fitted(
+                machine, degree=degree, method="lagrange", breakpoints=(0.4 * largest_torque(machine, "mtpa", 40.0),)
+            )
+            torque = sample_torques(fit.reference, 4000)
+            separate, fused = (
+                float(np.max(np.abs(error_curves(machine, "mtpa", fit.reference, torque, fused=way).torque_error)))
+                for way in (False, True)
+            )
+            assert fit.errors.torque == max(separate, fused)
+            larger.add(fused > separate)
+    assert larger == {True, False}
+
+
+def test_a_breakpoint_at_the_end_of_the_domain_is_refused() -> None:
+    with pytest.raises(InputError, match="below the largest torque"):
+        fitted(IPM, torque_max=200.0, breakpoints=(200.0,))

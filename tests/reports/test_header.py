@@ -258,3 +258,20 @@ def test_vectors_hold_the_special_cases(found: Solution) -> None:
     assert (np.signbit(torque) & (torque == 0)).any()
     assert (np.abs(torque) == reference.torque_max).any()
     assert vector_torques(reference, 16).size >= 16
+
+
+def test_programs_that_do_not_end_or_start_are_a_failed_verification(
+    found: Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = header_files(found)
+
+    def endless(command: list[str], **_options: object) -> None:
+        raise subprocess.TimeoutExpired(command, 60)
+
+    def forbidden(command: list[str], **_options: object) -> None:
+        raise PermissionError(13, "Permission denied", command[0])
+
+    for run, phrase in ((endless, "did not end within 60 s"), (forbidden, "cannot be started .Permission denied")):
+        monkeypatch.setattr(subprocess, "run", run)
+        with pytest.raises(VerificationError, match=phrase):
+            verify_files(files, "drive", found.fit.reference, 256)

@@ -1,0 +1,47 @@
+"""A design solved as a whole: each part gets the values of its own axis, strategy and operating point."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from drives import IPM, SURFACE, make_design
+
+from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.settings import LoadPoint, LossSettings
+from dqforge.optimizer.solution import solve_curves, solve_gains, solve_losses
+
+
+def test_each_axis_is_tuned_for_its_own_inductance() -> None:
+    """Bandwidth 6283 rad/s: kp = w L, ki = w R on both axes."""
+    gains = solve_gains(make_design())
+    assert (gains.i_d.loop, gains.i_q.loop) == ("i_d", "i_q")
+    assert gains.i_d.kp == pytest.approx(6283.0 * 350e-6)
+    assert gains.i_q.kp == pytest.approx(6283.0 * 592e-6)
+    assert gains.i_d.ki == gains.i_q.ki == pytest.approx(6283.0 * 2e-3)
+
+
+@pytest.mark.parametrize("torque", [1300.0, -1300.0])
+def test_a_comparison_beyond_the_current_limit_is_refused_for_both_signs_of_torque(torque: float) -> None:
+    design = replace(make_design(), losses=LossSettings((LoadPoint(10.0, 300.0), LoadPoint(torque, 300.0))))
+    with pytest.raises(NoSolutionError, match=r"losses\.points: 1300 N m cannot be had"):
+        solve_losses(design)
+
+
+def test_braking_loses_as_much_as_driving_in_copper_and_less_voltage() -> None:
+    """With -T the current is mirrored in i_q: the same copper and MOSFET conduction loss; r_s i_q helps the voltage."""
+    design = replace(make_design(), losses=LossSettings((LoadPoint(130.0, 300.0), LoadPoint(-130.0, 300.0))))
+    comparison = solve_losses(design)
+    assert comparison is not None
+    budget = comparison.budget
+    assert budget.copper[..., 1] == pytest.approx(budget.copper[..., 0])
+    assert budget.conduction[..., 1] == pytest.approx(budget.conduction[..., 0])
+    assert (budget.voltage[..., 1] < budget.voltage[..., 0]).all()
+    assert budget.torque[..., 1] == pytest.approx(-130.0)
+
+
+def test_bases_exist_only_where_the_curve_has_a_scale() -> None:
+    base = solve_curves(make_design(IPM)).base
+    assert base is not None
+    assert base.current == pytest.approx(0.1049 / (2.0 * 242e-6))
+    assert solve_curves(make_design(SURFACE)).base is None
