@@ -1,6 +1,6 @@
 """Data-sheet conventions: what the printed constants mean for a star-connected machine, and whether they agree.
 
-All results are per phase, peak, in SI units (design, section 2). The functions know nothing of files; the errors they
+All results are per phase, peak, in SI units (docs/inputs.md). The functions know nothing of files; the errors they
 raise have no position yet.
 
 With p pole pairs, psi the flux linkage of the magnets (peak of phase) and mechanical speed omega_m::

@@ -5,7 +5,7 @@ Machine with i_d near zero (surface machine, or i_d = 0 control), mechanics with
     L_q di_q/dt = u_q - R i_q - p psi omega          u_q = v_q - p omega L_d i_d
     J domega/dt = 3/2 p psi i_q - B omega
 
-Observer with the gain g > 0, from paper 001 (8.15) to (8.25), derived again (design, section 3.2):
+Observer with the gain g > 0, from paper 001 (8.15) to (8.25), derived again (docs/speed-observer.md):
 
     omega_hat = zeta - g L_q/(p psi) i_q
     dzeta/dt  = -(g + B/J) zeta + g/(p psi) u_q

@@ -1,4 +1,4 @@
-"""The neutral C header and its test vectors: from a solution to text, through plain data only (design, section 7)."""
+"""The neutral C header and its test vectors: from a solution to text, through plain data only (docs/header.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Paper 000 recomputed: its Tables 1, 2 and 4 beside the printed values.
 
-The printed values are facts of the paper; where they contain misprints the notes say how they are read (design 3.1).
+The printed values are facts of the paper; where they contain misprints the notes say how they are read.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ WARNINGS = (
     "-Wfloat-conversion",
     "-Werror",
 )
-"""Warning flags of the header contract (design, section 7)."""
+"""Warning flags of the header contract (docs/header.md)."""
 
 _TIMEOUT_S = 60
 _SWEEP_POINTS = 20_000

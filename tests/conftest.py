@@ -6,8 +6,13 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from dqforge.machines.synchronous import LinearMachine
+
+# No test may depend on the speed of the machine; in CI every run tries the same examples.
+settings.register_profile("dqforge", deadline=None, derandomize=bool(os.environ.get("CI")))
+settings.load_profile("dqforge")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -25,7 +30,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session")
 def ipm100() -> LinearMachine:
-    """Machine of paper 000 with the values that its Table 2 identifies (design 3.1)."""
+    """Machine of paper 000 with the values that its Table 2 identifies."""
     return LinearMachine(
         pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0, inertia=0.05, omega_m_max=942.478
     )

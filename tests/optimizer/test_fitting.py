@@ -192,7 +192,7 @@ def test_squared_error_integral_equals_quadrature() -> None:
     assert squared_error_integral(curve_d, fit) == pytest.approx(sum(pieces), rel=1e-7)
 
 
-# Paper 000, Table 1 as recomputed independently (design 3.1): at the paper's breakpoints, and at the best ones.
+# Paper 000, Table 1 as recomputed independently: at the paper's breakpoints, and at the best ones.
 TABLE_1 = [(2, 1.5545, 2.7667, 99.07, 99.26), (3, 1.8455, 1.5545, 99.72, 99.73), (4, 1.9424, 1.4576, 99.89, 99.89)]
 
 

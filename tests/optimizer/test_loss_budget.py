@@ -24,10 +24,10 @@ from dqforge.optimizer.loss_budget import (
     loss_budget,
 )
 
-# Paper 000: Tables 5 and 6, with psi_pm and l_q - l_d as Table 2 identifies them (design, section 3.1).
+# Paper 000: Tables 5 and 6, with psi_pm and l_q - l_d as Table 2 identifies them.
 MACHINE = LinearMachine(pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0)
-# The energies are placeholders: the calibration sets them. Thermal resistance and coolant temperature (design, section
-# 3.1) are not in the paper.
+# The energies are placeholders: the calibration sets them. Thermal resistance and coolant temperature are
+# not in the paper.
 DEVICE = SwitchDevice("mosfet", 9.5e-3, 1e-3, 1e-3, 200.0, 500.0, thermal_resistance=0.306)
 INVERTER = Inverter(v_dc=500.0, f_sw=100e3, device=DEVICE, coolant_temperature=64.0)
 TORQUE, OMEGA_M = 130.0, 300.0
@@ -85,7 +85,7 @@ def test_table_4_is_predicted_from_its_first_column(
 
 
 def test_table_4_switching_loss_of_the_first_column_and_the_best_alternative() -> None:
-    """328 W of switching loss (design, section 3.1); the paper's conclusion is that MTPA with DDT-GDPWM is best."""
+    """328 W of switching loss; the paper's conclusion is that MTPA with DDT-GDPWM is best."""
     result = table_4()
     assert result.budget.switching[0, 0, 0] == pytest.approx(328.0, abs=0.5)
     # With MTPA the current lags by 32 degrees, hardly more than the 30 up to which the loss is halved.

@@ -124,7 +124,7 @@ def test_current_limit_returns_the_largest_torque_and_says_so(ipm100: LinearMach
 
 
 def test_id0_draws_paper_000_current(ipm100: LinearMachine) -> None:
-    """206.54 A at 130 N m: i_q = 2 T / (3 p psi_pm) by hand (design 3.1)."""
+    """206.54 A at 130 N m: i_q = 2 T / (3 p psi_pm) by hand."""
     point = mtpa.operating_points(ipm100, np.array([130.0]), strategy="id0")
     assert point.i_d[0] == 0.0
     assert point.i_q[0] == pytest.approx(2.0 * 130.0 / (3.0 * 4.0 * 0.1049), rel=1e-14)
