@@ -235,7 +235,9 @@ def _pole_text(pole: complex) -> str:
 def _disturbance_text(gains: LoopGains) -> str:
     response = gains.disturbance
     unit = "A per V" if gains.loop != "speed" else "rad/s per N m"
-    return f"{number(response.peak, 3)} {unit}, settled in {quantity(response.settling_time, 's', 3)}"
+    finite = math.isfinite(response.settling_time)
+    settled = f"settled in {quantity(response.settling_time, 's', 3)}" if finite else "settles later than was computed"
+    return f"{number(response.peak, 3)} {unit}, {settled}"
 
 
 def loop_table(design: Design, gains: GainSet) -> HtmlTable:
