@@ -1,7 +1,8 @@
 """PI gains of the current and speed loops by named methods, each with the margins its sampled loop really has.
 
-Gains are physical (current loops V/A and V/(A s), speed loop N m s/rad and N m/rad); `per_unit` and `to_q` turn them
-into the numbers of a firmware. A set that is unstable or misses the required phase margin is refused.
+Gains are physical (current loops V/A and V/(A s), speed loop N m s/rad and N m/rad); `per_unit` and
+`dqforge.optimizer.fixed_point.to_q` turn them into the numbers of a firmware. A set that is unstable or misses the
+required phase margin is refused.
 """
 
 from __future__ import annotations
@@ -305,38 +306,6 @@ def per_unit(gains: LoopGains, in_base: float, out_base: float) -> tuple[float, 
     if not (in_base > 0.0 and out_base > 0.0):
         raise InputError(f"per-unit bases must be positive, got {in_base:g} and {out_base:g}")
     return gains.kp * in_base / out_base, gains.ki_ts * in_base / out_base
-
-
-def to_q(value: float, bits: int, width: Literal[16, 32] = 16) -> int:
-    """Round value 2^bits to the nearest integer, halves away from zero.
-
-    Parameters
-    ----------
-    value:
-        The number, dimensionless.
-    bits:
-        Fractional bits, 0 to ``width`` - 1.
-    width:
-        Size of the signed integer that must hold the result, 16 (default) or 32 bits.
-
-    Raises
-    ------
-    NoSolutionError
-        If the integer does not fit, or if a value other than zero would become 0.
-    """
-    if not 0 <= bits < width:
-        raise InputError(f"a Q format of int{width}_t has 0 to {width - 1} fractional bits, got {bits}")
-    if not np.isfinite(value):
-        raise NoSolutionError(f"{value} cannot be written as an integer in Q{bits}")
-    magnitude = int(np.floor(abs(value) * 2.0**bits + 0.5))
-    result = -magnitude if value < 0.0 else magnitude
-    if not -(2 ** (width - 1)) <= result < 2 ** (width - 1):
-        raise NoSolutionError(
-            f"{value:.6g} is {result} in Q{bits}, which int{width}_t cannot hold: use fewer fractional bits"
-        )
-    if result == 0 and value != 0.0:
-        raise NoSolutionError(f"{value:.6g} rounds to 0 in Q{bits}: use more fractional bits")
-    return result
 
 
 def _stride(duration: float, t_s: float) -> int:

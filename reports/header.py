@@ -10,7 +10,8 @@ import numpy as np
 from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.optimizer.current_reference import CurrentReference, sample_torques
-from dqforge.optimizer.gains import LoopGains, per_unit, to_q
+from dqforge.optimizer.fixed_point import to_q
+from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_numbers import rounded_up

@@ -12,7 +12,8 @@ import numpy as np
 from dqforge.machines.design import Design
 from dqforge.machines.synchronous import FloatArray, copper_loss
 from dqforge.optimizer.current_reference import ReferenceErrors
-from dqforge.optimizer.gains import LoopGains, per_unit, to_q
+from dqforge.optimizer.fixed_point import to_q
+from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.mtpa import OperatingPoints
 from dqforge.optimizer.observer import ObserverError, steady_state_error

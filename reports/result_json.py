@@ -11,7 +11,8 @@ import numpy as np
 
 from dqforge import __version__
 from dqforge.machines.design import Design
-from dqforge.optimizer.gains import LoopGains, per_unit, to_q
+from dqforge.optimizer.fixed_point import to_q
+from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.mtpa import OperatingPoints
 from dqforge.optimizer.piecewise import PiecewisePolynomial

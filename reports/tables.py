@@ -10,7 +10,8 @@ import numpy as np
 from dqforge.machines.design import Design
 from dqforge.machines.quantities import format_quantity
 from dqforge.optimizer.current_reference import ReferenceErrors
-from dqforge.optimizer.gains import LoopGains, per_unit, to_q
+from dqforge.optimizer.fixed_point import to_q
+from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.mtpa import OperatingPoints, PerUnitBase
 from dqforge.optimizer.observer import steady_state_error

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.settings import ControlSettings, CurrentLoopSettings, PerUnitBases, SpeedLoopSettings
 from dqforge.machines.synchronous import LinearMachine
+from dqforge.optimizer.fixed_point import to_q
 from dqforge.optimizer.gains import (
     LoopGains,
     analyse_current_loop,
@@ -26,7 +27,6 @@ from dqforge.optimizer.gains import (
     per_unit,
     speed_delay,
     speed_step_response,
-    to_q,
     tune_current_loop,
     tune_speed_loop,
 )

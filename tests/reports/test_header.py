@@ -15,7 +15,7 @@ from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, make_design
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.settings import FitSettings
 from dqforge.machines.synchronous import LinearMachine
-from dqforge.optimizer.current_reference import CurrentReference, sample_torques
+from dqforge.optimizer.current_reference import CurrentReference, TorqueExact, sample_torques
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.header import header_files, vector_torques
@@ -157,6 +157,15 @@ def test_verification_sees_vectors_that_were_changed_with_the_header(found: Solu
     other = solve(make_design(replace(IPM, psi_pm=0.1050)))
     with pytest.raises(VerificationError, match=r"results differ from the float32 model; first at torque"):
         verify_files(header_files(other), "drive", found.fit.reference, 256)
+
+
+def test_verification_sees_a_difference_in_one_of_the_currents(found: Solution) -> None:
+    """Only i_q depends on the magnet torque: here the model has it one unit in the last place larger."""
+    reference = found.fit.reference
+    assert isinstance(reference.form, TorqueExact)
+    form = replace(reference.form, magnet=np.nextafter(reference.form.magnet, np.float32(np.inf)))
+    with pytest.raises(VerificationError, match="results differ from the float32 model"):
+        verify_files(header_files(found), "drive", replace(reference, form=form), 256)
 
 
 def test_verification_sees_a_warning(found: Solution) -> None:
