@@ -35,6 +35,19 @@ PlotOption = Annotated[
 OutOption = Annotated[Path, typer.Option("-o", "--out", metavar="OUT", help="Folder to write into.")]
 NoVerifyOption = Annotated[bool, typer.Option("--no-verify", help="Skip compiling and running the header.")]
 
+SpeedOption = Annotated[str | None, typer.Option("--speed", metavar="SPEED", help="Mechanical speed, e.g. '3000 rpm'.")]
+TorqueOption = Annotated[str | None, typer.Option("--torque", metavar="TORQUE", help="One torque, e.g. '50 N m'.")]
+MapOption = Annotated[
+    str | None, typer.Option("--map", metavar="NxM", help="Map of N torques by M speeds, with its limits.")
+]
+ModulationOption = Annotated[
+    str,
+    typer.Option("--modulation", metavar="NAME", help="Whose linear range limits the voltage: spwm, svpwm, ddt-gdpwm."),
+]
+MarginOption = Annotated[
+    str, typer.Option("--margin", metavar="SHARE", help="Share of the voltage kept free for control, e.g. '5 %'.")
+]
+
 
 def _load(design: str) -> Design:
     """Load a design file, or a library drive when no such file exists and the text can be its name."""
@@ -156,13 +169,33 @@ def verify(
 
 
 @app.command()
-def mtpa(design: DesignArgument, json: JsonOption = False, plot: PlotOption = None) -> None:
-    """Show the currents over torque."""
+def mtpa(
+    design: DesignArgument,
+    json: JsonOption = False,
+    plot: PlotOption = None,
+    speed: SpeedOption = None,
+    torque: TorqueOption = None,
+    chart: MapOption = None,
+    modulation: ModulationOption = "svpwm",
+    margin: MarginOption = "0 %",
+) -> None:
+    """Show the currents over torque; with a speed, a torque or a map also within the voltage limit."""
+    loaded = _load(design)
+    if speed is not None or torque is not None or chart is not None:
+        from dqforge.reports.operating_points import Request, answer
+
+        request = Request(speed=speed, torque=torque, chart=chart, modulation=modulation, margin=margin)
+        reply = answer(loaded, request)
+        _plot(reply.figure, plot)
+        if json:
+            _print_json("mtpa", loaded.name, reply.plain)
+        else:
+            _show(reply.tables)
+        return
     from dqforge.optimizer.solution import solve_curves
     from dqforge.reports.result_json import plain_curves
     from dqforge.reports.tables import mtpa_tables
 
-    loaded = _load(design)
     curves = solve_curves(loaded)
     if plot is not None:
         from dqforge.reports.figures import plot_mtpa

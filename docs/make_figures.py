@@ -1,4 +1,7 @@
-"""Draw every figure of the documentation anew; the files are the same bytes every time."""
+"""Draw the figures of the documentation anew; the files are the same bytes every time.
+
+The one figure of measured times, time-over-points.svg, is drawn by `figures_operating_points.time_over_points` alone.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ from pathlib import Path
 
 import figures_gains
 import figures_losses
+import figures_operating_points
 
 from dqforge.machines import catalogue
 from dqforge.optimizer.solution import solve_curves, solve_fit
@@ -21,6 +25,7 @@ def main() -> None:
     save(plot_fit(design, solve_fit(design)), folder / "fit.svg")
     figures_gains.current_loop_step(folder / "current-loop-step.svg")
     figures_gains.observer_error(folder / "observer-error.svg")
+    figures_operating_points.operating_points_map(folder / "operating-map.svg")
     figures_losses.modulation_waveforms(folder / "modulation-waveforms.svg")
     figures_losses.loss_comparison(folder / "loss-comparison.svg")
 

@@ -16,7 +16,7 @@ ModulationName = Literal["spwm", "svpwm", "ddt-gdpwm"]
 
 @dataclass(frozen=True, slots=True)
 class FitSettings:
-    """How the current references become polynomials (design, section 6.F).
+    """How the current references become polynomials.
 
     ``torque_max`` in N m is the end of the domain, or None for the largest torque that the current limit allows.
     ``breakpoints`` in N m are searched for when None; a given tuple has ``segments - 1`` ascending entries.

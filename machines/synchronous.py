@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 def torque_from_flux(
     pole_pairs: int, psi_d: FloatArray, psi_q: FloatArray, i_d: FloatArray, i_q: FloatArray
 ) -> FloatArray:
-    """Air-gap torque T = 3/2 p (psi_d i_q - psi_q i_d) in N m, any broadcastable shapes (design, section 2)."""
+    """Air-gap torque T = 3/2 p (psi_d i_q - psi_q i_d) in N m, any broadcastable shapes."""
     return 1.5 * pole_pairs * (psi_d * i_q - psi_q * i_d)
 
 

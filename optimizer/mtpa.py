@@ -1,7 +1,7 @@
 """Currents for a torque at least copper loss (MTPA) and at i_d = 0, exactly, for machines with constant inductances.
 
 In per unit of i_base = psi_pm / (2 |l_q - l_d|) and T_base = 3/4 p psi_pm i_base the optimum of every salient machine
-is one curve, T = i_q (1 + sqrt(1 + i_q^2)) with |i_d| = sqrt(1 + i_q^2) - 1 (paper 000 (5) to (19), design 3.1).
+is one curve, T = i_q (1 + sqrt(1 + i_q^2)) with |i_d| = sqrt(1 + i_q^2) - 1 (paper 000, (5) to (19)).
 Its inverse has a closed form; nothing here iterates towards a tolerance.
 """
 

@@ -58,7 +58,10 @@ def _most_torque_residual(
     """Add the conditions of most torque: its gradient lies between those of the limits that hold it."""
     for code, limit in ((Active.CURRENT, circle), (Active.MTPV, voltage)):
         chosen = (state.active == code) & ~state.reached
-        sine = np.abs(torque.d * limit.q - torque.q * limit.d) / (_norm(torque) * _norm(limit))
+        sine = np.abs(
+            (torque.d / _norm(torque)) * (limit.q / _norm(limit))
+            - (torque.q / _norm(torque)) * (limit.d / _norm(limit))
+        )
         residual = np.where(chosen, np.maximum(residual, sine), residual)
     by_voltage, by_current = _two_multipliers(torque, voltage, circle)
     sense = np.where(state.least, -1.0, 1.0)

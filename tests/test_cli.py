@@ -291,3 +291,53 @@ def test_out_that_cannot_be_written(run: Run, tmp_path: Path) -> None:
 
 def test_losses_of_a_design_without_comparison(run: Run) -> None:
     assert "section 'losses'" in one_line(run("losses", "abb-ipmsm-2k2"), 2)
+
+
+def test_operating_points_at_a_speed_and_on_a_map(run: Run, tmp_path: Path) -> None:
+    outcome = run("mtpa", IPM, "--speed", "6000 rpm", "--json", "--plot", "speed.svg")
+    assert outcome.code == 0, outcome.err
+    points = json.loads(outcome.out)["operating_points"]["points"]
+    limit = json.loads(outcome.out)["operating_points"]["limit"]
+    assert limit["v_max_V"] == pytest.approx(500.0 / 3**0.5, rel=1e-8)
+    assert max(points["voltage_V"]) <= limit["v_max_V"] * (1.0 + 1e-8)
+    assert max(points["kkt_residual"]) < 1e-8
+    assert {"none", "voltage"} <= set(points["held_by"])
+    chart = run("mtpa", IPM, "--map", "12x15", "--json", "--plot", "map.svg", "--modulation", "spwm", "--margin", "5 %")
+    assert chart.code == 0, chart.err
+    document = json.loads(chart.out)["operating_map"]
+    assert document["limit"]["v_max_V"] == pytest.approx(0.95 * 250.0)
+    assert len(document["map"]["efficiency"]) == 12
+    assert {"speed.svg", "map.svg"} <= {path.name for path in tmp_path.iterdir()}
+
+
+def test_operating_point_tables(run: Run) -> None:
+    assert "voltage" in run("mtpa", IPM, "--torque", "100 N m", "--speed", "7000 rpm").out
+    listing = run("mtpa", IPM, "--map", "8x9").out
+    assert "base speed" in listing
+    assert "4182 rpm" in listing
+    beyond = run("mtpa", IPM, "--torque", "500 N m", "--speed", "7000 rpm")
+    assert "(no more)" in beyond.out
+    assert beyond.code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "phrase"),
+    [
+        (["--map", "4"], "NxM"),
+        (["--map", "1x9"], "NxM"),
+        (["--map", "9999x9999"], "NxM"),
+        (["--map", "4x4", "--speed", "1 rad/s"], "leave --speed and --torque out"),
+        (["--speed", "5 kHz"], "rotational speed"),
+        (["--torque", "5 A"], "--torque"),
+        (["--speed", "9 rad/s", "--modulation", "svm"], "ddt-gdpwm"),
+        (["--speed", "9 rad/s", "--margin", "5"], "such as '5 %'"),
+        (["--torque", "9 N m", "--plot", "x.svg"], "leave --torque out"),
+    ],
+)
+def test_wrong_operating_point_options(run: Run, tmp_path: Path, arguments: list[str], phrase: str) -> None:
+    assert phrase in one_line(run("mtpa", IPM, *arguments), 2)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_operating_points_need_the_strategy_that_they_solve(run: Run) -> None:
+    assert "write strategy: mtpa" in one_line(run("mtpa", "paper002-pmsm-nonsinusoidal", "--speed", "9 rad/s"), 2)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
@@ -104,6 +104,7 @@ def loaded(bench001: LinearMachine) -> Recording:
 # --- the equation -------------------------------------------------------------------------------------------------
 
 
+@settings(deadline=None)
 @given(i_q=st.floats(-20, 20), omega=st.floats(-700, 700), u_q=st.floats(-200, 200), g=st.floats(1, 5000))
 def test_an_exact_estimate_stays_exact(bench001: LinearMachine, i_q: float, omega: float, u_q: float, g: float) -> None:
     """With zeta = omega + c i_q the observer's derivative is that of the machine: d omega/dt + c di_q/dt."""
