@@ -70,6 +70,15 @@ def _print_json(command: str, name: str, result: dict[str, Any]) -> None:
     typer.echo(to_text(command, name, result), nl=False)
 
 
+def _load_for(design: str, plot: Path | None) -> Design:
+    """Load a design, and refuse a figure that could not be written before anything is computed."""
+    if plot is not None:
+        from dqforge.reports.files import check_figure_path
+
+        check_figure_path(plot)
+    return _load(design)
+
+
 def _plot(figure: Callable[[], Any], path: Path | None) -> None:
     if path is not None:
         from dqforge.reports.figures import save
@@ -180,7 +189,7 @@ def mtpa(
     margin: MarginOption = "0 %",
 ) -> None:
     """Show the currents over torque; with a speed, a torque or a map also within the voltage limit."""
-    loaded = _load(design)
+    loaded = _load_for(design, plot)
     if speed is not None or torque is not None or chart is not None:
         from dqforge.reports.operating_points import Request, answer
 
@@ -212,12 +221,14 @@ def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = Non
     """Fit the current references and show their errors beside the alternatives."""
     from dqforge.optimizer.reference_fit import alternatives
     from dqforge.optimizer.solution import solve_fit
+    from dqforge.reports.console import status
     from dqforge.reports.result_json import plain_fit
     from dqforge.reports.tables import fit_tables
 
-    loaded = _load(design)
-    found = solve_fit(loaded)
-    rows = alternatives(loaded.machine, loaded.strategy, loaded.i_max, found)
+    loaded = _load_for(design, plot)
+    with status("fitting"):
+        found = solve_fit(loaded)
+        rows = alternatives(loaded.machine, loaded.strategy, loaded.i_max, found)
     if plot is not None:
         from dqforge.reports.figures import plot_fit
 
@@ -235,7 +246,7 @@ def tune(design: DesignArgument, json: JsonOption = False, plot: PlotOption = No
     from dqforge.reports.result_json import plain_gains
     from dqforge.reports.tables import gains_tables
 
-    loaded = _load(design)
+    loaded = _load_for(design, plot)
     gains = solve_gains(loaded)
     if plot is not None:
         from dqforge.reports.figures import plot_gains
@@ -255,7 +266,7 @@ def losses(design: DesignArgument, json: JsonOption = False, plot: PlotOption = 
     from dqforge.reports.result_json import plain_losses
     from dqforge.reports.tables import losses_tables
 
-    loaded = _load(design)
+    loaded = _load_for(design, plot)
     comparison = solve_losses(loaded)
     if comparison is None:
         raise InputError("the design asks for no comparison; add a section 'losses' with 'points'", source=design)

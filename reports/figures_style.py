@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqforge.machines.errors import InputError
 from dqforge.machines.synchronous import FloatArray
-from dqforge.reports.files import write_atomically
+from dqforge.reports.files import check_figure_path, write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -230,8 +229,5 @@ def save(figure: Figure, path: Path) -> None:
         ".png": lambda: _content(figure, "png", dpi=200),
         ".pdf": lambda: _content(figure, "pdf"),
     }
-    content = formats.get(path.suffix.lower())
-    if content is None:
-        got = f"the suffix {path.suffix!r}" if path.suffix else "no suffix"
-        raise InputError(f"a figure is written as .svg, .png or .pdf; {path.name!r} has {got}")
-    write_atomically(path, content())
+    check_figure_path(path)
+    write_atomically(path, formats[path.suffix.lower()]())

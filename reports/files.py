@@ -35,6 +35,24 @@ def write_atomically(path: Path, content: bytes) -> None:
         raise InputError(f"cannot write {path}: {error.strerror}; choose another file with -o") from error
 
 
+FIGURE_SUFFIXES = (".svg", ".png", ".pdf")
+
+
+def check_figure_path(path: Path) -> None:
+    """Refuse a figure's file name before anything is computed for it.
+
+    Raises
+    ------
+    InputError
+        The suffix is not .svg, .png or .pdf, or the folder is not there.
+    """
+    if path.suffix.lower() not in FIGURE_SUFFIXES:
+        got = f"the suffix {path.suffix!r}" if path.suffix else "no suffix"
+        raise InputError(f"a figure is written as .svg, .png or .pdf; {path.name!r} has {got}")
+    if not path.parent.is_dir():
+        raise InputError(f"cannot write {path}: there is no folder {path.parent}; make it, or choose another file")
+
+
 def write_all(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     """Write several files into a folder, which is made if missing; nothing is written when the folder cannot be made.
 

@@ -21,6 +21,9 @@ from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.verify import Verification
 
+POOR_FIT = 0.01
+"""Relative copper-loss penalty from which a fit is called poor."""
+
 
 @dataclass(frozen=True, slots=True)
 class Table:
@@ -121,7 +124,8 @@ def fit_tables(design: Design, fit: ReferenceFit, rows: tuple[Alternative, ...])
         "largest values found in the float32 arithmetic of the header (sampled, not proven); torque error in % of "
         f"{fit.torque_max:.4g} N m, loss penalty in % of the least copper loss from 5 % torque upwards"
     )
-    tables = [Table(f"{design.name}: current reference, {fit.settings.method}", columns, (chosen, *others), (note,))]
+    notes = (note, _poor_fit_text(fit)) if fit.errors.loss_relative > POOR_FIT else (note,)
+    tables = [Table(f"{design.name}: current reference, {fit.settings.method}", columns, (chosen, *others), notes)]
     coefficients = [*_coefficient_rows("i_d", fit.d), *_coefficient_rows("i_q", fit.q)]
     if coefficients:
         headings = ("axis", "from N m", "to N m", "coefficients of T - from, highest power first, A/(N m)^k")
@@ -259,6 +263,11 @@ def _loop_text(gains: LoopGains) -> str:
     return f"{crossover:.4g} Hz crossover, {margin:.0f} deg phase margin"
 
 
+def _poor_fit_text(fit: ReferenceFit) -> str:
+    more = "closed-form, " if fit.form != "closed-form" else ""
+    return f"the fit costs more than {100.0 * POOR_FIT:.0f} % copper loss: try {more}a higher degree or more segments"
+
+
 def run_tables(solution: Solution, verification: Verification | None) -> list[Table]:
     """The short summary of a run."""
     fit, gains = solution.fit, solution.gains
@@ -269,6 +278,8 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
         ("current reference", f"{fit.form}{shape}, 0 to {fit.torque_max:.4g} N m"),
         ("  largest errors", _errors_text(fit.errors)),
     ]
+    if fit.errors.loss_relative > POOR_FIT:
+        rows.append(("  warning", _poor_fit_text(fit)))
     rows += [
         (f"{loop.loop} loop", _loop_text(loop)) for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None
     ]

@@ -341,3 +341,21 @@ def test_wrong_operating_point_options(run: Run, tmp_path: Path, arguments: list
 
 def test_operating_points_need_the_strategy_that_they_solve(run: Run) -> None:
     assert "write strategy: mtpa" in one_line(run("mtpa", "paper002-pmsm-nonsinusoidal", "--speed", "9 rad/s"), 2)
+
+
+def test_poor_fits_are_called_so(run: Run, tmp_path: Path) -> None:
+    text = catalogue.read_text(IPM).decode()
+    path = tmp_path / "design.yaml"
+    path.write_text(text.replace("degree: 4", "degree: 1").replace("segments: 2", "segments: 1"))
+    assert "costs more than 1 % copper loss" in run("fit", path).out
+    assert "costs more than" not in run("fit", IPM).out
+
+
+def test_generating_speeds_are_points_of_comparison(run: Run, tmp_path: Path) -> None:
+    """At the opposite speed the resistance drop helps the voltage; copper and conduction losses are the same."""
+    path = tmp_path / "design.yaml"
+    path.write_text(catalogue.read_text(IPM).decode().replace("speed: 300 rad/s", "speed: -300 rad/s"))
+    ours, theirs = (json.loads(run("losses", name, "--json").out)["losses"]["rows"] for name in (path, IPM))
+    for row, other in zip(ours, theirs, strict=True):
+        assert row["conduction_W"] == other["conduction_W"]
+        assert row["voltage_V"] < other["voltage_V"]
