@@ -87,6 +87,19 @@ def test_run_writes_everything_and_verify_agrees(run: Run, tmp_path: Path) -> No
     assert "bit for bit" in verified.out
 
 
+def test_readme_shows_what_a_run_prints(run: Run, tmp_path: Path) -> None:
+    """The summary and the header excerpt of the README are those of the shipped drive."""
+    readme = (Path(__file__).parent.parent / "README.md").read_text()
+    printed = " ".join(run("run", IPM, "-o", "out").out.split())
+    block = readme[readme.index("    IPMSM 100 kW (paper 000)") : readme.index("## What the header looks like")]
+    assert " ".join(block.split()) in printed
+    header = (tmp_path / "out" / "ipm100.h").read_text()
+    excerpt = readme[readme.index("```c") : readme.index("```\n", readme.index("```c") + 4)]
+    code = [line.strip() for line in excerpt.splitlines()[1:] if line.strip() and "..." not in line]
+    assert len(code) > 8
+    assert all(line in header for line in code)
+
+
 def test_same_design_same_bytes(run: Run, tmp_path: Path) -> None:
     for folder in ("first", "second"):
         assert run("run", BENCH, "-o", folder, "--no-verify").code == 0
