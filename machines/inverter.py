@@ -29,6 +29,8 @@ class SwitchDevice:
         E_on, E_off and E_rr in J at `reference_current` (A) and `reference_voltage` (V); proportional to both.
     thermal_resistance:
         Junction to coolant, per switch position, in K/W.
+    max_junction_temperature:
+        Largest permitted junction temperature in degC.
     """
 
     kind: DeviceKind
@@ -43,6 +45,7 @@ class SwitchDevice:
     on_voltage: float = 0.0
     diode_voltage: float = 0.0
     diode_resistance: float = 0.0
+    max_junction_temperature: float = 175.0
 
     @property
     def switching_energy(self) -> float:

@@ -42,6 +42,7 @@ from dqforge.machines.yaml_source import YamlDocument, parse_yaml, read_bytes
 
 _DEFAULT_MARGIN = CurrentLoopSettings().phase_margin_min
 _DEFAULT_COOLANT = 25.0
+_DEFAULT_JUNCTION = 175.0  # degC, usual for the power modules of today
 
 
 def load_design(path: str | Path) -> Design:
@@ -276,6 +277,8 @@ class _Build:
         device = sections.inverter.device
         if device is not None and device.on_resistance_temperature_coefficient is None:
             self.remarks.append("inverter.device.on_resistance is taken as independent of temperature")
+        if device is not None and device.max_junction_temperature is None:
+            self.remarks.append(f"inverter.device.max_junction_temperature is {_DEFAULT_JUNCTION:g} degC")
         if device is not None and sections.inverter.coolant_temperature is None:
             self.remarks.append(f"inverter.coolant_temperature is {format_quantity(_DEFAULT_COOLANT, 'degC')}")
 
@@ -285,6 +288,7 @@ def _said(quantity: Quantity) -> str:
 
 
 def _device(section: DeviceSection) -> SwitchDevice:
+    hottest = si_of(section.max_junction_temperature)
     return SwitchDevice(
         kind=section.kind,
         on_resistance=section.on_resistance.si,
@@ -298,6 +302,7 @@ def _device(section: DeviceSection) -> SwitchDevice:
         on_voltage=si_of(section.on_voltage) or 0.0,
         diode_voltage=si_of(section.diode_voltage) or 0.0,
         diode_resistance=si_of(section.diode_resistance) or 0.0,
+        max_junction_temperature=_DEFAULT_JUNCTION if hottest is None else hottest,
     )
 
 

@@ -156,6 +156,9 @@ class DeviceSection(Section):
     reference_current: Current = Field(description="current of the energies (A)")
     reference_voltage: Voltage = Field(description="voltage of the energies (V)")
     thermal_resistance: ThermalResistance = Field(description="junction to coolant, per switch position (K/W)")
+    max_junction_temperature: Temperature | None = Field(
+        default=None, description="largest permitted junction temperature (degC, also without a unit); default 175"
+    )
 
 
 class InverterSection(Section):

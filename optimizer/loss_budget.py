@@ -59,6 +59,8 @@ class LossBudget:
         False where the voltage is beyond the linear range of the modulator, which cannot make it there.
     thermally_stable:
         False where the junction temperature runs away; what depends on it is NaN there.
+    cool_enough:
+        False where the junction is hotter than the device permits.
     thermal_residual:
         Residual of the balance of heat, in K.
     """
@@ -74,12 +76,13 @@ class LossBudget:
     modulation_index: FloatArray
     linear: BoolArray
     thermally_stable: BoolArray
+    cool_enough: BoolArray
     thermal_residual: FloatArray
 
     @property
     def feasible(self) -> BoolArray:
-        """True where the modulator can make the voltage and the junction temperature has a steady state."""
-        return self.linear & self.thermally_stable
+        """True where the modulator can make the voltage and the junction stays within its permitted temperature."""
+        return self.linear & self.thermally_stable & self.cool_enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +162,7 @@ def loss_budget(
     if on_runaway == "raise":
         _refuse_runaway(machine, omega, i_d, i_q, thermal_gain(inverter, load))
     copper = copper_loss(machine.r_s, i_d, i_q)
+    hottest = required_device(inverter).max_junction_temperature
     bridge_total = bridge.conduction + bridge.switching
     return LossBudget(
         torque=machine.torque(i_d, i_q),
@@ -172,6 +176,7 @@ def loss_budget(
         modulation_index=modulation_index(voltage, inverter.v_dc),
         linear=in_linear_range(modulation, voltage, inverter.v_dc),
         thermally_stable=bridge.thermally_stable,
+        cool_enough=bridge.junction_temperature <= hottest,
         thermal_residual=bridge.thermal_residual,
     )
 

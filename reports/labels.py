@@ -30,4 +30,6 @@ def obstacle(budget: LossBudget, index: tuple[int, int, int]) -> str:
     """Why an alternative cannot be used, or nothing."""
     if not budget.thermally_stable[index]:
         return "junction temperature runs away"
-    return "" if budget.linear[index] else "voltage beyond the linear range"
+    if not budget.linear[index]:
+        return "voltage beyond the linear range"
+    return "" if budget.cool_enough[index] else "junction too hot"

@@ -19,6 +19,7 @@ from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.reports.c_numbers import rounded_up
+from dqforge.reports.labels import obstacle
 from dqforge.reports.verify import Verification
 
 POOR_FIT = 0.01
@@ -229,7 +230,7 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
         for s, strategy in enumerate(comparison.strategies):
             for m, modulation in enumerate(comparison.modulations):
                 index = (s, m, p)
-                mark = "best" if best == (strategy, modulation) else "" if budget.feasible[index] else "not feasible"
+                mark = "best" if best == (strategy, modulation) else obstacle(budget, index)
                 cells = [budget.copper, budget.conduction, budget.switching, budget.total, budget.junction_temperature]
                 texts = [_fixed(float(cell[index])) for cell in [*cells, comparison.saving]]
                 rows.append((strategy, modulation, *texts, mark))

@@ -247,3 +247,14 @@ def test_a_difference_of_rounding_is_no_advantage() -> None:
     strategy, modulation = _first_minimum(total)
     assert strategy.tolist() == [0, 0]
     assert modulation.tolist() == [0, 1]
+
+
+def test_a_junction_hotter_than_permitted_is_not_feasible() -> None:
+    """The same point with the limit just below and just above its junction temperature."""
+    found = loss_budget(MACHINE, INVERTER, *ID0, OMEGA_M, "spwm")
+    junction = float(found.junction_temperature[0])
+    for limit, feasible in ((junction - 0.1, False), (junction + 0.1, True)):
+        device = replace(DEVICE, max_junction_temperature=limit)
+        budget = loss_budget(MACHINE, replace(INVERTER, device=device), *ID0, OMEGA_M, "spwm")
+        assert bool(budget.cool_enough[0]) is feasible
+        assert bool(budget.feasible[0]) is feasible
