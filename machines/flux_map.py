@@ -1,7 +1,7 @@
-"""Saturated machines: flux linkages on a grid of currents, as C2 tensor-product cubic splines.
+"""Saturated machines: flux linkages on a grid of currents, as tensor-product cubic splines.
 
-The splines are stored as one row of power-basis coefficients per cell, so that values and derivatives at a point come
-from a single gather and one small matrix product: that is what makes whole torque-speed maps cheap.
+The splines are stored as one row of power-basis coefficients per cell, so that all values and derivatives at a point
+come from a single gather and a few Horner steps: that is what makes whole torque-speed maps cheap.
 """
 
 from __future__ import annotations
@@ -12,37 +12,86 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.synchronous import FloatArray, FluxJet, torque_from_flux
+from dqforge.machines.synchronous import FloatArray, FluxJet, Machine, MachineFormulas
 
 _LEAST_POINTS = 4
+_CHUNK = 2048
+"""Points evaluated together: their coefficients (256 bytes each) and all intermediate values stay in the cache."""
+
+_SMALL_CURRENT = 1e-5
+"""Current over the largest of the grid below which a quotient of differences loses more digits than its series."""
 
 
-def _cell_coefficients(i_d: FloatArray, i_q: FloatArray, values: FloatArray) -> FloatArray:
-    """Bicubic not-a-knot spline per cell, shape (M - 1, N - 1, 4, 4): rising powers of the local i_d, then of i_q."""
+def _piecewise(axis: FloatArray, values: FloatArray) -> FloatArray:
+    """Cubic spline along the first axis with straight ends: rising powers per cell, shape (4, M + 1, ...).
+
+    Cell 0 lies before the grid and cell M behind it; there the spline goes on along its tangents. Each cell counts
+    from its lower grid point, the first one from the first.
+    """
     from scipy.interpolate import CubicSpline
 
-    along_q = CubicSpline(i_q, values, axis=1, bc_type="not-a-knot").c[::-1]  # (power, cell, M)
-    along_d = CubicSpline(i_d, np.moveaxis(along_q, 2, 0), axis=0, bc_type="not-a-knot").c[::-1]
-    return np.ascontiguousarray(np.transpose(along_d, (1, 3, 0, 2)))
+    inner = CubicSpline(axis, values, axis=0, bc_type="not-a-knot").c[::-1]
+    cells = np.zeros((4, axis.size + 1, *values.shape[1:]))
+    cells[:, 1:-1] = inner
+    cells[:2, 0] = inner[:2, 0]
+    last, width = inner[:, -1], axis[-1] - axis[-2]
+    cells[0, -1] = values[-1]
+    cells[1, -1] = last[1] + width * (2.0 * last[2] + width * 3.0 * last[3])
+    return cells
 
 
-def _powers(local: FloatArray, orders: int) -> FloatArray:
-    """Powers 1, x, x^2, x^3 and their derivatives, shape (N, orders, 4)."""
-    rows = np.zeros((local.size, orders, 4))
-    rows[:, 0, 0], rows[:, 0, 1] = 1.0, local
-    rows[:, 0, 2] = local * local
-    rows[:, 0, 3] = rows[:, 0, 2] * local
-    if orders > 1:
-        rows[:, 1, 1], rows[:, 1, 2], rows[:, 1, 3] = 1.0, 2.0 * local, 3.0 * rows[:, 0, 2]
-        rows[:, 2, 2], rows[:, 2, 3] = 2.0, 6.0 * local
-    return rows
+def _horner(rows: FloatArray, x: FloatArray, order: int) -> list[FloatArray]:
+    """Value and up to two Taylor coefficients (the derivative, half the second one) of cubics at ``x``, shape (n,).
+
+    ``rows`` holds the rising powers, shape (4, ..., n). Repeated synthetic division, six products for all three.
+    """
+    first = rows[3] * x
+    sums = first + rows[2]
+    second = sums * x
+    second += rows[1]
+    value = second * x
+    value += rows[0]
+    if order == 0:
+        return [value]
+    once = first + sums
+    slope = once * x
+    slope += second
+    if order == 1:
+        return [value, slope]
+    return [value, slope, first + once]
 
 
 @dataclass(frozen=True, slots=True)
+class _Axis:
+    """Grid points of one current in A, and how the cell of a current is found."""
+
+    points: FloatArray
+    corners: FloatArray  # where each cell counts from, the two outside the grid included
+    step: float  # 0 where the points are not evenly spaced
+
+    @classmethod
+    def of(cls, points: FloatArray) -> _Axis:
+        widths = np.diff(points)
+        step = float(points[-1] - points[0]) / (points.size - 1)
+        even = bool(np.all(np.abs(widths - step) <= 1e-9 * step))
+        return cls(points, np.concatenate([points[:1], points]), step if even else 0.0)
+
+    def cells(self, current: FloatArray) -> NDArray[np.intp]:
+        """Cell of each current, from 0 (before the grid) to M (behind it), shape (n,)."""
+        if self.step == 0.0:
+            return np.searchsorted(self.points, current, side="right")
+        place = (current - (self.points[0] - self.step)) * (1.0 / self.step)
+        # fmin and fmax drop nan, which has no integer; it comes back through the local coordinate.
+        np.fmax(np.fmin(place, float(self.points.size), out=place), 0.0, out=place)
+        return place.astype(np.intp)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FluxMap:
     """Flux linkages over a grid of currents, symmetric in i_q, with C2 splines between the points.
 
-    Outside the grid the flux linkage goes on with the incremental inductances of the edge (C1); `inside` tells where.
+    Outside the grid the flux linkages go on along their tangents, psi + (i - i_edge) d psi/d i per axis: C1, with
+    the incremental inductance of the edge. `inside` tells where the data end.
 
     Parameters
     ----------
@@ -50,6 +99,8 @@ class FluxMap:
         Ascending grid currents in A (peak), shapes (M,) and (N,), at least 4 each; i_q symmetric about 0.
     psi_d, psi_q:
         Flux linkages in Wb (peak), shape (M, N); psi_d even and psi_q odd in i_q.
+    extrapolate:
+        Whether results outside the grid may be used; they are marked wherever they are.
 
     Raises
     ------
@@ -61,78 +112,99 @@ class FluxMap:
     i_q: FloatArray
     psi_d: FloatArray
     psi_q: FloatArray
-    _coefficients: FloatArray = field(init=False, repr=False, compare=False)
+    extrapolate: bool = False
+    _axes: tuple[_Axis, _Axis] = field(init=False, repr=False)
+    _table: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Check the grid and compute the splines once."""
-        for name, axis in (("i_d", self.i_d), ("i_q", self.i_q)):
-            if axis.ndim != 1 or axis.size < _LEAST_POINTS:
-                raise InputError(
-                    f"the flux map needs at least {_LEAST_POINTS} different values of {name}, got {axis.size}"
-                )
-            if not (np.all(np.isfinite(axis)) and np.all(np.diff(axis) > 0.0)):
-                raise InputError(f"the flux map's {name} must be finite and ascend")
-        shape = (self.i_d.size, self.i_q.size)
-        for name, values in (("psi_d", self.psi_d), ("psi_q", self.psi_q)):
-            if values.shape != shape:
-                raise InputError(f"the flux map's {name} has the shape {values.shape}, its axes need {shape}")
-            if not np.all(np.isfinite(values)):
-                row, column = np.argwhere(~np.isfinite(values))[0]
-                where = f"i_d = {self.i_d[row]:g} A, i_q = {self.i_q[column]:g} A"
-                raise InputError(f"the flux map's {name} has a hole at {where}; measure it or leave its row out")
-        cells = [_cell_coefficients(self.i_d, self.i_q, values) for values in (self.psi_d, self.psi_q)]
-        stacked = np.stack(cells, axis=2).reshape(-1, 8, 4)
-        object.__setattr__(self, "_coefficients", np.ascontiguousarray(stacked))
+        """Check the grid, own the arrays and compute the splines once."""
+        for name in ("i_d", "i_q", "psi_d", "psi_q"):
+            owned = np.array(getattr(self, name), dtype=np.float64)
+            owned.flags.writeable = False
+            object.__setattr__(self, name, owned)
+        _check_grid(self.i_d, self.i_q, {"psi_d": self.psi_d, "psi_q": self.psi_q})
+        both = np.stack([self.psi_d, self.psi_q], axis=2)  # (M, N, flux)
+        along_q = np.moveaxis(_piecewise(self.i_q, np.moveaxis(both, 1, 0)), 2, 0)  # (M, power q, cell q, flux)
+        cells = _piecewise(self.i_d, along_q)  # (power d, cell d, power q, cell q, flux)
+        table = np.ascontiguousarray(np.transpose(cells, (1, 3, 2, 0, 4))).reshape(-1, 32)
+        table.flags.writeable = False
+        object.__setattr__(self, "_axes", (_Axis.of(self.i_d), _Axis.of(self.i_q)))
+        object.__setattr__(self, "_table", table)
 
     def inside(self, i_d: FloatArray, i_q: FloatArray) -> NDArray[np.bool_]:
         """Whether currents in A lie on the grid's rectangle, any broadcastable shapes."""
         within_d = (i_d >= self.i_d[0]) & (i_d <= self.i_d[-1])
         return np.asarray(within_d & (i_q >= self.i_q[0]) & (i_q <= self.i_q[-1]))
 
-    def _local(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Coefficient rows of the cells, shape (N, 8, 4), and the currents counted from the cells' corners."""
-        row = np.clip(np.searchsorted(self.i_d, i_d, side="right") - 1, 0, self.i_d.size - 2)
-        column = np.clip(np.searchsorted(self.i_q, i_q, side="right") - 1, 0, self.i_q.size - 2)
-        rows = self._coefficients[row * (self.i_q.size - 1) + column]
-        return rows, i_d - self.i_d[row], i_q - self.i_q[column]
+    def _gather(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Coefficients by powers of q and d, shape (4, 4, flux, n), and the currents counted from the cells' corners."""
+        in_d, in_q = self._axes
+        row, column = in_d.cells(i_d), in_q.cells(i_q)
+        local_d, local_q = i_d - in_d.corners[row], i_q - in_q.corners[column]
+        row *= in_q.corners.size
+        row += column
+        rows = self._table.take(row, axis=0)
+        return np.ascontiguousarray(rows.T).reshape(4, 4, 2, -1), local_d, local_q
 
     def flux(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Flux linkages (psi_d, psi_q) in Wb at currents in A, any broadcastable shapes."""
-        i_d, i_q = np.broadcast_arrays(np.asarray(i_d, dtype=np.float64), np.asarray(i_q, dtype=np.float64))
-        shape = i_d.shape
-        flat_d, flat_q = i_d.ravel(), i_q.ravel()
-        if not np.all(self.inside(flat_d, flat_q)):
-            jet = self.jet(flat_d, flat_q)
-            return jet.psi_d.reshape(shape), jet.psi_q.reshape(shape)
-        rows, local_d, local_q = self._local(flat_d, flat_q)
-        along = np.matmul(rows, _powers(local_q, 1)[:, 0, :, np.newaxis]).reshape(-1, 2, 4)
-        value = np.matmul(along, _powers(local_d, 1)[:, 0, :, np.newaxis])[:, :, 0]
-        return value[:, 0].reshape(shape), value[:, 1].reshape(shape)
+        shape, flat_d, flat_q = _flattened(i_d, i_q)
+        psi = np.empty((2, flat_d.size))
+        for start in range(0, flat_d.size, _CHUNK):
+            part = slice(start, start + _CHUNK)
+            cubics, local_d, local_q = self._gather(flat_d[part], flat_q[part])
+            psi[:, part] = _horner(_horner(cubics, local_q, 0)[0], local_d, 0)[0]
+        return psi[0].reshape(shape), psi[1].reshape(shape)
 
     def jet(self, i_d: FloatArray, i_q: FloatArray) -> FluxJet:
-        """Flux linkages with first and second derivatives at currents in A, arrays of shape (N,)."""
-        near_d, near_q = np.clip(i_d, self.i_d[0], self.i_d[-1]), np.clip(i_q, self.i_q[0], self.i_q[-1])
-        rows, local_d, local_q = self._local(near_d, near_q)
-        along = np.matmul(rows, _powers(local_q, 3).transpose(0, 2, 1)).reshape(-1, 2, 4, 3)
-        table = np.matmul(_powers(local_d, 3)[:, np.newaxis], along)  # (N, flux, order in i_d, order in i_q)
-        beyond_d, beyond_q = i_d - near_d, i_q - near_q
-        keep = ((beyond_d == 0.0) & (beyond_q == 0.0)).astype(np.float64)
-        linear = table[:, :, 1, 0] * beyond_d[:, np.newaxis] + table[:, :, 0, 1] * beyond_q[:, np.newaxis]
-        value = table[:, :, 0, 0] + linear
+        """Flux linkages with first and second derivatives at currents in A, any broadcastable shapes."""
+        shape, flat_d, flat_q = _flattened(i_d, i_q)
+        jet = np.empty((6, 2, flat_d.size))
+        for start in range(0, flat_d.size, _CHUNK):
+            part = slice(start, start + _CHUNK)
+            cubics, local_d, local_q = self._gather(flat_d[part], flat_q[part])
+            value, by_q, by_qq = _horner(cubics, local_q, 2)
+            jet[0, :, part], jet[1, :, part], by_dd = _horner(value, local_d, 2)
+            jet[2, :, part], jet[4, :, part] = _horner(by_q, local_d, 1)
+            np.multiply(by_dd, 2.0, out=jet[3, :, part])
+            np.multiply(_horner(by_qq, local_d, 0)[0], 2.0, out=jet[5, :, part])
+        psi, by_d, by_q, by_dd, by_dq, by_qq = jet.reshape(6, 2, *shape)
         return FluxJet(
-            psi_d=value[:, 0],
-            psi_q=value[:, 1],
-            l_dd=table[:, 0, 1, 0],
-            l_dq=table[:, 0, 0, 1],
-            l_qd=table[:, 1, 1, 0],
-            l_qq=table[:, 1, 0, 1],
-            d_dd=keep * table[:, 0, 2, 0],
-            d_dq=keep * table[:, 0, 1, 1],
-            d_qq=keep * table[:, 0, 0, 2],
-            q_dd=keep * table[:, 1, 2, 0],
-            q_dq=keep * table[:, 1, 1, 1],
-            q_qq=keep * table[:, 1, 0, 2],
+            *psi,
+            l_dd=by_d[0],
+            l_dq=by_q[0],
+            l_qd=by_d[1],
+            l_qq=by_q[1],
+            d_dd=by_dd[0],
+            d_dq=by_dq[0],
+            d_qq=by_qq[0],
+            q_dd=by_dd[1],
+            q_dq=by_dq[1],
+            q_qq=by_qq[1],
         )
+
+
+def _flattened(i_d: FloatArray, i_q: FloatArray) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
+    """Common shape of two arrays of currents, and both as contiguous rows."""
+    i_d, i_q = np.broadcast_arrays(np.asarray(i_d, dtype=np.float64), np.asarray(i_q, dtype=np.float64))
+    return i_d.shape, np.ascontiguousarray(i_d.ravel()), np.ascontiguousarray(i_q.ravel())
+
+
+def _check_grid(i_d: FloatArray, i_q: FloatArray, fluxes: dict[str, FloatArray]) -> None:
+    """Refuse grids that no spline can go through; raises `InputError`."""
+    for name, axis in (("i_d", i_d), ("i_q", i_q)):
+        if axis.ndim != 1 or axis.size < _LEAST_POINTS:
+            raise InputError(f"the flux map needs at least {_LEAST_POINTS} different values of {name}, got {axis.size}")
+        if not (np.all(np.isfinite(axis)) and np.all(np.diff(axis) > 0.0)):
+            raise InputError(f"the flux map's {name} must be finite and ascend")
+    shape = (i_d.size, i_q.size)
+    for name, values in fluxes.items():
+        if values.shape != shape:
+            raise InputError(f"the flux map's {name} has the shape {values.shape}, its axes need {shape}")
+        if not np.all(np.isfinite(values)):
+            row, column = np.argwhere(~np.isfinite(values))[0]
+            where = f"i_d = {i_d[row]:g} A, i_q = {i_q[column]:g} A"
+            raise InputError(f"the flux map's {name} has a hole at {where}; measure it or leave its row out")
 
 
 def complete_by_symmetry(
@@ -160,7 +232,7 @@ def complete_by_symmetry(
 
 
 @dataclass(frozen=True, slots=True)
-class SaturatedMachine:
+class SaturatedMachine(MachineFormulas):
     """A machine whose flux linkages are a map; parameters as in `LinearMachine`, but for ``flux_map``."""
 
     pole_pairs: int
@@ -200,6 +272,42 @@ class SaturatedMachine:
         """Flux linkages with first and second derivatives at currents in A, arrays of shape (N,)."""
         return self.flux_map.jet(i_d, i_q)
 
-    def torque(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
-        """Torque in N m at currents in A, any broadcastable shapes."""
-        return torque_from_flux(self.pole_pairs, *self.flux(i_d, i_q), i_d, i_q)
+
+@dataclass(frozen=True, slots=True)
+class Inductances:
+    """Inductances at operating points, arrays of the shape of the currents.
+
+    Incremental, in H: ``l_dd`` = d psi_d/d i_d, ``l_dq`` = d psi_d/d i_q, ``l_qd`` = d psi_q/d i_d, ``l_qq`` =
+    d psi_q/d i_q. Apparent: psi_d = ``psi_m`` + ``l_d`` i_d and psi_q = ``l_q`` i_q, with ``psi_m`` (Wb) the d flux
+    linkage at i_d = 0 and the same i_q; at zero current they pass into the incremental ones.
+    """
+
+    l_dd: FloatArray
+    l_dq: FloatArray
+    l_qd: FloatArray
+    l_qq: FloatArray
+    psi_m: FloatArray
+    l_d: FloatArray
+    l_q: FloatArray
+
+
+def inductances(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> Inductances:
+    """Incremental and apparent inductances of any machine at currents in A, shape (N,)."""
+    here = machine.jet(i_d, i_q)
+    at_no_d, at_no_q = machine.jet(np.zeros_like(i_d), i_q), machine.jet(i_d, np.zeros_like(i_q))
+    small = _SMALL_CURRENT * machine.i_max
+    return Inductances(
+        here.l_dd,
+        here.l_dq,
+        here.l_qd,
+        here.l_qq,
+        at_no_d.psi_d,
+        _quotient(here.psi_d - at_no_d.psi_d, i_d, at_no_d.l_dd + 0.5 * at_no_d.d_dd * i_d, small),
+        _quotient(here.psi_q, i_q, at_no_q.l_qq + 0.5 * at_no_q.q_qq * i_q, small),
+    )
+
+
+def _quotient(flux: FloatArray, current: FloatArray, series: FloatArray, small: float) -> FloatArray:
+    """Flux over current, or the series about zero current where the quotient has no digits."""
+    tiny = np.abs(current) < small
+    return np.where(tiny, series, flux / np.where(tiny, 1.0, current))

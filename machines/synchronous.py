@@ -112,9 +112,53 @@ class Machine(Protocol):
         """Flux linkages with first and second derivatives at currents in A, arrays of shape (N,)."""
         ...
 
+    @property
+    def saliency(self) -> float:
+        """Inductance difference l_q - l_d in H."""
+        ...
+
+    @property
+    def torque_per_ampere(self) -> float:
+        """Torque per ampere of i_q at zero current, 3/2 p psi_pm, in N m/A (peak)."""
+        ...
+
+    def torque(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Torque in N m at currents in A, any broadcastable shapes."""
+        ...
+
+    def voltage(self, i_d: FloatArray, i_q: FloatArray, omega_e: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Steady-state voltages (v_d, v_q) in V at currents in A and electrical speed in rad/s."""
+        ...
+
+
+class MachineFormulas:
+    """What follows from flux linkage, resistance and pole pairs alike in every machine model; a base for models."""
+
+    __slots__ = ()
+
+    @property
+    def saliency(self: Machine) -> float:
+        """Inductance difference l_q - l_d in H; positive for the usual interior-magnet machine."""
+        return self.l_q - self.l_d
+
+    @property
+    def torque_per_ampere(self: Machine) -> float:
+        """Torque per ampere of i_q at zero current, 3/2 p psi_pm, in N m/A (peak)."""
+        return 1.5 * self.pole_pairs * self.psi_pm
+
+    def torque(self: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Torque in N m at currents in A, any broadcastable shapes."""
+        psi_d, psi_q = self.flux(i_d, i_q)
+        return torque_from_flux(self.pole_pairs, psi_d, psi_q, i_d, i_q)
+
+    def voltage(self: Machine, i_d: FloatArray, i_q: FloatArray, omega_e: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Steady-state voltages (v_d, v_q) in V at currents in A and electrical speed in rad/s (paper 000, (1))."""
+        psi_d, psi_q = self.flux(i_d, i_q)
+        return self.r_s * i_d - omega_e * psi_q, self.r_s * i_q + omega_e * psi_d
+
 
 @dataclass(frozen=True, slots=True)
-class LinearMachine:
+class LinearMachine(MachineFormulas):
     """A permanent-magnet or reluctance machine with constant inductances.
 
     Parameters
@@ -147,16 +191,6 @@ class LinearMachine:
     friction: float = 0.0
     omega_m_max: float | None = None
 
-    @property
-    def saliency(self) -> float:
-        """Inductance difference l_q - l_d in H; positive for the usual interior-magnet machine."""
-        return self.l_q - self.l_d
-
-    @property
-    def torque_per_ampere(self) -> float:
-        """Magnet torque per ampere of i_q, 3/2 p psi_pm, in N m/A (peak)."""
-        return 1.5 * self.pole_pairs * self.psi_pm
-
     def flux(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Flux linkages (psi_d, psi_q) in Wb at currents in A, any shape."""
         return self.psi_pm + self.l_d * i_d, self.l_q * i_q
@@ -167,13 +201,3 @@ class LinearMachine:
         psi_d, psi_q = self.flux(i_d, i_q)
         l_d, l_q = zero + self.l_d, zero + self.l_q
         return FluxJet(psi_d, psi_q, l_d, zero, zero, l_q, zero, zero, zero, zero, zero, zero)
-
-    def torque(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
-        """Torque in N m at currents in A, any broadcastable shapes."""
-        psi_d, psi_q = self.flux(i_d, i_q)
-        return torque_from_flux(self.pole_pairs, psi_d, psi_q, i_d, i_q)
-
-    def voltage(self, i_d: FloatArray, i_q: FloatArray, omega_e: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Steady-state voltages (v_d, v_q) in V at currents in A and electrical speed in rad/s (paper 000, (1))."""
-        psi_d, psi_q = self.flux(i_d, i_q)
-        return self.r_s * i_d - omega_e * psi_q, self.r_s * i_q + omega_e * psi_d

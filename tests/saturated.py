@@ -8,11 +8,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dqforge.machines.synchronous import FloatArray, FluxJet
+from dqforge.machines.synchronous import FloatArray, FluxJet, MachineFormulas
 
 
 @dataclass(frozen=True)
-class ArctanMachine:
+class ArctanMachine(MachineFormulas):
     """Cross-saturated: psi_d = psi_m + a_d atan(i_d/b_d) - c i_q^2, psi_q = a_q atan(i_q/b_q) - 2 c i_d i_q."""
 
     pole_pairs: int = 3
