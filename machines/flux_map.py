@@ -79,11 +79,12 @@ class _Axis:
     def cells(self, current: FloatArray) -> NDArray[np.intp]:
         """Cell of each current, from 0 (before the grid) to M (behind it), shape (n,)."""
         if self.step == 0.0:
-            return np.searchsorted(self.points, current, side="right")
+            return np.searchsorted(self.points, current, side="right").astype(np.intp, copy=False)
         place = (current - (self.points[0] - self.step)) * (1.0 / self.step)
         # fmin and fmax drop nan, which has no integer; it comes back through the local coordinate.
         np.fmax(np.fmin(place, float(self.points.size), out=place), 0.0, out=place)
-        return place.astype(np.intp)
+        cells: NDArray[np.intp] = place.astype(np.intp)
+        return cells
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +138,7 @@ class FluxMap:
         return np.asarray(within_d & (i_q >= self.i_q[0]) & (i_q <= self.i_q[-1]))
 
     def _gather(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Coefficients by powers of q and d, shape (4, 4, flux, n), and the currents counted from the cells' corners."""
+        """Coefficients by powers of q and d, shape (4, 4, 2, n), and the currents counted from the cells' corners."""
         in_d, in_q = self._axes
         row, column = in_d.cells(i_d), in_q.cells(i_q)
         local_d, local_q = i_d - in_d.corners[row], i_q - in_q.corners[column]
@@ -170,7 +171,8 @@ class FluxMap:
             np.multiply(_horner(by_qq, local_d, 0)[0], 2.0, out=jet[5, :, part])
         psi, by_d, by_q, by_dd, by_dq, by_qq = jet.reshape(6, 2, *shape)
         return FluxJet(
-            *psi,
+            psi_d=psi[0],
+            psi_q=psi[1],
             l_dd=by_d[0],
             l_dq=by_q[0],
             l_qd=by_d[1],

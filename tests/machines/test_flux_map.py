@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from saturated import ArctanMachine
 from scipy.interpolate import RectBivariateSpline
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.flux_map import FluxMap, SaturatedMachine, complete_by_symmetry
-from dqforge.machines.synchronous import FloatArray
+from dqforge.machines.flux_map import FluxMap, SaturatedMachine, complete_by_symmetry, inductances
+from dqforge.machines.synchronous import FloatArray, LinearMachine
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points import optimal_points
 
@@ -78,6 +80,109 @@ def test_outside_the_grid_the_inductance_of_the_edge_goes_on() -> None:
     assert flux_map.flux(np.array([90.0]), np.array([20.0]))[0][0] == beyond.psi_d[0]
 
 
+@pytest.mark.parametrize("even", [True, False])
+@pytest.mark.parametrize("place", [(-180.0, 20.0), (75.0, -40.0), (10.0, 150.0), (-10.0, -131.0), (80.0, 140.0)])
+def test_derivatives_outside_are_those_of_the_continuation(place: tuple[float, float], even: bool) -> None:
+    axis = AXIS_D if even else -150.0 + 210.0 * np.linspace(0.0, 1.0, 22) ** 1.3
+    flux_map = arctan_map(axis)
+    step = 1e-3
+
+    def flux(d: float, q: float) -> FloatArray:
+        return np.array(flux_map.flux(np.array(d), np.array(q)))
+
+    d, q = place
+    jet = flux_map.jet(np.array([d]), np.array([q]))
+    by_d = (flux(d + step, q) - flux(d - step, q)) / (2 * step)
+    by_q = (flux(d, q + step) - flux(d, q - step)) / (2 * step)
+    by_qq = (flux(d, q + step) - 2 * flux(d, q) + flux(d, q - step)) / step**2
+    np.testing.assert_allclose([jet.l_dd[0], jet.l_qd[0]], by_d, rtol=1e-6, atol=1e-11)
+    np.testing.assert_allclose([jet.l_dq[0], jet.l_qq[0]], by_q, rtol=1e-6, atol=1e-11)
+    np.testing.assert_allclose([jet.d_qq[0], jet.q_qq[0]], by_qq, rtol=1e-3, atol=1e-9)
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_flux_and_inductance_have_no_step_at_the_edge(even: bool) -> None:
+    axis = AXIS_D if even else -150.0 + 210.0 * np.linspace(0.0, 1.0, 22) ** 1.3
+    flux_map = arctan_map(axis)
+    q = np.linspace(-140.0, 140.0, 57)
+    for edge in (axis[0], axis[-1]):
+        sides = [flux_map.jet(np.full_like(q, edge + side), q) for side in (-1e-9, 1e-9)]
+        for name in ("psi_d", "psi_q", "l_dd", "l_dq", "l_qd", "l_qq"):
+            np.testing.assert_allclose(getattr(sides[0], name), getattr(sides[1], name), rtol=1e-9, atol=1e-13)
+
+
+def test_flux_and_jet_agree_over_several_chunks_and_nan_passes_through() -> None:
+    flux_map = arctan_map()
+    generator = np.random.default_rng(3)
+    d, q = generator.uniform(-200, 100, 5000), generator.uniform(-180, 180, 5000)
+    d[7], q[4500] = np.nan, np.nan
+    d[8], q[9] = 1e300, -1e300
+    jet, (psi_d, psi_q) = flux_map.jet(d, q), flux_map.flux(d, q)
+    np.testing.assert_array_equal(jet.psi_d, psi_d)
+    np.testing.assert_array_equal(jet.psi_q, psi_q)
+    assert np.flatnonzero(np.isnan(psi_d)).tolist() == [7, 4500]
+    assert flux_map.jet(np.zeros(0), np.zeros(0)).q_qq.shape == (0,)
+    assert flux_map.jet(np.zeros((2, 1)), np.zeros(3)).d_dq.shape == (2, 3)
+
+
+def test_uneven_and_even_axes_give_the_same_splines() -> None:
+    """A map on even points, found by arithmetic, and the same with one axis moved by less than anything matters."""
+    moved = AXIS_D.copy()
+    moved[5] += 1e-6
+    even, uneven = arctan_map(), arctan_map(moved)
+    generator = np.random.default_rng(4)
+    d, q = generator.uniform(-160, 70, 400), generator.uniform(-140, 140, 400)
+    np.testing.assert_allclose(even.flux(d, q), uneven.flux(d, q), rtol=1e-7, atol=1e-10)
+
+
+def test_the_map_owns_its_arrays() -> None:
+    psi_d, psi_q = ArctanMachine().flux(AXIS_D[:, np.newaxis], AXIS_Q[np.newaxis, :])
+    flux_map = FluxMap(AXIS_D, AXIS_Q, psi_d, psi_q)
+    before = flux_map.flux(np.zeros(1), np.ones(1))[0][0]
+    psi_d += 1.0
+    assert flux_map.flux(np.zeros(1), np.ones(1))[0][0] == before
+    with pytest.raises(ValueError, match="read-only"):
+        flux_map.psi_d[0, 0] = 0.0
+
+
+def test_machine_offers_what_the_linear_one_does() -> None:
+    """A map of constant inductances is the linear machine: flux, torque, voltage, saliency, torque per ampere."""
+    linear = LinearMachine(4, 0.02, 350e-6, 592e-6, 0.1049, 100.0, inertia=0.05, friction=1e-3, omega_m_max=900.0)
+    psi_d, psi_q = np.broadcast_arrays(*linear.flux(AXIS_D[:, np.newaxis], AXIS_Q))
+    saturated = SaturatedMachine(4, 0.02, FluxMap(AXIS_D, AXIS_Q, psi_d, psi_q), 100.0, 0.05, 1e-3, 900.0)
+    generator = np.random.default_rng(5)
+    d, q, omega = (generator.uniform(-90.0, 50.0, 50) for _ in range(3))
+    for name in ("psi_pm", "l_d", "l_q", "saliency", "torque_per_ampere", "inertia", "friction", "omega_m_max"):
+        assert getattr(saturated, name) == pytest.approx(getattr(linear, name), rel=1e-9), name
+    np.testing.assert_allclose(saturated.torque(d, q), linear.torque(d, q), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(saturated.voltage(d, q, omega), linear.voltage(d, q, omega), rtol=1e-9, atol=1e-9)
+    table = inductances(saturated, np.append(d, 0.0), np.append(q, 0.0))
+    for name, expected in (("l_d", 350e-6), ("l_q", 592e-6), ("l_dd", 350e-6), ("psi_m", 0.1049)):
+        np.testing.assert_allclose(getattr(table, name), expected, rtol=1e-8)
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+def test_apparent_inductances_make_up_the_flux(share_d: float, share_q: float) -> None:
+    machine = SaturatedMachine(3, 0.05, arctan_map(), 120.0)
+    d, q = np.array([60.0 * share_d]), np.array([120.0 * share_q])
+    table, (psi_d, psi_q) = inductances(machine, d, q), machine.flux(d, q)
+    assert table.psi_m[0] + table.l_d[0] * d[0] == pytest.approx(psi_d[0], rel=1e-9)
+    assert table.l_q[0] * q[0] == pytest.approx(psi_q[0], rel=1e-9, abs=1e-13)
+    # The chord's slope lies within those of the tangents.
+    slopes = machine.jet(np.linspace(0.0, d[0], 201), np.full(201, q[0])).l_dd
+    assert np.min(slopes) * (1 - 1e-3) <= table.l_d[0] <= np.max(slopes) * (1 + 1e-3)
+
+
+def test_apparent_inductances_are_smooth_through_zero() -> None:
+    machine = SaturatedMachine(3, 0.05, arctan_map(), 120.0)
+    small = 1e-5 * 120.0
+    around = np.array([-2.0, -1.01, -0.99, -1e-8, 0.0, 0.5, 0.99, 1.01, 2.0]) * small
+    l_d = inductances(machine, around, np.full_like(around, 30.0)).l_d
+    l_q = inductances(machine, np.full_like(around, 20.0), around).l_q
+    assert np.ptp(l_d) < 1e-6 * l_d[0]
+    assert np.ptp(l_q) < 1e-6 * l_q[0]
+
+
 def test_flux_keeps_the_shape_of_its_arguments() -> None:
     psi_d, psi_q = arctan_map().flux(np.zeros((3, 1)), np.zeros(4))
     assert psi_d.shape == psi_q.shape == (3, 4)
@@ -107,8 +212,9 @@ def test_symmetry_completes_half_planes_and_averages_full_ones() -> None:
 )
 def test_grids_that_cannot_be_are_refused(damage: dict[str, FloatArray], phrase: str) -> None:
     good = {"i_d": AXIS_D, "i_q": AXIS_Q, "psi_d": np.zeros((22, 27)), "psi_q": np.zeros((22, 27))}
+    grid = good | damage
     with pytest.raises(InputError, match=phrase):
-        FluxMap(**(good | damage))
+        FluxMap(grid["i_d"], grid["i_q"], grid["psi_d"], grid["psi_q"])
 
 
 def test_machine_reads_its_properties_at_zero_current(baldor: SaturatedMachine) -> None:
