@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.modulation import linear_limit
 from dqforge.machines.settings import ModulationName
-from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine, copper_loss
+from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
 from dqforge.optimizer.feasible_region import least_flux_current, make_limits
-from dqforge.optimizer.loss_budget import loss_budget
-from dqforge.optimizer.mtpa_locus import mtpa_locus
-from dqforge.optimizer.operating_points import OptimalPoints, optimal_points
+from dqforge.optimizer.local_terms import LossCoefficients
+from dqforge.optimizer.loss_model import NO_EXTRA_LOSS, DriveLosses, MachineLoss, drive_losses
+from dqforge.optimizer.mtpa_locus import MtpaLocus, mtpa_locus
+from dqforge.optimizer.operating_points import Active, OptimalPoints, optimal_points
 
 _FASTEST = 1e6
 """Electrical speed in rad/s beyond which a machine is said to have no largest speed."""
+
+_FAR = 10.0
+"""Multiple of the base speed up to which the largest power of a machine without largest speed is looked for."""
+
+_MTPV_POINTS = 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +32,8 @@ class Characteristics:
     ``torque_max`` in N m at low speed; ``base_speed`` in rad/s (mechanical), where it meets the voltage limit;
     ``characteristic_current`` in A whose d-axis flux cancels the magnet (None without magnet, or beyond a map);
     ``speed_max`` in rad/s up to which the voltage limit can be kept (None where there is no end); ``power_max`` in W,
-    the largest mechanical power found, at ``power_speed`` in rad/s.
+    the largest mechanical power up to the speed that the machine's mechanics, or else ``speed_max``, permits (or ten
+    times the base speed), at ``power_speed`` in rad/s.
     """
 
     torque_max: float
@@ -51,35 +58,63 @@ class VoltageLimit:
 class OperatingMap:
     """Operating points over a grid of N torques (N m) and M mechanical speeds (rad/s), arrays of shape (N, M).
 
-    ``points`` holds them row by row as arrays of shape (N M,). ``loss`` in W is copper loss, and with a device
-    conduction and switching loss, too; ``efficiency`` is mechanical power over itself plus loss, NaN where the torque
-    is not reached or there is no power.
+    ``points`` and ``losses`` hold them row by row as arrays of shape (N M,). ``efficiency`` as `efficiency` defines it,
+    NaN where the torque is not reached.
     """
 
     torque: FloatArray
     omega_m: FloatArray
     points: OptimalPoints
-    loss: FloatArray
+    losses: DriveLosses
     efficiency: FloatArray
-    with_inverter: bool
+
+    @property
+    def loss(self) -> FloatArray:
+        """Total loss in W, shape (N, M): machine, and with a device the inverter, too."""
+        return self.losses.total.reshape(self.efficiency.shape)
+
+    @property
+    def with_inverter(self) -> bool:
+        """Whether conduction and switching loss are counted."""
+        return self.losses.with_inverter
 
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """Largest motoring torque over speed: points of shape (N,), their speeds ascending.
+    """Largest torque over speed: points of shape (N,), their speeds ascending.
 
-    ``weakening_torque`` in N m and ``weakening_speed`` in rad/s, shape (L,), are the line along which the MTPA currents
-    take the voltage limit: to its right the field is weakened.
+    ``points`` are those of most motoring torque, ``braking`` those of most torque against the rotation, at the same
+    speeds. ``weakening_torque`` in N m and ``weakening_speed`` in rad/s, shape (L,), are the line along which the MTPA
+    currents take the voltage limit: to its right the field is weakened.
     """
 
     points: OptimalPoints
+    braking: OptimalPoints
     weakening_torque: FloatArray
     weakening_speed: FloatArray
 
     @property
     def power(self) -> FloatArray:
-        """Mechanical power in W, shape (N,)."""
+        """Mechanical power of motoring in W, shape (N,)."""
         return self.points.torque * self.points.omega_m
+
+    @property
+    def braking_power(self) -> FloatArray:
+        """Mechanical power of braking in W, shape (N,), negative: it flows into the machine."""
+        return self.braking.torque * self.braking.omega_m
+
+
+@dataclass(frozen=True, slots=True)
+class Loci:
+    """Lines in the plane of currents that bound what is sensible.
+
+    ``i_max`` in A is the radius of the current limit, ``mtpa`` the locus of most torque per current up to it, ``mtpv``
+    the points of most torque per voltage within it by ascending speed, shape (K,), K = 0 where there are none.
+    """
+
+    i_max: float
+    mtpa: MtpaLocus
+    mtpv: OptimalPoints
 
 
 def limit_speed(machine: Machine, i_d: FloatArray, i_q: FloatArray, v_max: float) -> FloatArray:
@@ -128,11 +163,78 @@ def _characteristic_current(machine: Machine, i_max: float) -> float | None:
 
 
 def envelope(machine: Machine, v_max: float, omega_m: FloatArray, i_max: float | None = None) -> Envelope:
-    """Largest motoring torque at mechanical speeds in rad/s, shape (N,), for a phase-voltage limit in V."""
+    """Largest torques at mechanical speeds in rad/s, shape (N,), for a phase-voltage limit in V.
+
+    `envelope_speeds` makes speeds that show every kink.
+    """
     limit = machine.i_max if i_max is None else i_max
     locus = mtpa_locus(machine, limit)
-    points = optimal_points(machine, 2.0 * float(locus.torque[-1]), omega_m, v_max=v_max, i_max=limit)
-    return Envelope(points, locus.torque, limit_speed(machine, locus.i_d, locus.i_q, v_max))
+    beyond = 2.0 * float(locus.torque[-1])
+    points = optimal_points(machine, beyond, omega_m, v_max=v_max, i_max=limit)
+    braking = optimal_points(machine, -beyond, omega_m, v_max=v_max, i_max=limit)
+    return Envelope(points, braking, locus.torque, limit_speed(machine, locus.i_d, locus.i_q, v_max))
+
+
+def limit_changes(
+    machine: Machine, v_max: float, omega_m: FloatArray, i_max: float, *, sign: float = 1.0
+) -> FloatArray:
+    """Speeds in rad/s where what holds the most torque changes, shape (K,): the kinks of the envelope.
+
+    ``omega_m`` is a grid of ascending speeds in rad/s fine enough to part the changes; each is then narrowed to
+    rounding. ``sign`` is 1 for motoring and -1 for braking torque at positive speeds.
+    """
+    beyond = sign * 2.0 * float(mtpa_locus(machine, i_max).torque[-1])
+
+    def held(speed: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.int8]]:
+        found = optimal_points(machine, beyond, speed.ravel(), v_max=v_max, i_max=i_max)
+        return found.active.reshape(speed.shape)
+
+    before = np.flatnonzero(np.diff(held(omega_m)))
+    low, high = omega_m[before], omega_m[before + 1]
+    rows, share = np.arange(before.size), np.linspace(0.0, 1.0, 33)
+    for _ in range(9 if before.size else 0):
+        trial = low[:, np.newaxis] + (high - low)[:, np.newaxis] * share
+        codes = held(trial)
+        last = np.maximum(np.argmax(codes != codes[:, :1], axis=1), 1)
+        low, high = trial[rows, last - 1], trial[rows, last]
+    return high
+
+
+def envelope_speeds(machine: Machine, v_max: float, fastest: float, i_max: float, count: int = 241) -> FloatArray:
+    """Evenly spaced speeds from 0 to ``fastest`` rad/s, and the kinks of both envelopes among them, ascending."""
+    even = np.linspace(0.0, fastest, count)
+    kinks = [limit_changes(machine, v_max, even, i_max, sign=sign) for sign in (1.0, -1.0)]
+    return np.unique(np.concatenate([even, *kinks]))
+
+
+def loci(machine: Machine, v_max: float, i_max: float | None = None) -> Loci:
+    """Loci of a machine for a phase-voltage limit in V and a current limit in A (peak; its own when None).
+
+    MTPV points run from the speed at which they first come within the current limit to the largest speed, or to a
+    hundred times the first where there is none.
+    """
+    limit = machine.i_max if i_max is None else i_max
+    locus = mtpa_locus(machine, limit)
+    beyond = 2.0 * float(locus.torque[-1])
+    base = float(limit_speed(machine, locus.i_d[-1:], locus.i_q[-1:], v_max)[0])
+    last = _largest_speed(machine, v_max, limit)
+    end = 1e3 * base if last is None else last / machine.pole_pairs
+    grid = np.geomspace(max(base, 1e-6 * end), end, 257) if end > 0.0 else np.zeros(1)
+    speeds = np.unique(np.concatenate([grid, limit_changes(machine, v_max, grid, limit)]))
+    found = optimal_points(machine, beyond, speeds, v_max=v_max, i_max=limit)
+    touching = found.omega_m[found.active == Active.MTPV]
+    if touching.size == 0:
+        return Loci(limit, locus, _chosen(found, found.active == Active.MTPV))
+    first = float(touching[0])
+    # The flux linkage shrinks with 1/omega, so that even steps of that space the points evenly in the plane.
+    spaced = 1.0 / np.linspace(1.0 / first, 1.0 / min(end, 100.0 * first), _MTPV_POINTS)
+    points = optimal_points(machine, beyond, spaced, v_max=v_max, i_max=limit)
+    return Loci(limit, locus, _chosen(points, points.active == Active.MTPV))
+
+
+def _chosen(points: OptimalPoints, mask: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> OptimalPoints:
+    """Some of the points, shape (K,)."""
+    return OptimalPoints(**{field.name: getattr(points, field.name)[mask] for field in fields(OptimalPoints)})
 
 
 def characteristics(machine: Machine, v_max: float, i_max: float | None = None) -> Characteristics:
@@ -142,18 +244,32 @@ def characteristics(machine: Machine, v_max: float, i_max: float | None = None) 
     base_speed = float(limit_speed(machine, locus.i_d[-1:], locus.i_q[-1:], v_max)[0])
     last = _largest_speed(machine, v_max, limit)
     speed_max = None if last is None else last / machine.pole_pairs
-    fastest = 10.0 * base_speed if speed_max is None else speed_max
-    speeds = np.unique(np.concatenate([np.linspace(0.0, fastest, 400), np.linspace(base_speed, 3 * base_speed, 200)]))
-    power = envelope(machine, v_max, speeds[speeds <= fastest], limit)
-    best = int(np.argmax(power.power))
+    ends = [speed for speed in (machine.omega_m_max, speed_max) if speed is not None]
+    power_max, power_speed = _largest_power(
+        machine, v_max, limit, 2.0 * float(locus.torque[-1]), min(ends, default=_FAR * base_speed), base_speed
+    )
     return Characteristics(
         torque_max=float(locus.torque[-1]),
         base_speed=base_speed,
         characteristic_current=_characteristic_current(machine, limit),
         speed_max=speed_max,
-        power_max=float(power.power[best]),
-        power_speed=float(power.points.omega_m[best]),
+        power_max=power_max,
+        power_speed=power_speed,
     )
+
+
+def _largest_power(
+    machine: Machine, v_max: float, i_max: float, beyond: float, fastest: float, base_speed: float
+) -> tuple[float, float]:
+    """Largest mechanical power in W up to ``fastest`` rad/s, and its speed; ``beyond`` is a torque above all others."""
+    near = np.linspace(base_speed, min(3.0 * base_speed, fastest), 100) if base_speed < fastest else np.zeros(0)
+    speeds = np.unique(np.concatenate([np.linspace(0.0, fastest, 300), near]))
+    for _ in range(4):
+        power = optimal_points(machine, beyond, speeds, v_max=v_max, i_max=i_max).torque * speeds
+        best = int(np.argmax(power))
+        found = float(power[best]), float(speeds[best])
+        speeds = np.linspace(speeds[max(best - 1, 0)], speeds[min(best + 1, speeds.size - 1)], 41)
+    return found
 
 
 def voltage_limit(inverter: Inverter, modulation: ModulationName, margin: float = 0.0) -> VoltageLimit:
@@ -162,40 +278,50 @@ def voltage_limit(inverter: Inverter, modulation: ModulationName, margin: float 
     return VoltageLimit(modulation, inverter.v_dc, margin, v_max)
 
 
+def efficiency(power: FloatArray, loss: FloatArray) -> FloatArray:
+    """Power out over power in, any one shape, for mechanical power (negative: generating) and loss in W.
+
+    Motoring P / (P + L), generating (|P| - L) / |P|; NaN without power, and where a generating machine loses more than
+    the shaft brings, so that nothing comes out at either end.
+    """
+    size = np.abs(power)
+    useful = (power > 0.0) | ((power < 0.0) & (loss <= size))
+    put_in = np.where(power > 0.0, power + loss, size)
+    given_out = np.where(power > 0.0, power, size - loss)
+    return np.where(useful, given_out / np.where(useful, put_in, 1.0), np.nan)
+
+
 def operating_map(
-    machine: LinearMachine,
+    machine: Machine,
     inverter: Inverter,
     limit: VoltageLimit,
     torque: FloatArray,
     omega_m: FloatArray,
     i_max: float,
+    *,
+    loss: LossCoefficients | None = None,
+    extra: MachineLoss = NO_EXTRA_LOSS,
 ) -> OperatingMap:
-    """Least-copper-loss points over a grid, with the losses of the drive at them.
+    """Least-loss points over a grid, with the losses of the drive at them.
 
     Parameters
     ----------
     machine, inverter, limit:
         The drive, and the voltage limit of its modulator.
     torque, omega_m:
-        Torques in N m, shape (N,), and mechanical speeds in rad/s, shape (M,).
+        Torques in N m, shape (N,), and mechanical speeds in rad/s, shape (M,), of any sign.
     i_max:
         Current limit in A (peak).
+    loss:
+        What is minimised, from `loss_coefficients` at the speeds, shape (M,); copper loss when None.
+    extra:
+        AC copper and iron loss, counted in the losses; ``loss`` says whether they are minimised, too.
     """
     wanted, speed = np.meshgrid(torque, omega_m, indexing="ij")
-    points = optimal_points(machine, wanted, speed, v_max=limit.v_max, i_max=i_max)
-    loss = copper_loss(machine.r_s, points.i_d, points.i_q)
-    if inverter.device is not None:
-        drive = (points.i_d, points.i_q, points.omega_m)
-        loss = loss_budget(machine, inverter, *drive, limit.modulation, on_runaway="mark").total
-    power = points.torque * points.omega_m
-    useful = points.reached & (power > 0.0)
-    efficiency = np.full(power.size, np.nan)
-    efficiency[useful] = power[useful] / (power[useful] + loss[useful])
-    return OperatingMap(
-        torque,
-        omega_m,
-        points,
-        loss.reshape(wanted.shape),
-        efficiency.reshape(wanted.shape),
-        inverter.device is not None,
+    points = optimal_points(machine, wanted, speed, v_max=limit.v_max, i_max=i_max, loss=loss)
+    losses = drive_losses(
+        machine, inverter, points.i_d, points.i_q, points.omega_m, modulation=limit.modulation, extra=extra
     )
+    share = efficiency(points.torque * points.omega_m, losses.total)
+    share = np.where(points.reached, share, np.nan).reshape(wanted.shape)
+    return OperatingMap(torque, omega_m, points, losses, share)

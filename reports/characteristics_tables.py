@@ -7,7 +7,9 @@ import math
 import numpy as np
 
 from dqforge.machines.design import Design
-from dqforge.optimizer.characteristics import Characteristics, Envelope, OperatingMap, VoltageLimit
+from dqforge.optimizer.characteristics import Characteristics, Envelope, Loci, OperatingMap, VoltageLimit, efficiency
+from dqforge.optimizer.loss_model import DriveLosses
+from dqforge.optimizer.mtpa_locus import MtpaLocus
 from dqforge.optimizer.operating_points import Active, OptimalPoints
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.tables import Table
@@ -17,7 +19,8 @@ _ENVELOPE_ROWS = 13
 
 
 def _number(value: float) -> str:
-    return f"{value + 0.0:.4g}"
+    """Four digits, no exponent up to ten millions."""
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value + 0.0:.4g}"
 
 
 def _limit_note(limit: VoltageLimit) -> str:
@@ -49,6 +52,82 @@ def points_tables(design: Design, points: OptimalPoints, limit: VoltageLimit) ->
     return [Table(f"{design.name}: least copper loss within the limits", columns, rows, notes)]
 
 
+_HELD_BY = {
+    Active.NONE: "nothing: the unlimited optimum",
+    Active.VOLTAGE: "voltage: the field is weakened",
+    Active.CURRENT: "current",
+    Active.BOTH: "current and voltage",
+    Active.MTPV: "voltage: most torque per volt (MTPV)",
+    Active.UNREACHABLE: "voltage: no current keeps it",
+}
+
+
+def _watts(value: float) -> str:
+    return f"{value:.4g} W" if math.isfinite(value) else "none"
+
+
+def _loss_rows(losses: DriveLosses) -> list[tuple[str, str]]:
+    """Rows of the first point; without device data the inverter is left out."""
+    rows = [("copper loss", _watts(float(losses.copper[0])))]
+    if losses.with_inverter:
+        rows += [
+            ("conduction loss", _watts(float(losses.conduction[0]))),
+            ("switching loss", _watts(float(losses.switching[0]))),
+            ("total loss", _watts(float(losses.total[0]))),
+            ("junction", f"{losses.junction_temperature[0]:.4g} degC"),
+        ]
+    return rows
+
+
+def point_tables(
+    design: Design, points: OptimalPoints, losses: DriveLosses, most: OptimalPoints, limit: VoltageLimit
+) -> list[Table]:
+    """One operating point in detail; ``most`` is the most torque in its direction at its speed."""
+    torque, voltage = float(points.torque[0]), float(points.voltage[0])
+    power = points.torque * points.omega_m
+    share = float(efficiency(power, losses.total)[0])
+    short = "" if points.reached[0] else " (no more)"
+    current = float(np.hypot(points.i_d[0], points.i_q[0]))
+    rows = [
+        ("speed", f"{_number(points.omega_m[0] * _RPM)} rpm"),
+        ("torque asked for", f"{_number(points.torque_request[0])} N m"),
+        ("torque", f"{_number(torque)} N m{short}"),
+        ("held by", _HELD_BY[Active(int(points.active[0]))]),
+        ("i_d, i_q", f"{_number(points.i_d[0])} A, {_number(points.i_q[0])} A"),
+        ("current", f"{current:.4g} A, {100.0 * current / design.i_max:.3g} % of the limit"),
+        ("phase voltage", f"{voltage:.4g} V, {100.0 * voltage / limit.v_max:.3g} % of the limit"),
+        ("mechanical power", f"{_number(float(power[0]) * 1e-3)} kW"),
+        *_loss_rows(losses),
+        ("efficiency", f"{100.0 * share:.2f} %" if math.isfinite(share) else "none"),
+        ("most torque here", f"{_number(most.torque[0])} N m, held by {_HELD_BY[Active(int(most.active[0]))]}"),
+        ("optimality residual", f"{points.kkt_residual[0]:.1e} (relative)"),
+    ]
+    notes = ("currents and voltages are peak of phase", _limit_note(limit))
+    return [Table(f"{design.name}: operating point of least copper loss", ("", ""), tuple(rows), notes)]
+
+
+def _envelope_rows(envelope: Envelope) -> tuple[tuple[str, ...], ...]:
+    """Rows at even speeds and where what holds the most torque changes."""
+    points, braking = envelope.points, envelope.braking
+    even = np.linspace(points.omega_m[0], points.omega_m[-1], _ENVELOPE_ROWS)
+    near = np.abs(points.omega_m[:, np.newaxis] - even).argmin(axis=0)
+    changes = np.flatnonzero(np.diff(points.active)) + 1
+    return tuple(
+        (
+            _number(points.omega_m[k] * _RPM),
+            _number(points.torque[k]),
+            _number(envelope.power[k] * 1e-3),
+            _number(points.i_d[k]),
+            _number(points.i_q[k]),
+            _number(float(np.hypot(points.i_d[k], points.i_q[k]))),
+            _number(points.voltage[k]),
+            Active(int(points.active[k])).label,
+            _number(braking.torque[k]),
+        )
+        for k in np.unique(np.concatenate([near, changes]))
+    )
+
+
 def envelope_tables(
     design: Design, figures: Characteristics, envelope: Envelope, chart: OperatingMap, limit: VoltageLimit
 ) -> list[Table]:
@@ -57,34 +136,31 @@ def envelope_tables(
     end = figures.speed_max
     rows = (
         ("largest torque", f"{figures.torque_max:.4g} N m"),
-        ("base speed", f"{figures.base_speed * _RPM:.4g} rpm"),
-        ("largest power", f"{figures.power_max * 1e-3:.4g} kW at {figures.power_speed * _RPM:.4g} rpm"),
+        ("base speed", f"{_number(figures.base_speed * _RPM)} rpm"),
+        ("largest power", f"{figures.power_max * 1e-3:.4g} kW at {_number(figures.power_speed * _RPM)} rpm"),
         ("characteristic current", "none" if current is None else f"{current:.4g} A (peak)"),
-        ("voltage limit can be kept up to", "any speed" if end is None else f"{end * _RPM:.4g} rpm"),
+        ("voltage limit can be kept up to", "any speed" if end is None else f"{_number(end * _RPM)} rpm"),
     )
-    points = envelope.points
-    chosen = np.unique(np.linspace(0, points.torque.size - 1, _ENVELOPE_ROWS).round().astype(int))
-    lines = tuple(
-        (
-            _number(points.omega_m[k] * _RPM),
-            _number(points.torque[k]),
-            _number(envelope.power[k] * 1e-3),
-            _number(points.i_d[k]),
-            _number(points.i_q[k]),
-            Active(int(points.active[k])).label,
-        )
-        for k in chosen
+    columns = (
+        "speed rpm",
+        "torque N m",
+        "power kW",
+        "i_d A",
+        "i_q A",
+        "|i| A",
+        "voltage V",
+        "held by",
+        "braking N m",
     )
-    columns = ("speed rpm", "torque N m", "power kW", "i_d A", "i_q A", "held by")
     worst = float(np.max(chart.points.kkt_residual, initial=0.0))
     reached = int(np.count_nonzero(chart.points.reached))
     note = f"map: {reached} of {chart.points.reached.size} points can be had; largest violation {worst:.1e}"
     best = float(np.nanmax(chart.efficiency)) if np.any(np.isfinite(chart.efficiency)) else math.nan
     losses = "copper, conduction and switching loss" if chart.with_inverter else "copper loss alone"
-    efficiency = f"best efficiency on the map {100.0 * best:.2f} % (with {losses})"
+    best_text = f"best efficiency on the map {100.0 * best:.2f} % (with {losses})"
     return [
         Table(f"{design.name}: limits", ("", ""), rows, (_limit_note(limit),)),
-        Table("Most torque over speed", columns, lines, (note, efficiency)),
+        Table("Most torque over speed", columns, _envelope_rows(envelope), (note, best_text)),
     ]
 
 
@@ -107,12 +183,36 @@ def _plain_limit(limit: VoltageLimit) -> PlainData:
     return {"modulation": limit.modulation, "v_dc_V": limit.v_dc, "margin": limit.margin, "v_max_V": limit.v_max}
 
 
-def plain_points(points: OptimalPoints, limit: VoltageLimit) -> PlainData:
-    """Operating points as arrays, with the voltage limit they keep."""
-    return {"limit": _plain_limit(limit), "points": _plain_points(points)}
+def _plain_losses(losses: DriveLosses) -> PlainData:
+    """Losses as arrays; those of an inverter without device data are None."""
+    inverter = (losses.conduction, losses.switching, losses.junction_temperature)
+    conduction, switching, junction = inverter if losses.with_inverter else (None, None, None)
+    return {
+        "copper_W": losses.copper,
+        "conduction_W": conduction,
+        "switching_W": switching,
+        "total_W": losses.total,
+        "junction_degC": junction,
+    }
 
 
-def plain_map(figures: Characteristics, envelope: Envelope, chart: OperatingMap, limit: VoltageLimit) -> PlainData:
+def _plain_locus(locus: MtpaLocus) -> PlainData:
+    return {"torque_Nm": locus.torque, "i_d_A": locus.i_d, "i_q_A": locus.i_q}
+
+
+def plain_points(points: OptimalPoints, losses: DriveLosses, most: OptimalPoints, limit: VoltageLimit) -> PlainData:
+    """Operating points as arrays, their losses, the most torque at the speed, and the voltage limit they keep."""
+    return {
+        "limit": _plain_limit(limit),
+        "points": _plain_points(points),
+        "losses": _plain_losses(losses),
+        "most_torque": _plain_points(most),
+    }
+
+
+def plain_map(
+    figures: Characteristics, envelope: Envelope, chart: OperatingMap, lines: Loci, limit: VoltageLimit
+) -> PlainData:
     """Characteristics, envelope and map; the map's points run through the speeds of the first torque, then the next."""
     return {
         "limit": _plain_limit(limit),
@@ -125,10 +225,13 @@ def plain_map(figures: Characteristics, envelope: Envelope, chart: OperatingMap,
             "speed_max_rad_per_s": figures.speed_max,
         },
         "envelope": _plain_points(envelope.points),
+        "braking_envelope": _plain_points(envelope.braking),
+        "loci": {"i_max_A": lines.i_max, "mtpa": _plain_locus(lines.mtpa), "mtpv": _plain_points(lines.mtpv)},
         "map": {
             "torque_Nm": chart.torque,
             "omega_m_rad_per_s": chart.omega_m,
             "points": _plain_points(chart.points),
+            "losses": _plain_losses(chart.losses),
             "loss_W": chart.loss,
             "efficiency": chart.efficiency,
         },

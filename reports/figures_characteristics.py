@@ -9,16 +9,56 @@ import numpy as np
 
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.characteristics import Characteristics, Envelope, OperatingMap, VoltageLimit
-from dqforge.optimizer.operating_points import OptimalPoints
-from dqforge.reports.figures_style import AXIS_COLOURS, FAINT, INK, MUTED, ORANGE, label_in_unit, new_figure, style
+from dqforge.optimizer.operating_points import Active, OptimalPoints
+from dqforge.reports.figures_style import (
+    AXIS_COLOURS,
+    INK,
+    MUTED,
+    ORANGE,
+    label_in_unit,
+    new_figure,
+    style,
+    vertical_marks,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.contour import ContourSet
     from matplotlib.figure import Figure
 
 _RPM = 30.0 / math.pi
-_LEVELS = (0.5, 0.7, 0.8, 0.85, 0.9, 0.92, 0.94, 0.95, 0.96, 0.97, 0.98, 0.985, 0.99, 0.995)
-_SHADES = ("#f4f7fb", "#e3ecf6", "#cfdff0", "#b5cfe8", "#97bbdd", "#7aa7d1")
+_LEVELS = np.array([10, 20, 30, 40, 50, 60, 70, 75, 80, 82, 84, 86, 88, *range(90, 99), 98.5, 99, 99.5, 99.8])
+"""Efficiencies in percent that a line may stand for."""
+_SHARES = (0.04, 0.12, 0.25, 0.42, 0.6, 0.78, 0.92)
+"""Shares of the map that lie below the lines, as nearly as the levels allow."""
+_SHADES = ("#f7f9fc", "#ebf1f8", "#dbe7f3", "#c7daed", "#aecae4", "#94b8da", "#78a4ce", "#5f91c1")
+
+
+_REGIONS = {
+    Active.VOLTAGE: "field weakening",
+    Active.CURRENT: "current limit",
+    Active.BOTH: "both limits",
+    Active.MTPV: "MTPV",
+}
+
+
+def _mark_regions(upper: Axes, lower: Axes, points: OptimalPoints) -> None:
+    """Where what holds the points changes before the last one, with the name of what begins there."""
+    changes = np.flatnonzero(np.diff(points.active)) + 1
+    for k in changes[changes < points.torque.size - 1]:
+        torque = float(points.torque[k])
+        for axes in (upper, lower):
+            vertical_marks(axes, np.array([torque]))
+        upper.annotate(
+            _REGIONS.get(Active(int(points.active[k])), ""),
+            (torque, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(4, -2),
+            textcoords="offset points",
+            color=MUTED,
+            fontsize=7.5,
+            va="top",
+        )
 
 
 def plot_speed(points: OptimalPoints, limit: VoltageLimit) -> Figure:
@@ -34,8 +74,10 @@ def plot_speed(points: OptimalPoints, limit: VoltageLimit) -> Figure:
             upper.annotate(
                 f"$i_{axis}$", end, xytext=(5, 0), textcoords="offset points", color=AXIS_COLOURS[axis], va="center"
             )
-        upper.axhline(0.0, color=MUTED, linewidth=0.8)
+        upper.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
+        upper.margins(y=0.12)
         upper.set_title(f"{points.omega_m[0] * _RPM:.5g} rpm")
+        _mark_regions(upper, lower, points)
         label_in_unit(upper.yaxis, "Current in {} (peak)", float(np.max(np.abs(points.i_q))), "A")
         lower.plot(points.torque[kept], points.voltage[kept], color=INK, linewidth=1.3)
         lower.axhline(limit.v_max, color=ORANGE, linewidth=1.0, linestyle=(0, (4.0, 2.0)))
@@ -57,57 +99,120 @@ def _filled(efficiency: FloatArray) -> FloatArray:
     return percent
 
 
+def _chosen_levels(efficiency: FloatArray) -> list[float]:
+    """Levels in percent that divide the map as `_SHARES` says, ascending; empty where there is nothing to divide."""
+    known = 100.0 * efficiency[np.isfinite(efficiency)]
+    if known.size == 0:
+        return []
+    nearest = {float(_LEVELS[np.argmin(np.abs(_LEVELS - np.quantile(known, share)))]) for share in _SHARES}
+    return sorted(level for level in nearest if known.min() < level < known.max())
+
+
+def _label_places(axes: Axes, lines: ContourSet, curves: list[FloatArray]) -> list[tuple[float, float]]:
+    """One place per level, on its longest piece, as far from other labels, curves and edges as it can be.
+
+    ``curves`` are drawn lines in data coordinates, shape (K, 2) each.
+    """
+    ends = np.array([(axes.get_xlim()[k], axes.get_ylim()[k]) for k in (0, 1)])
+    # The axes are wider than high: distances are measured in their heights.
+    scale = np.array([1.8, 1.0]) / (ends[1] - ends[0])
+    curve = np.vstack(curves) * scale
+    taken: list[FloatArray] = []
+    places = []
+    for path in lines.get_paths():
+        pieces = [np.array(piece, dtype=np.float64) for piece in path.to_polygons(closed_only=False)]
+        if not pieces:
+            continue
+        piece = max(pieces, key=lambda points: float(np.sum(np.hypot(*np.diff(points * scale, axis=0).T))))
+        spot = (piece - ends[0]) * scale
+        # Lines matter within the length of a label only; other labels may well be far away.
+        near = np.min(np.hypot(*(spot[:, np.newaxis] - curve).T), axis=0)
+        clear = np.minimum(np.column_stack([spot, [1.8, 1.0] - spot]).min(axis=1), np.minimum(near, 0.1)) * 2.0
+        for other in taken:
+            clear = np.minimum(clear, np.hypot(*(spot - other).T))
+        best = int(np.argmax(clear))
+        if clear[best] > 0.08:
+            taken.append(spot[best])
+            places.append((float(piece[best, 0]), float(piece[best, 1])))
+    return places
+
+
 def _draw_efficiency(axes: Axes, chart: OperatingMap, envelope: Envelope, top: float) -> None:
-    best = np.nanmax(chart.efficiency, initial=0.0)
-    levels = [100.0 * level for level in _LEVELS if level < best][-6:]
+    levels = _chosen_levels(chart.efficiency)
     if not levels:
         return
-    speed, percent = chart.omega_m[1:] * _RPM, np.ma.masked_invalid(_filled(chart.efficiency.copy())[:, 1:])
-    axes.contourf(speed, chart.torque, percent, levels=[0.0, *levels, 100.0][-7:], colors=_SHADES, zorder=1)
+    speed = chart.omega_m[1:] * _RPM
+    percent = np.ma.masked_invalid(_filled(chart.efficiency.copy())[:, 1:])
+    shades = [_SHADES[round(k * (len(_SHADES) - 1) / len(levels))] for k in range(len(levels) + 1)]
+    edges = [min(0.0, float(percent.min())) - 1.0, *levels, 101.0]
+    axes.contourf(speed, chart.torque, percent, levels=edges, colors=shades, zorder=1)
+    # Without the torque zero, to which the fill was only carried on; the lines beyond the envelope are covered.
+    lines = axes.contour(speed, chart.torque[1:], percent[1:], levels=levels, colors=MUTED, linewidths=0.6, zorder=2)
+    points = envelope.points
+    axes.fill_between(points.omega_m * _RPM, points.torque, top, color="white", linewidth=0, zorder=2.5)
     real = np.ma.masked_invalid(100.0 * chart.efficiency[:, 1:])
-    lines = axes.contour(speed, chart.torque, real, levels=levels, colors=MUTED, linewidths=0.6, zorder=2)
-    axes.clabel(lines, fmt="%g %%", fontsize=6.5, inline_spacing=2)
-    axes.fill_between(
-        envelope.points.omega_m * _RPM, envelope.points.torque, top, color="white", linewidth=0, zorder=2.5
+    guide = axes.contour(speed, chart.torque, real, levels=levels, linewidths=0.0)
+    begin = np.linspace(0.0, float(envelope.weakening_torque[-1]), 60)
+    curves = [
+        np.column_stack([points.omega_m * _RPM, points.torque]),
+        np.column_stack([np.interp(begin, envelope.weakening_torque, envelope.weakening_speed) * _RPM, begin]),
+    ]
+    places = _label_places(axes, guide, curves)
+    guide.remove()
+    if places:
+        axes.clabel(lines, fmt="%g %%", fontsize=6.5, inline_spacing=2, manual=places, zorder=2.2)
+
+
+def _mark(axes: Axes, speed: float, torque: float, text: str) -> None:
+    """A dot on the envelope with its text above, inside the axes."""
+    left = speed > 0.62 * axes.get_xlim()[1]
+    axes.plot([speed], [torque], "o", color=INK, markersize=4, zorder=4)
+    axes.annotate(
+        text,
+        (speed, torque),
+        xytext=(4 if left else 6, 6 if left else 4),
+        textcoords="offset points",
+        fontsize=7.5,
+        ha="right" if left else "left",
+        zorder=4,
     )
+
+
+def _draw_envelope(axes: Axes, figures: Characteristics, envelope: Envelope) -> None:
+    """Most torque, where the field begins to be weakened, and the speeds where what holds the torque changes."""
+    points = envelope.points
+    speed, end = points.omega_m * _RPM, axes.get_xlim()[1]
+    begin = envelope.weakening_speed * _RPM
+    dashes = (0, (4.0, 2.0))
+    label = "field weakening begins"
+    if float(np.min(begin)) < end:
+        axes.plot(
+            begin, envelope.weakening_torque, color=ORANGE, linewidth=1.2, linestyle=dashes, label=label, zorder=3
+        )
+    axes.plot(speed, points.torque, color=INK, linewidth=1.6, label="most torque", zorder=3)
+    base = figures.base_speed * _RPM
+    if base < end:
+        _mark(axes, base, figures.torque_max, f"base speed {base:.4g} rpm")
+    touching = np.flatnonzero(points.active == Active.MTPV)
+    if touching.size:
+        k = int(touching[0])
+        _mark(axes, float(speed[k]), float(points.torque[k]), f"MTPV from {speed[k]:.4g} rpm")
 
 
 def plot_operating_map(figures: Characteristics, envelope: Envelope, chart: OperatingMap) -> Figure:
     """Efficiency over speed and torque, the envelope with what holds it, and the line where field weakening begins."""
-    speed, top = chart.omega_m * _RPM, 1.12 * figures.torque_max
+    top = 1.1 * figures.torque_max
+    losses = "machine (copper) and inverter" if chart.with_inverter else "machine (copper)"
     with style():
         figure = new_figure("map", 4.2, "Efficiency over speed and torque within the limits of current and voltage")
-        axes = figure.add_axes((0.09, 0.115, 0.885, 0.845))
+        axes = figure.add_axes((0.09, 0.115, 0.87, 0.81))
+        axes.set(xlim=(0.0, float(chart.omega_m[-1]) * _RPM), ylim=(0.0, top), xlabel="Speed in rpm")
         _draw_efficiency(axes, chart, envelope, top)
-        begin = envelope.weakening_speed * _RPM
-        axes.plot(
-            begin,
-            envelope.weakening_torque,
-            color=ORANGE,
-            linewidth=1.2,
-            linestyle="dashed",
-            label="field weakening begins",
-            zorder=3,
-        )
-        axes.plot(
-            envelope.points.omega_m * _RPM,
-            envelope.points.torque,
-            color=INK,
-            linewidth=1.6,
-            label="most torque",
-            zorder=3,
-        )
-        if figures.base_speed * _RPM < speed[-1]:
-            axes.plot([figures.base_speed * _RPM], [figures.torque_max], "o", color=INK, markersize=4, zorder=4)
-            axes.annotate(
-                f"base speed {figures.base_speed * _RPM:.4g} rpm",
-                (figures.base_speed * _RPM, figures.torque_max),
-                xytext=(6, 4),
-                textcoords="offset points",
-                fontsize=7.5,
-            )
-        axes.set(xlim=(0.0, float(speed[-1])), ylim=(0.0, top), xlabel="Speed in rpm")
+        _draw_envelope(axes, figures, envelope)
+        axes.set_title(f"Efficiency of {losses}")
         label_in_unit(axes.yaxis, "Torque in {}", figures.torque_max, "N m")
         axes.grid(visible=False)
-        axes.legend(loc="upper right", frameon=True, facecolor="white", edgecolor=FAINT, fontsize=7.5)
+        axes.legend(
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False, fontsize=7.5, borderaxespad=0.3
+        )
     return figure

@@ -10,23 +10,33 @@ from typing import Any, get_args
 import numpy as np
 
 from dqforge.machines.design import Design
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.quantities import parse_quantity
 from dqforge.machines.settings import ModulationName
 from dqforge.optimizer.characteristics import (
+    Characteristics,
     VoltageLimit,
     characteristics,
     envelope,
+    envelope_speeds,
+    loci,
     operating_map,
     voltage_limit,
 )
-from dqforge.optimizer.operating_points import optimal_points
-from dqforge.reports.characteristics_tables import envelope_tables, plain_map, plain_points, points_tables
+from dqforge.optimizer.loss_model import drive_losses
+from dqforge.optimizer.mtpa_locus import mtpa_locus
+from dqforge.optimizer.operating_points import Active, OptimalPoints, optimal_points
+from dqforge.reports.characteristics_tables import (
+    envelope_tables,
+    plain_map,
+    plain_points,
+    point_tables,
+    points_tables,
+)
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.tables import Table
 
 _CURVE_ROWS = 11
-_ENVELOPE_POINTS = 241
 _MOST_CELLS = 2000
 
 
@@ -84,6 +94,8 @@ def answer(design: Design, request: Request) -> Reply:
     ------
     InputError
         An option is not understood, options exclude each other, or the design's strategy is not MTPA.
+    NoSolutionError
+        The limits leave no current at the speed, or no speed at all.
     """
     if design.strategy != "mtpa":
         raise InputError("these options minimise the copper loss, but operation.strategy is id0; write strategy: mtpa")
@@ -95,31 +107,59 @@ def answer(design: Design, request: Request) -> Reply:
     return _points(design, limit, request)
 
 
+def _most_torque(design: Design, limit: VoltageLimit, omega: float, sign: float) -> OptimalPoints:
+    """Most torque of a sign at a speed in rad/s."""
+    beyond = sign * 2.0 * float(mtpa_locus(design.machine, design.i_max).torque[-1])
+    most = optimal_points(design.machine, beyond, omega, v_max=limit.v_max, i_max=design.i_max)
+    if most.active[0] != Active.UNREACHABLE:
+        return most
+    last = characteristics(design.machine, limit.v_max, design.i_max).speed_max
+    end = "" if last is None else f"; it can be kept up to {last * 30.0 / np.pi:.4g} rpm"
+    raise NoSolutionError(
+        f"--speed: at {omega * 30.0 / np.pi:.4g} rpm no current within {design.i_max:.4g} A keeps the voltage limit of"
+        f" {limit.v_max:.4g} V{end}"
+    )
+
+
 def _points(design: Design, limit: VoltageLimit, request: Request) -> Reply:
     omega = 0.0 if request.speed is None else _quantity(request.speed, "speed", "--speed")
     machine, i_max = design.machine, design.i_max
-    if request.torque is None:
-        most = float(envelope(machine, limit.v_max, np.array([omega]), i_max).points.torque[0])
-        shown, drawn = np.linspace(0.0, most, _CURVE_ROWS), np.linspace(0.0, most, 201)
-    else:
-        shown = drawn = np.array([_quantity(request.torque, "torque", "--torque")])
+    asked = None if request.torque is None else _quantity(request.torque, "torque", "--torque")
+    most = _most_torque(design, limit, omega, -1.0 if asked is not None and asked < 0.0 else 1.0)
+    end = float(most.torque[0])
+    shown = np.linspace(0.0, end, _CURVE_ROWS) if asked is None else np.array([asked])
     points = optimal_points(machine, shown, omega, v_max=limit.v_max, i_max=i_max)
-    fine = optimal_points(machine, drawn, omega, v_max=limit.v_max, i_max=i_max)
+    losses = drive_losses(machine, design.inverter, points.i_d, points.i_q, points.omega_m, modulation=limit.modulation)
 
     def figure() -> Any:
         from dqforge.reports.figures_characteristics import plot_speed
 
-        if request.torque is not None:
+        if asked is not None:
             raise InputError("--plot draws a speed or a map; leave --torque out")
+        fine = optimal_points(machine, np.linspace(0.0, end, 201), omega, v_max=limit.v_max, i_max=i_max)
         return plot_speed(fine, limit)
 
-    return Reply(points_tables(design, points, limit), {"operating_points": plain_points(points, limit)}, figure)
+    one = asked is not None
+    tables = point_tables(design, points, losses, most, limit) if one else points_tables(design, points, limit)
+    return Reply(tables, {"operating_points": plain_points(points, losses, most, limit)}, figure)
+
+
+def _fastest(design: Design, figures: Characteristics, limit: VoltageLimit) -> float:
+    """Speed in rad/s at which a map ends: that of the mechanics, or three times the base speed."""
+    if design.machine.omega_m_max is not None:
+        return design.machine.omega_m_max
+    if figures.base_speed == 0.0:
+        raise NoSolutionError(
+            f"--map: the resistance drop at {design.i_max:.4g} A takes more than the voltage limit of"
+            f" {limit.v_max:.4g} V even at standstill; give machine.max_speed, or a higher voltage"
+        )
+    return 3.0 * figures.base_speed
 
 
 def _map(design: Design, limit: VoltageLimit, torques: int, speeds: int) -> Reply:
     machine, i_max = design.machine, design.i_max
     figures = characteristics(machine, limit.v_max, i_max)
-    fastest = machine.omega_m_max if machine.omega_m_max is not None else 3.0 * figures.base_speed
+    fastest = _fastest(design, figures, limit)
     chart = operating_map(
         machine,
         design.inverter,
@@ -128,7 +168,7 @@ def _map(design: Design, limit: VoltageLimit, torques: int, speeds: int) -> Repl
         np.linspace(0.0, fastest, speeds),
         i_max,
     )
-    edge = envelope(machine, limit.v_max, np.linspace(0.0, fastest, _ENVELOPE_POINTS), i_max)
+    edge = envelope(machine, limit.v_max, envelope_speeds(machine, limit.v_max, fastest, i_max), i_max)
 
     def figure() -> Any:
         from dqforge.reports.figures_characteristics import plot_operating_map
@@ -136,4 +176,5 @@ def _map(design: Design, limit: VoltageLimit, torques: int, speeds: int) -> Repl
         return plot_operating_map(figures, edge, chart)
 
     tables = envelope_tables(design, figures, edge, chart, limit)
-    return Reply(tables, {"operating_map": plain_map(figures, edge, chart, limit)}, figure)
+    plain = plain_map(figures, edge, chart, loci(machine, limit.v_max, i_max), limit)
+    return Reply(tables, {"operating_map": plain}, figure)

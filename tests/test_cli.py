@@ -328,9 +328,59 @@ def test_operating_point_tables(run: Run) -> None:
     listing = run("mtpa", IPM, "--map", "8x9").out
     assert "base speed" in listing
     assert "4182 rpm" in listing
+    assert "braking N m" in listing
     beyond = run("mtpa", IPM, "--torque", "500 N m", "--speed", "7000 rpm")
     assert "(no more)" in beyond.out
     assert beyond.code == 0
+
+
+def test_one_operating_point_in_detail(run: Run) -> None:
+    """Numbers of the JSON document against the dq equations, and against each other."""
+    outcome = run("mtpa", IPM, "--torque", "-100 N m", "--speed", "6000 rpm")
+    assert "voltage: the field is weakened" in outcome.out
+    assert "optimality residual" in outcome.out
+    document = json.loads(run("mtpa", IPM, "--torque", "-100 N m", "--speed", "6000 rpm", "--json").out)
+    found = document["operating_points"]
+    i_d, i_q = found["points"]["i_d_A"][0], found["points"]["i_q_A"][0]
+    assert 1.5 * 4 * (0.1049 + (350e-6 - 592e-6) * i_d) * i_q == pytest.approx(-100.0, rel=1e-7)
+    losses = found["losses"]
+    assert losses["copper_W"][0] == pytest.approx(1.5 * 2e-3 * (i_d**2 + i_q**2), rel=1e-7)
+    parts = losses["copper_W"][0] + losses["conduction_W"][0] + losses["switching_W"][0]
+    assert losses["total_W"][0] == pytest.approx(parts, rel=1e-8)
+    assert found["most_torque"]["torque_Nm"][0] < -100.0
+    assert (
+        json.loads(run("mtpa", "abb-ipmsm-2k2", "--torque", "1 N m", "--json").out)["operating_points"]["losses"][
+            "conduction_W"
+        ]
+        is None
+    )
+
+
+def test_speed_beyond_all_currents_has_no_solution(run: Run) -> None:
+    """The ABB machine's back-EMF cannot be weakened enough above 4597 rpm."""
+    line = one_line(run("mtpa", "abb-ipmsm-2k2", "--speed", "5000 rpm"), 1)
+    assert "it can be kept up to 4597 rpm" in line
+    assert "no current" in one_line(run("mtpa", "abb-ipmsm-2k2", "--torque", "1 N m", "--speed", "-5000 rpm"), 1)
+
+
+def test_resistance_drop_beyond_the_voltage_limit(run: Run, tmp_path: Path) -> None:
+    """IPM with 2 Ohm for 2 mOhm: 283 A take 566 V. Without a largest speed there is no speed at which a map ends."""
+    text = catalogue.read_text(IPM).decode().replace("value: 2 mOhm", "value: 2 Ohm")
+    path = tmp_path / "design.yaml"
+    path.write_text(text)
+    assert run("mtpa", path, "--map", "5x5").code == 0
+    path.write_text(re.sub(r"  max_speed:.*\n(?:    .*\n)*", "", text))
+    outcome = run("mtpa", path, "--map", "5x5")
+    assert "resistance drop" in one_line(outcome, 1)
+
+
+def test_map_document_holds_envelopes_and_loci(run: Run) -> None:
+    document = json.loads(run("mtpa", "abb-syrm-6k7", "--map", "5x6", "--json").out)["operating_map"]
+    assert set(document) == {"limit", "characteristics", "envelope", "braking_envelope", "loci", "map"}
+    braking, motoring = document["braking_envelope"]["torque_Nm"], document["envelope"]["torque_Nm"]
+    assert all(-low >= high * (1.0 - 1e-9) for low, high in zip(braking, motoring, strict=True))
+    assert document["loci"]["mtpv"]["held_by"][0] == "MTPV"
+    assert document["loci"]["mtpa"]["torque_Nm"][-1] == pytest.approx(document["characteristics"]["torque_max_Nm"])
 
 
 @pytest.mark.parametrize(

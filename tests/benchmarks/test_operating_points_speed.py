@@ -89,7 +89,20 @@ def test_time_grows_linearly(baldor: SaturatedMachine) -> None:
         optimal_points(baldor, torque, omega, v_max=V_MAX)
         seconds.append(time.perf_counter() - start)
     slope = np.polyfit(np.log(counts), np.log(seconds), 1)[0]
-    print("\n" + ", ".join(f"{n:,}: {s:.3f} s" for n, s in zip(counts, seconds, strict=True)) + f"; slope {slope:.2f}")
+    last = np.log(seconds[-1] / seconds[-2]) / np.log(counts[-1] / counts[-2])
+    print("\n" + ", ".join(f"{n:,}: {s:.3f} s" for n, s in zip(counts, seconds, strict=True)))
+    print(f"log-log slope {slope:.2f} over all, {last:.2f} over the last decade (below 1: the scan of the 201 speeds)")
+
+
+def test_every_point_with_a_speed_of_its_own(baldor: SaturatedMachine) -> None:
+    """The slowest case: the scan of the feasible region is made anew for every point beyond the base speed."""
+    generator = np.random.default_rng(3)
+    torque, omega = generator.uniform(-60.0, 60.0, 30_000), generator.uniform(-800.0, 800.0, 30_000)
+    start = time.perf_counter()
+    points = optimal_points(baldor, torque, omega, v_max=V_MAX)
+    rate = torque.size / (time.perf_counter() - start)
+    worst = float(np.max(points.kkt_residual))
+    print(f"\n30,000 points, each at a speed of its own: {rate:,.0f} points/s, residual {worst:.1e}")
 
 
 def test_memory_of_a_million_points() -> None:
