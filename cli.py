@@ -220,7 +220,7 @@ def mtpa(
 def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = None) -> None:
     """Fit the current references and show their errors beside the alternatives."""
     from dqforge.optimizer.reference_fit import alternatives
-    from dqforge.optimizer.solution import solve_fit
+    from dqforge.optimizer.solution import current_choice, solve_fit
     from dqforge.reports.console import status
     from dqforge.reports.result_json import plain_fit
     from dqforge.reports.tables import fit_tables
@@ -228,7 +228,7 @@ def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = Non
     loaded = _load_for(design, plot)
     with status("fitting"):
         found = solve_fit(loaded)
-        rows = alternatives(loaded.machine, loaded.strategy, loaded.i_max, found)
+        rows = alternatives(current_choice(loaded), found)
     if plot is not None:
         from dqforge.reports.figures import plot_fit
 

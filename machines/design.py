@@ -5,8 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dqforge.machines.inverter import Inverter
-from dqforge.machines.settings import ControlSettings, ExportSettings, FitSettings, LossSettings, Strategy
-from dqforge.machines.synchronous import LinearMachine
+from dqforge.machines.settings import (
+    ControlSettings,
+    ExportSettings,
+    FitSettings,
+    LossSettings,
+    OperationSettings,
+    Strategy,
+)
+from dqforge.machines.synchronous import Machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,16 +43,21 @@ class Design:
 
     name: str
     about: str
-    machine: LinearMachine
+    machine: Machine
     inverter: Inverter
     control: ControlSettings
-    strategy: Strategy
+    operation: OperationSettings
     fit: FitSettings
     losses: LossSettings | None
     export: ExportSettings
     values: tuple[InputValue, ...]
     assumptions: tuple[str, ...]
     digest: str
+
+    @property
+    def strategy(self) -> Strategy:
+        """Which currents make the torque."""
+        return self.operation.strategy
 
     @property
     def i_max(self) -> float:

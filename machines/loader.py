@@ -33,6 +33,7 @@ from dqforge.machines.settings import (
     LoadPoint,
     LossSettings,
     ObserverSettings,
+    OperationSettings,
     PerUnitBases,
     SpeedLoopSettings,
 )
@@ -105,7 +106,7 @@ class _Build:
             machine=machine,
             inverter=inverter,
             control=control,
-            strategy=sections.operation.strategy,
+            operation=OperationSettings(sections.operation.strategy),
             fit=_fit(sections.fit),
             losses=_losses(sections),
             export=ExportSettings(prefix=sections.export.prefix, vectors=sections.export.vectors),

@@ -15,6 +15,21 @@ ModulationName = Literal["spwm", "svpwm", "ddt-gdpwm"]
 
 
 @dataclass(frozen=True, slots=True)
+class OperationSettings:
+    """Which currents make the torque, and where.
+
+    ``omega_m`` in rad/s (mechanical) is the speed for which the currents are chosen, None where the voltage limits
+    nothing. The voltage limit there is the linear range of ``modulation`` less ``voltage_margin``, a share of 0 to 1
+    that is kept for control.
+    """
+
+    strategy: Strategy = "mtpa"
+    omega_m: float | None = None
+    modulation: ModulationName = "svpwm"
+    voltage_margin: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class FitSettings:
     """How the current references become polynomials.
 

@@ -201,3 +201,20 @@ class LinearMachine(MachineFormulas):
         psi_d, psi_q = self.flux(i_d, i_q)
         l_d, l_q = zero + self.l_d, zero + self.l_q
         return FluxJet(psi_d, psi_q, l_d, zero, zero, l_q, zero, zero, zero, zero, zero, zero)
+
+
+def linearised(machine: Machine) -> LinearMachine:
+    """The machine with the constants that it has at zero current; a `LinearMachine` is returned as it is."""
+    if isinstance(machine, LinearMachine):
+        return machine
+    return LinearMachine(
+        pole_pairs=machine.pole_pairs,
+        r_s=machine.r_s,
+        l_d=machine.l_d,
+        l_q=machine.l_q,
+        psi_pm=machine.psi_pm,
+        i_max=machine.i_max,
+        inertia=machine.inertia,
+        friction=machine.friction,
+        omega_m_max=machine.omega_m_max,
+    )

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.synchronous import FloatArray, LinearMachine, copper_loss
-from dqforge.optimizer.mtpa import id0_currents, mtpa_currents
+from dqforge.machines.synchronous import FloatArray, copper_loss
+from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.single_precision import (
     MultiplyAdd,
     SingleArray,
@@ -136,7 +136,8 @@ class ReferenceErrors:
     ``i_d``, ``i_q`` in A against the exact strategy; ``torque`` in N m against the request; ``torque_relative`` is
     that over the largest torque; ``loss`` in W is the copper loss above the least for the torque that is produced;
     ``loss_relative`` the same over that least loss, from 5 % of the largest torque upwards; ``step_at_zero`` in A is
-    the current reference left at zero torque. Found by sampling: not bounds.
+    the error of the current at zero torque; ``voltage_excess`` is the largest phase voltage at the reference's speed
+    above the limit, relative to it, None where there is no speed. Found by sampling: not bounds.
     """
 
     i_d: float
@@ -146,6 +147,7 @@ class ReferenceErrors:
     loss: float
     loss_relative: float
     step_at_zero: float
+    voltage_excess: float | None
     samples: int
 
 
@@ -154,7 +156,7 @@ class ErrorCurves:
     """Errors over the torque axis, arrays of shape (N,).
 
     Torque in N m, errors of i_d and i_q in A and of the torque in N m, excess copper loss in W and relative to the
-    least loss.
+    least loss, and the phase voltage in V at the speed of the choice (at rest where it has none).
     """
 
     torque: FloatArray
@@ -163,6 +165,7 @@ class ErrorCurves:
     torque_error: FloatArray
     loss: FloatArray
     loss_relative: FloatArray
+    voltage: FloatArray
 
 
 def sample_torques(reference: CurrentReference, count: int) -> SingleArray:
@@ -177,33 +180,35 @@ def sample_torques(reference: CurrentReference, count: int) -> SingleArray:
 
 
 def error_curves(
-    machine: LinearMachine, strategy: str, reference: CurrentReference, torque: SingleArray, *, fused: bool = False
+    choice: CurrentChoice, reference: CurrentReference, torque: SingleArray, *, fused: bool = False
 ) -> ErrorCurves:
     """Compare the float32 reference with the exact strategy in double at torques >= 0, shape (N,)."""
+    machine = choice.machine
     i_d, i_q = (np.asarray(current, dtype=np.float64) for current in reference.currents(torque, fused=fused))
     request = np.asarray(torque, dtype=np.float64)
-    exact_d, exact_q = (mtpa_currents if strategy == "mtpa" else id0_currents)(machine, request)
+    exact_d, exact_q = choice.currents(request)
     produced = machine.torque(i_d, i_q)
     # The loss that an exact strategy would need for the torque that is really produced.
-    least_d, least_q = (mtpa_currents if strategy == "mtpa" else id0_currents)(machine, produced)
+    least_d, least_q = choice.currents(produced)
     least = copper_loss(machine.r_s, least_d, least_q)
     excess = copper_loss(machine.r_s, i_d, i_q) - least
     relative = np.divide(excess, least, out=np.zeros_like(excess), where=least > 0.0)
-    return ErrorCurves(request, i_d - exact_d, i_q - exact_q, produced - request, excess, relative)
+    omega_m = 0.0 if choice.speed is None else choice.speed.omega_m
+    voltage = np.hypot(*machine.voltage(i_d, i_q, np.full_like(i_d, machine.pole_pairs * omega_m)))
+    return ErrorCurves(request, i_d - exact_d, i_q - exact_q, produced - request, excess, relative, voltage)
 
 
-def reference_errors(
-    machine: LinearMachine, strategy: str, reference: CurrentReference, samples: int = 4000
-) -> ReferenceErrors:
+def reference_errors(choice: CurrentChoice, reference: CurrentReference, samples: int = 4000) -> ReferenceErrors:
     """Largest errors of the reference over its domain, in the arithmetic of the emitted C (both contractions)."""
     torque = sample_torques(reference, samples)
-    curves = [error_curves(machine, strategy, reference, torque, fused=fused) for fused in (False, True)]
+    curves = [error_curves(choice, reference, torque, fused=fused) for fused in (False, True)]
     loaded = torque >= PENALTY_FROM * float(reference.torque_max)
 
     def worst(name: str) -> float:
         return max(float(np.max(np.abs(getattr(curve, name)))) for curve in curves)
 
-    zero_d, zero_q = reference.currents(np.zeros(1, dtype=np.float32))
+    rest_d, rest_q = (curves[0].i_d[:1], curves[0].i_q[:1])  # the samples begin at zero torque
+    taken = max(float(np.max(curve.voltage)) for curve in curves)
     return ReferenceErrors(
         i_d=worst("i_d"),
         i_q=worst("i_q"),
@@ -211,6 +216,7 @@ def reference_errors(
         torque_relative=worst("torque_error") / float(reference.torque_max),
         loss=worst("loss"),
         loss_relative=max(float(np.max(curve.loss_relative[loaded])) for curve in curves),
-        step_at_zero=float(np.hypot(zero_d[0], zero_q[0])),
+        step_at_zero=float(np.hypot(rest_d[0], rest_q[0])),
+        voltage_excess=None if choice.speed is None else max(taken / choice.speed.v_max - 1.0, 0.0),
         samples=2 * torque.size,
     )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.settings import ControlSettings, CurrentLoopSettings, SpeedLoopSettings
-from dqforge.machines.synchronous import LinearMachine
+from dqforge.machines.synchronous import Machine
 from dqforge.optimizer.loops import (
     DisturbanceResponse,
     PiLoop,
@@ -66,6 +66,8 @@ class LoopGains:
         Crossovers and margins of the sampled loop.
     disturbance:
         Answer to a unit step of the disturbance: 1 V at the winding, or 1 N m of load torque.
+    inductance:
+        Inductance of the winding in H that a current loop is meant for; None for the speed loop.
     """
 
     loop: LoopName
@@ -76,6 +78,7 @@ class LoopGains:
     poles: ComplexArray
     margins: LoopMargins
     disturbance: DisturbanceResponse
+    inductance: float | None = None
 
     @property
     def ki_ts(self) -> float:
@@ -148,8 +151,8 @@ class Decoupling:
     psi_pm: float
 
 
-def decoupling(machine: LinearMachine) -> Decoupling:
-    """Decoupling values of a linear machine."""
+def decoupling(machine: Machine) -> Decoupling:
+    """Decoupling values of a machine, those at zero current where it saturates."""
     return Decoupling(l_d=machine.l_d, l_q=machine.l_q, psi_pm=machine.psi_pm)
 
 
@@ -179,11 +182,11 @@ def analyse_current_loop(
     """
     model = current_loop(r_s, inductance, t_s, kp, ki)
     response = current_step(model, response_length(model.closed)) if respond and _is_stable(model) else None
-    return _evidence(loop, method, (kp, ki), model, response)
+    return replace(_evidence(loop, method, (kp, ki), model, response), inductance=inductance)
 
 
 def analyse_speed_loop(
-    machine: LinearMachine,
+    machine: Machine,
     current_gains: LoopGains,
     control: ControlSettings,
     kp: float,
@@ -238,7 +241,7 @@ def tune_current_loop(
     return gains
 
 
-def tune_speed_loop(machine: LinearMachine, current_gains: LoopGains, control: ControlSettings) -> LoopGains:
+def tune_speed_loop(machine: Machine, current_gains: LoopGains, control: ControlSettings) -> LoopGains:
     """PI gains of the speed loop (output: torque) by the method of the settings, checked on the exact two-rate loop.
 
     Parameters
@@ -284,7 +287,7 @@ def current_step_response(r_s: float, inductance: float, gains: LoopGains, durat
 
 
 def speed_step_response(
-    machine: LinearMachine, current_gains: LoopGains, control: ControlSettings, gains: LoopGains, duration: float
+    machine: Machine, current_gains: LoopGains, control: ControlSettings, gains: LoopGains, duration: float
 ) -> StepResponse:
     """Speed in rad/s after unit steps of the reference and of the load, sampled over ``duration`` s.
 
@@ -345,18 +348,18 @@ def _speed_settings(control: ControlSettings) -> SpeedLoopSettings:
     return control.speed_loop
 
 
-def _inertia(machine: LinearMachine) -> float:
+def _inertia(machine: Machine) -> float:
     if machine.inertia is None:
         raise InputError("control.speed_loop needs machine.inertia (kg m^2): write it, or leave control.speed_loop out")
     return machine.inertia
 
 
 def _speed_model(
-    machine: LinearMachine, current_gains: LoopGains, control: ControlSettings, speed_gains: tuple[float, float]
+    machine: Machine, current_gains: LoopGains, control: ControlSettings, speed_gains: tuple[float, float]
 ) -> SpeedLoop:
     settings = _speed_settings(control)
     return speed_loop(
-        winding=(machine.r_s, machine.l_q),
+        winding=(machine.r_s, current_gains.inductance or machine.l_q),
         mechanics=(_inertia(machine), machine.friction),
         t_s=control.t_s,
         current_gains=(current_gains.kp, current_gains.ki),

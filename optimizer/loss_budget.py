@@ -27,7 +27,7 @@ from dqforge.machines.semiconductors import (
     thermal_gain,
 )
 from dqforge.machines.settings import LoadPoint, LossSettings, ModulationName, Strategy
-from dqforge.machines.synchronous import FloatArray, LinearMachine, copper_loss
+from dqforge.machines.synchronous import FloatArray, Machine, copper_loss
 
 # Alternatives whose losses differ by less than this fraction are equally good; the one listed first is named.
 _EQUAL_LOSS = 1e-9
@@ -119,7 +119,7 @@ class LossComparison:
 
 
 def loss_budget(
-    machine: LinearMachine,
+    machine: Machine,
     inverter: Inverter,
     i_d: ArrayLike,
     i_q: ArrayLike,
@@ -181,9 +181,7 @@ def loss_budget(
     )
 
 
-def _refuse_runaway(
-    machine: LinearMachine, omega_m: FloatArray, i_d: FloatArray, i_q: FloatArray, gain: FloatArray
-) -> None:
+def _refuse_runaway(machine: Machine, omega_m: FloatArray, i_d: FloatArray, i_q: FloatArray, gain: FloatArray) -> None:
     if not np.all(np.isfinite(gain) & np.isfinite(omega_m)):
         raise InputError("loss budget: currents and speeds must be finite numbers")
     if np.all(gain < 1.0):
@@ -198,7 +196,7 @@ def _refuse_runaway(
 
 
 def compare(
-    machine: LinearMachine,
+    machine: Machine,
     inverter: Inverter,
     losses: LossSettings,
     currents: Mapping[Strategy, tuple[ArrayLike, ArrayLike]],
@@ -283,7 +281,7 @@ def _saving(total: FloatArray) -> FloatArray:
 
 def calibrate_switching(
     total_loss: float,
-    machine: LinearMachine,
+    machine: Machine,
     inverter: Inverter,
     i_d: float,
     i_q: float,

@@ -7,13 +7,11 @@ Its inverse has a closed form; nothing here iterates towards a tolerance.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.settings import Strategy
+from dqforge.machines.errors import InputError
 from dqforge.machines.synchronous import FloatArray, LinearMachine
 
 
@@ -23,25 +21,6 @@ class PerUnitBase:
 
     current: float
     torque: float
-
-
-@dataclass(frozen=True, slots=True)
-class OperatingPoints:
-    """Currents that were chosen for torques, all arrays of shape (N,).
-
-    ``torque_request`` and ``torque`` in N m differ only where ``limited`` is true: there the current limit allows no
-    more and ``torque`` is the largest that can be had. ``torque_residual`` is the machine's torque at (i_d, i_q) in A
-    minus ``torque``, relative to the largest torque of the set; ``stationarity`` is the scaled derivative of the
-    copper loss along the curve of constant torque, zero at the optimum (not meaningful for ``id0`` or where limited).
-    """
-
-    torque_request: FloatArray
-    torque: FloatArray
-    i_d: FloatArray
-    i_q: FloatArray
-    limited: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-    torque_residual: FloatArray
-    stationarity: FloatArray
 
 
 def per_unit_base(machine: LinearMachine) -> PerUnitBase:
@@ -121,12 +100,6 @@ def id0_currents(machine: LinearMachine, torque: FloatArray) -> tuple[FloatArray
     return np.zeros_like(torque), torque / machine.torque_per_ampere
 
 
-_CURRENTS: dict[Strategy, Callable[[LinearMachine, FloatArray], tuple[FloatArray, FloatArray]]] = {
-    "mtpa": mtpa_currents,
-    "id0": id0_currents,
-}
-
-
 def mtpa_at_current(machine: LinearMachine, current: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Point (i_d, i_q >= 0) in A of the MTPA curve with the given current magnitude in A (peak), shape (N,).
 
@@ -141,69 +114,3 @@ def mtpa_at_current(machine: LinearMachine, current: FloatArray) -> tuple[FloatA
     with np.errstate(invalid="ignore"):
         i_d = np.where(current > 0.0, -half_square / denominator, 0.0)
     return np.sign(machine.saliency) * i_d, np.sqrt(np.maximum(current**2 - i_d**2, 0.0))
-
-
-def largest_torque(machine: LinearMachine, strategy: Strategy, i_max: float) -> float:
-    """Largest torque in N m that the strategy makes with at most ``i_max`` A (peak)."""
-    limit = np.array([i_max])
-    i_d, i_q = mtpa_at_current(machine, limit) if strategy == "mtpa" else (np.zeros(1), limit)
-    return float(machine.torque(i_d, i_q)[0])
-
-
-def _stationarity(machine: LinearMachine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
-    """Cross product of the unit gradients of |i|^2 and of torque: the sine of the angle between them."""
-    torque_d = -machine.saliency * i_q
-    torque_q = machine.psi_pm - machine.saliency * i_d
-    scale = np.hypot(i_d, i_q) * np.hypot(torque_d, torque_q)
-    cross = i_d * torque_q - i_q * torque_d
-    sine: FloatArray = np.divide(cross, scale, out=np.zeros_like(cross), where=scale > 0.0)
-    return sine
-
-
-def operating_points(
-    machine: LinearMachine, torque: FloatArray, *, strategy: Strategy = "mtpa", i_max: float | None = None
-) -> OperatingPoints:
-    """Currents for torques of any sign under a current limit.
-
-    Parameters
-    ----------
-    machine:
-        The machine.
-    torque:
-        Requested torque in N m, shape (N,); must be finite.
-    strategy:
-        ``mtpa`` or ``id0``.
-    i_max:
-        Current limit in A (peak); the machine's own when None.
-
-    Raises
-    ------
-    InputError
-        A torque is not finite, or the strategy cannot drive this machine.
-    """
-    request = np.atleast_1d(np.asarray(torque, dtype=np.float64))
-    if not np.all(np.isfinite(request)):
-        raise InputError("torque must be finite; got nan or inf")
-    most = largest_torque(machine, strategy, machine.i_max if i_max is None else i_max)
-    # One part in 1e12 keeps a request for exactly the largest torque from being called limited by rounding.
-    limited = np.abs(request) > most * (1.0 + 1e-12)
-    granted = np.clip(request, -most, most)
-    i_d, i_q = _CURRENTS[strategy](machine, granted)
-    residual = (machine.torque(i_d, i_q) - granted) / max(float(np.max(np.abs(granted), initial=0.0)), 1e-300)
-    return OperatingPoints(request, granted, i_d, i_q, limited, residual, _stationarity(machine, i_d, i_q))
-
-
-def require_torque(machine: LinearMachine, strategy: Strategy, i_max: float, torque: float, where: str) -> None:
-    """Refuse a torque that the current limit does not allow.
-
-    Raises
-    ------
-    NoSolutionError
-        Names ``where``, the torque asked for and the largest that can be had.
-    """
-    most = largest_torque(machine, strategy, i_max)
-    if torque > most * (1.0 + 1e-12):
-        raise NoSolutionError(
-            f"{where}: {torque:.4g} N m cannot be had: {i_max:.4g} A (peak) give at most {most:.4g} N m with "
-            f"strategy {strategy}; ask for less torque or raise max_current"
-        )

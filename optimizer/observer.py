@@ -22,13 +22,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.synchronous import LinearMachine
+from dqforge.machines.synchronous import FloatArray, Machine, linearised
 from dqforge.optimizer.sampled import discretise
-
-FloatArray = NDArray[np.float64]
 
 FASTEST = 1.0  # g t_s: beyond, the voltage of a single sample decides the estimate
 
@@ -123,13 +120,13 @@ class ObserverError:
         return self.total / self.omega_m
 
 
-def _inertia(machine: LinearMachine) -> float:
+def _inertia(machine: Machine) -> float:
     if machine.inertia is None:
         raise InputError("control.observer needs machine.inertia (kg m^2): write it, or leave control.observer out")
     return machine.inertia
 
 
-def _check(machine: LinearMachine, g: float, t_s: float) -> None:
+def _check(machine: Machine, g: float, t_s: float) -> None:
     """Refuse what cannot be observed or sampled."""
     if not (g > 0.0 and np.isfinite(g)):
         raise InputError(
@@ -147,7 +144,7 @@ def _check(machine: LinearMachine, g: float, t_s: float) -> None:
         )
 
 
-def _plant(machine: LinearMachine) -> tuple[FloatArray, FloatArray]:
+def _plant(machine: Machine) -> tuple[FloatArray, FloatArray]:
     """Continuous (A, B) with the state (i_q, omega) and the inputs (u_q, load torque)."""
     inertia, back_emf = _inertia(machine), machine.pole_pairs * machine.psi_pm
     a = np.array(
@@ -159,7 +156,7 @@ def _plant(machine: LinearMachine) -> tuple[FloatArray, FloatArray]:
     return a, np.array([[1.0 / machine.l_q, 0.0], [0.0, -1.0 / inertia]])
 
 
-def reduced_order_observer(machine: LinearMachine, g: float, t_s: float) -> ReducedOrderObserver:
+def reduced_order_observer(machine: Machine, g: float, t_s: float) -> ReducedOrderObserver:
     """Design the observer with the gain g and sample it without approximation.
 
     The sampled machine x[k+1] = Phi x[k] + Gamma u_q[k], x = (i_q, omega), is exact because the inverter holds its
@@ -240,7 +237,7 @@ def estimate_speed(observer: ReducedOrderObserver, u_q: FloatArray, i_q: FloatAr
 
 def simulate_observer(
     observer: ReducedOrderObserver,
-    machine: LinearMachine,
+    machine: Machine,
     u_q: FloatArray,
     torque_load: FloatArray,
     omega_0: float = 0.0,
@@ -275,7 +272,7 @@ def simulate_observer(
 
 
 def steady_state_error(
-    machine: LinearMachine,
+    machine: Machine,
     g: float,
     t_s: float,
     omega_m: float,
@@ -284,12 +281,12 @@ def steady_state_error(
     psi_error: float = 0.0,
     inertia_error: float = 0.0,
 ) -> ObserverError:
-    """Speed error of the observer at a steady operating point with i_d = 0, in closed form.
+    """Speed error of the observer at a steady operating point with i_d = 0, in closed form (constants at zero current).
 
     Parameters
     ----------
     machine:
-        The true machine.
+        The true machine; of a saturated one the constants at zero current.
     g, t_s:
         Observer gain in rad/s and sampling period in s.
     omega_m:
@@ -300,6 +297,7 @@ def steady_state_error(
         Relative errors of R, psi_pm and J in the observer, e.g. 0.3 for 30 % too much.
     """
     inertia, damping = _inertia(machine), machine.friction / _inertia(machine)
+    machine = linearised(machine)
     believed = replace(
         machine,
         r_s=machine.r_s * (1.0 + r_error),

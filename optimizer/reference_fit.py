@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.settings import FitForm, FitMethod, FitSettings, Strategy
-from dqforge.machines.synchronous import FloatArray, LinearMachine
+from dqforge.machines.settings import FitForm, FitMethod, FitSettings
+from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
 from dqforge.optimizer.breakpoints import search
+from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.current_reference import (
     ClosedForm,
     CurrentReference,
@@ -23,7 +24,6 @@ from dqforge.optimizer.current_reference import (
     reference_errors,
 )
 from dqforge.optimizer.fitting import Curve, SideConditions, fit_curve, largest_error, squared_error_integral
-from dqforge.optimizer.mtpa import largest_torque, mtpa_currents, require_torque
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.single_precision import SinglePolynomial
 
@@ -56,14 +56,6 @@ class Alternative:
     label: str
     settings: FitSettings
     errors: ReferenceErrors
-
-
-def target_curves(machine: LinearMachine) -> dict[str, Curve]:
-    """Exact MTPA currents i_d(T) and i_q(T) in A over torque in N m."""
-    return {
-        "d": lambda torque: mtpa_currents(machine, torque)[0],
-        "q": lambda torque: mtpa_currents(machine, torque)[1],
-    }
 
 
 def _cost(curves: list[Curve], settings: FitSettings, *, exchange: bool) -> Callable[[FloatArray], float]:
@@ -104,22 +96,47 @@ def find_edges(curves: dict[str, Curve], settings: FitSettings, end: float) -> d
     return edges
 
 
-def _exact_form(machine: LinearMachine, strategy: Strategy, form: FitForm) -> tuple[str, Form] | None:
+def _exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None:
     """The form that needs no polynomial, where the machine and the strategy have one."""
-    if machine.psi_pm > 0.0 and (strategy == "id0" or machine.saliency == 0.0):
+    machine = choice.closed_form
+    if machine is None:
+        return None
+    if machine.psi_pm > 0.0 and (choice.strategy == "id0" or machine.saliency == 0.0):
         return "proportional", Proportional(np.float32(1.0 / machine.torque_per_ampere))
     if machine.psi_pm == 0.0 and form == "closed-form":
         gain = 1.0 / (1.5 * machine.pole_pairs * abs(machine.saliency))
         return "reluctance", ReluctanceClosedForm(np.float32(gain), 1 if machine.saliency > 0.0 else -1)
-    if machine.psi_pm == 0.0 and form == "torque-exact":
-        raise InputError(
-            "fit.form torque-exact divides by the magnet torque, which this machine does not have; "
-            "write form: closed-form, which is exact for it"
-        )
     return None
 
 
-def _assemble(machine: LinearMachine, form: FitForm, fits: dict[str, PiecewisePolynomial]) -> Form:
+def possible_forms(choice: CurrentChoice) -> tuple[FitForm, ...]:
+    """Forms that can hold the currents of a choice.
+
+    ``torque-exact`` needs constant inductances and a magnet, ``closed-form`` the MTPA locus that these have.
+    """
+    machine = choice.machine
+    if not isinstance(machine, LinearMachine):
+        return ("polynomial",)
+    if machine.psi_pm == 0.0:
+        return ("polynomial",) if choice.speed is not None else ("polynomial", "closed-form")
+    return ("polynomial", "torque-exact") if choice.speed is not None else ("polynomial", "torque-exact", "closed-form")
+
+
+def _require_form(choice: CurrentChoice, form: FitForm) -> None:
+    possible = possible_forms(choice)
+    if form in possible:
+        return
+    machine = choice.machine
+    if not isinstance(machine, LinearMachine):
+        reason = "needs constant inductances, the machine is a flux map"
+    elif form == "torque-exact":
+        reason = "divides by the magnet torque, which this machine does not have"
+    else:
+        reason = "follows the MTPA locus, which is left where operation.speed weakens the field"
+    raise InputError(f"fit.form: {form} {reason}; write form: {possible[-1]}")
+
+
+def _assemble(machine: Machine, form: FitForm, fits: dict[str, PiecewisePolynomial]) -> Form:
     """Round the polynomials of a form, and the machine constants beside them, to float."""
     single = {axis: SinglePolynomial.from_double(fit) for axis, fit in fits.items()}
     if form == "polynomial":
@@ -131,29 +148,27 @@ def _assemble(machine: LinearMachine, form: FitForm, fits: dict[str, PiecewisePo
     return ClosedForm(single["q"], np.float32(base), 1 if machine.saliency > 0.0 else -1)
 
 
-def domain_end(machine: LinearMachine, strategy: Strategy, i_max: float, settings: FitSettings) -> float:
-    """End of the torque domain in N m: as given, or the largest torque that the current limit allows.
+def domain_end(choice: CurrentChoice, settings: FitSettings) -> float:
+    """End of the torque domain in N m: as given, or the largest torque that the limits allow.
 
     Raises
     ------
     NoSolutionError
-        The given end needs more current than the limit.
+        The given end needs more current or voltage than the limits.
     """
     if settings.torque_max is None:
-        return largest_torque(machine, strategy, i_max)
-    require_torque(machine, strategy, i_max, settings.torque_max, "fit.torque_max")
+        return choice.largest_torque()
+    choice.require(settings.torque_max, "fit.torque_max")
     return settings.torque_max
 
 
-def fit_reference(machine: LinearMachine, strategy: Strategy, i_max: float, settings: FitSettings) -> ReferenceFit:
-    """Current reference of a machine with constant inductances.
+def fit_reference(choice: CurrentChoice, settings: FitSettings) -> ReferenceFit:
+    """Current reference for the currents of a choice.
 
     Parameters
     ----------
-    machine, strategy:
-        What is to be approximated.
-    i_max:
-        Current limit in A (peak); it sets the domain where the settings give none.
+    choice:
+        What is to be approximated; its limits set the domain where the settings give none.
     settings:
         Form, method, degree, segments, breakpoints and side conditions.
 
@@ -162,29 +177,52 @@ def fit_reference(machine: LinearMachine, strategy: Strategy, i_max: float, sett
     InputError
         The form does not suit the machine, or a breakpoint lies outside the domain.
     NoSolutionError
-        The torque domain needs more current than the limit, or the fit failed.
+        The torque domain needs more current or voltage than the limits, or the fit failed.
     """
-    end = domain_end(machine, strategy, i_max, settings)
-    exact = _exact_form(machine, strategy, settings.form)
+    end = domain_end(choice, settings)
+    exact = _exact_form(choice, settings.form)
     fits: dict[str, PiecewisePolynomial] = {}
     if exact is None:
+        _require_form(choice, settings.form)
         if settings.breakpoints is not None and settings.breakpoints and settings.breakpoints[-1] >= end:
             raise InputError(f"fit.breakpoints must lie below the largest torque, {end:.4g} N m")
-        all_curves = target_curves(machine)
-        curves = {axis: all_curves[axis] for axis in AXES[settings.form]}
-        side = SideConditions(settings.exact_at_zero, settings.continuous)
-        edges = find_edges(curves, settings, end)
-        fits = {
-            axis: fit_curve(curve, edges[axis], settings.degree, settings.method, side)
-            for axis, curve in curves.items()
-        }
+        fits = _fits(choice, settings, end)
         name: str = settings.form
-        form = _assemble(machine, settings.form, fits)
+        form = _assemble(choice.machine, settings.form, fits)
     else:
         name, form = exact
     reference = CurrentReference(form, np.float32(end))
-    errors = reference_errors(machine, strategy, reference)
-    return ReferenceFit(settings, name, end, fits.get("d"), fits.get("q"), reference, errors)
+    return ReferenceFit(
+        settings, name, end, fits.get("d"), fits.get("q"), reference, reference_errors(choice, reference)
+    )
+
+
+def _fits(choice: CurrentChoice, settings: FitSettings, end: float) -> dict[str, PiecewisePolynomial]:
+    """Polynomials of the axes that the form needs.
+
+    The side condition at zero torque holds a curve at zero there, so that what flows without torque (the d current
+    that weakens the field) is taken off before and put back behind.
+    """
+    all_curves = choice.curves(end)
+    curves = {axis: all_curves[axis] for axis in AXES[settings.form]}
+    at_rest = {axis: float(curve(np.zeros(1))[0]) for axis, curve in curves.items()}
+    shifted = {axis: _less(curve, at_rest[axis]) for axis, curve in curves.items()}
+    side = SideConditions(settings.exact_at_zero, settings.continuous)
+    edges = find_edges(shifted, settings, end)
+    fits = {
+        axis: fit_curve(curve, edges[axis], settings.degree, settings.method, side) for axis, curve in shifted.items()
+    }
+    return {axis: _raised(fit, at_rest[axis]) for axis, fit in fits.items()}
+
+
+def _less(curve: Curve, constant: float) -> Curve:
+    return curve if constant == 0.0 else lambda argument: curve(argument) - constant
+
+
+def _raised(fit: PiecewisePolynomial, constant: float) -> PiecewisePolynomial:
+    coefficients = fit.coefficients.copy()
+    coefficients[:, 0] += constant
+    return PiecewisePolynomial(fit.edges, coefficients)
 
 
 def _fixed_breakpoints(fit: ReferenceFit) -> FitSettings:
@@ -196,9 +234,7 @@ def _fixed_breakpoints(fit: ReferenceFit) -> FitSettings:
     return replace(fit.settings, breakpoints=tuple(float(edge) for edge in polynomial.breakpoints))
 
 
-def alternatives(
-    machine: LinearMachine, strategy: Strategy, i_max: float, fit: ReferenceFit
-) -> tuple[Alternative, ...]:
+def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative, ...]:
     """What other forms, methods and side conditions would give: one change at a time against ``fit``.
 
     Other forms search their own breakpoints; other methods and side conditions keep those of ``fit``, so that the
@@ -208,10 +244,10 @@ def alternatives(
         return ()
     fixed = _fixed_breakpoints(fit)
     rows: list[tuple[str, FitSettings]] = []
-    forms: tuple[FitForm, ...] = ("polynomial", "torque-exact", "closed-form")
-    unfit = ("torque-exact", "closed-form") if machine.psi_pm == 0.0 else ()
     rows += [
-        (f"form {form}", replace(fit.settings, form=form)) for form in forms if form not in (fit.settings.form, *unfit)
+        (f"form {form}", replace(fit.settings, form=form))
+        for form in possible_forms(choice)
+        if form != fit.settings.form and _exact_form(choice, form) is None
     ]
     methods: tuple[FitMethod, ...] = ("lagrange", "least-squares", "minimax")
     rows += [(f"method {method}", replace(fixed, method=method)) for method in methods if method != fixed.method]
@@ -225,7 +261,4 @@ def alternatives(
         rows.append(
             (f"continuous: {'off' if fixed.continuous else 'on'}", replace(fixed, continuous=not fixed.continuous))
         )
-    return tuple(
-        Alternative(label, settings, fit_reference(machine, strategy, i_max, settings).errors)
-        for label, settings in rows
-    )
+    return tuple(Alternative(label, settings, fit_reference(choice, settings).errors) for label, settings in rows)

@@ -8,9 +8,13 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.settings import Strategy
+from dqforge.machines.synchronous import LinearMachine, Machine
+from dqforge.optimizer.characteristics import voltage_limit
+from dqforge.optimizer.current_choice import CurrentChoice, OperatingPoints, SpeedPoint
 from dqforge.optimizer.gains import LoopGains, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loss_budget import LossComparison, compare
-from dqforge.optimizer.mtpa import OperatingPoints, PerUnitBase, operating_points, per_unit_base, require_torque
+from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
+from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit, alternatives, domain_end, fit_reference
 
@@ -51,28 +55,51 @@ class Solution:
     losses: LossComparison | None
 
 
+def current_choice(design: Design) -> CurrentChoice:
+    """What the design's currents are chosen by."""
+    operation = design.operation
+    if operation.omega_m is None:
+        return CurrentChoice(design.machine, operation.strategy, design.i_max)
+    limit = voltage_limit(design.inverter, operation.modulation, operation.voltage_margin)
+    point = SpeedPoint(operation.omega_m, limit.v_max)
+    return CurrentChoice(design.machine, operation.strategy, design.i_max, point)
+
+
 def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     """Operating points on an even grid of torques up to ``torque_max`` N m, or to the end of the fit's domain."""
-    end = (
-        torque_max if torque_max is not None else domain_end(design.machine, design.strategy, design.i_max, design.fit)
-    )
+    choice, machine = current_choice(design), design.machine
+    end = torque_max if torque_max is not None else domain_end(choice, design.fit)
     torque = np.linspace(0.0, end, _CURVE_POINTS)
-    chosen = operating_points(design.machine, torque, strategy=design.strategy, i_max=design.i_max)
-    has_magnet, has_saliency = design.machine.psi_pm > 0.0, design.machine.saliency != 0.0
-    id0 = operating_points(design.machine, torque, strategy="id0", i_max=design.i_max) if has_magnet else None
-    return Curves(chosen, id0, per_unit_base(design.machine) if has_magnet and has_saliency else None)
+    id0 = CurrentChoice(machine, "id0", design.i_max).points(torque) if machine.psi_pm > 0.0 else None
+    linear = choice.closed_form
+    has_base = linear is not None and linear.psi_pm > 0.0 and linear.saliency != 0.0
+    return Curves(choice.points(torque), id0, per_unit_base(linear) if linear is not None and has_base else None)
 
 
 def solve_fit(design: Design) -> ReferenceFit:
     """Current reference of the design."""
-    return fit_reference(design.machine, design.strategy, design.i_max, design.fit)
+    return fit_reference(current_choice(design), design.fit)
+
+
+def tuning_inductances(machine: Machine, i_max: float) -> tuple[float, float]:
+    """Inductances (l_d, l_q) in H that current loops are tuned for.
+
+    Those of a saturated machine are the least incremental ones along its MTPA locus up to ``i_max`` A: a loop is
+    fastest there, so that it is slower and has more margin everywhere else.
+    """
+    if isinstance(machine, LinearMachine):
+        return machine.l_d, machine.l_q
+    locus = mtpa_locus(machine, i_max)
+    jet = machine.jet(locus.i_d, locus.i_q)
+    return float(np.min(jet.l_dd)), float(np.min(jet.l_qq))
 
 
 def solve_gains(design: Design) -> GainSet:
     """Gains of the design, every loop checked as it is sampled."""
     machine, control = design.machine, design.control
-    i_d = tune_current_loop(machine.r_s, machine.l_d, control.t_s, control.current_loop, "i_d")
-    i_q = tune_current_loop(machine.r_s, machine.l_q, control.t_s, control.current_loop, "i_q")
+    l_d, l_q = tuning_inductances(machine, design.i_max)
+    i_d = tune_current_loop(machine.r_s, l_d, control.t_s, control.current_loop, "i_d")
+    i_q = tune_current_loop(machine.r_s, l_q, control.t_s, control.current_loop, "i_q")
     speed = tune_speed_loop(machine, i_q, control) if control.speed_loop is not None else None
     observer = (
         reduced_order_observer(machine, control.observer.pole, control.t_s) if control.observer is not None else None
@@ -94,8 +121,9 @@ def solve_losses(design: Design) -> LossComparison | None:
     torque = np.array([point.torque for point in losses.points])
     currents: dict[Strategy, tuple[np.ndarray, np.ndarray]] = {}
     for strategy in losses.strategies:
-        require_torque(design.machine, strategy, design.i_max, float(np.max(np.abs(torque))), "losses.points")
-        points = operating_points(design.machine, torque, strategy=strategy, i_max=design.i_max)
+        choice = CurrentChoice(design.machine, strategy, design.i_max)
+        choice.require(float(np.max(np.abs(torque))), "losses.points")
+        points = choice.points(torque)
         currents[strategy] = (points.i_d, points.i_q)
     return compare(design.machine, design.inverter, losses, currents)
 
@@ -113,7 +141,7 @@ def solve(design: Design) -> Solution:
         design=design,
         curves=solve_curves(design),
         fit=fit,
-        alternatives=alternatives(design.machine, design.strategy, design.i_max, fit),
+        alternatives=alternatives(current_choice(design), fit),
         gains=solve_gains(design),
         losses=solve_losses(design),
     )

@@ -13,7 +13,7 @@ from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.gains import LoopGains, current_step_response, speed_step_response
 from dqforge.optimizer.loops import StepResponse, current_loop, speed_loop
 from dqforge.optimizer.sampled import SampledSystem
-from dqforge.optimizer.solution import GainSet
+from dqforge.optimizer.solution import GainSet, tuning_inductances
 from dqforge.reports.figures_style import INK, LOOP_COLOURS, MUTED, new_figure, prefixed, style
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def loop_curves(design: Design, gains: GainSet) -> list[LoopCurves]:
     low = min(loop.crossover for loop in found) / 40.0
     current_time = max(_STEP_TIMES[loop.loop] / loop.crossover for loop in found[:2])
     curves = []
-    for loop, inductance in ((gains.i_d, machine.l_d), (gains.i_q, machine.l_q)):
+    for loop, inductance in zip(found[:2], tuning_inductances(machine, design.i_max), strict=True):
         duration = max(current_time, 12.0 * loop.t_s)
         step = current_step_response(machine.r_s, inductance, loop, duration)
         model = current_loop(machine.r_s, inductance, loop.t_s, loop.kp, loop.ki)
@@ -73,7 +73,7 @@ def loop_curves(design: Design, gains: GainSet) -> list[LoopCurves]:
         duration = max(_STEP_TIMES["speed"] / gains.speed.crossover, 12.0 * gains.speed.t_s)
         step = speed_step_response(machine, gains.i_q, control, gains.speed, duration)
         speed = speed_loop(
-            winding=(machine.r_s, machine.l_q),
+            winding=(machine.r_s, tuning_inductances(machine, design.i_max)[1]),
             mechanics=(machine.inertia, machine.friction),
             t_s=control.t_s,
             current_gains=(gains.i_q.kp, gains.i_q.ki),

@@ -9,10 +9,10 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.quantities import format_quantity
-from dqforge.machines.synchronous import FloatArray
+from dqforge.machines.synchronous import FloatArray, Machine
 from dqforge.optimizer.current_reference import PENALTY_FROM, ErrorCurves, error_curves, sample_torques
 from dqforge.optimizer.reference_fit import ReferenceFit
-from dqforge.optimizer.solution import Curves
+from dqforge.optimizer.solution import Curves, current_choice
 from dqforge.reports.figures_style import (
     AXIS_COLOURS,
     BLUE,
@@ -49,7 +49,7 @@ def breakpoints(fit: ReferenceFit) -> FloatArray:
 
 def sampled_errors(design: Design, fit: ReferenceFit) -> ErrorCurves:
     """Errors of the reference in its float32 arithmetic, from zero to the end of its domain."""
-    return error_curves(design.machine, design.strategy, fit.reference, sample_torques(fit.reference, _SAMPLES))
+    return error_curves(current_choice(design), fit.reference, sample_torques(fit.reference, _SAMPLES))
 
 
 def _at(fit: ReferenceFit, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -64,20 +64,34 @@ def _torque_levels(largest: float) -> FloatArray:
     return levels[(levels > 0.0) & (levels <= largest * (1.0 + 1e-9))]
 
 
+def _torque_line(machine: Machine, level: float, i_d: FloatArray, most: float) -> FloatArray:
+    """The q current in A up to ``most`` that makes a torque in N m at each d current, NaN where none does."""
+    grid = np.linspace(0.0, most, 601)
+    torque = machine.torque(*np.broadcast_arrays(i_d[:, np.newaxis], grid))
+    above = torque >= level
+    after = np.maximum(np.argmax(above, axis=1), 1)
+    rows = np.arange(i_d.size)
+    low, high = torque[rows, after - 1], torque[rows, after]
+    share = (level - low) / np.where(high > low, high - low, 1.0)
+    return np.where(above.any(axis=1), grid[after - 1] + share * (grid[1] - grid[0]), np.nan)
+
+
 def _draw_torque_lines(axes: Axes, design: Design, side: float, largest: float) -> None:
-    """Curves of constant torque, labelled beyond the current limit; the torque is proportional to i_q."""
+    """Curves of constant torque, labelled beyond the current limit."""
     i_max = design.i_max
     i_d = side * np.linspace(-0.42, 1.25, 120) * i_max
-    per_ampere = design.machine.torque(i_d, np.ones_like(i_d))
-    reachable = per_ampere > 1e-9 * float(np.max(per_ampere))
     factor, unit = prefixed(largest, "N m")
     for level in _torque_levels(largest):
-        i_q = level / per_ampere[reachable]
-        axes.plot(i_d[reachable], i_q, color=FAINT, linewidth=0.8, zorder=1)
+        i_q = _torque_line(design.machine, float(level), i_d, 6.0 * i_max)
+        reachable = np.isfinite(i_q)
+        if not reachable.any():
+            continue
+        axes.plot(i_d[reachable], i_q[reachable], color=FAINT, linewidth=0.8, zorder=1)
         label_at = 1.145 * side * i_max
+        order = np.argsort(i_d[reachable])
         axes.text(
             label_at,
-            float(np.interp(label_at, np.sort(i_d[reachable]), i_q[np.argsort(i_d[reachable])])),
+            float(np.interp(label_at, i_d[reachable][order], i_q[reachable][order])),
             f"{level * factor:g} {unit}",
             color=MUTED,
             fontsize=7,

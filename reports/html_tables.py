@@ -11,11 +11,11 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.synchronous import FloatArray, copper_loss
+from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
 from dqforge.optimizer.fixed_point import to_q
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
-from dqforge.optimizer.mtpa import OperatingPoints
 from dqforge.optimizer.observer import ObserverError, steady_state_error
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet

@@ -12,7 +12,7 @@ import numpy as np
 from dqforge.machines import catalogue
 from dqforge.machines.design import Design
 from dqforge.machines.settings import ModulationName, Strategy
-from dqforge.machines.synchronous import FloatArray
+from dqforge.machines.synchronous import FloatArray, linearised
 from dqforge.optimizer.breakpoints import search
 from dqforge.optimizer.fitting import SideConditions, fit_curve, squared_error_integral
 from dqforge.optimizer.loss_budget import calibrate_switching, loss_budget
@@ -137,8 +137,8 @@ def table_1() -> tuple[BreakpointRow, ...]:
 def table_2(design: Design) -> tuple[PolynomialRow, ...]:
     """Errors of the printed polynomials against the exact MTPA of the library machine over 0 to 250 N m."""
     torque = np.linspace(0.0, _CURVE_END, 25_001)
-    exact = dict(zip("dq", mtpa_currents(design.machine, torque), strict=True))
-    base = per_unit_base(design.machine).torque
+    exact = dict(zip("dq", mtpa_currents(linearised(design.machine), torque), strict=True))
+    base = per_unit_base(linearised(design.machine)).torque
     rows = []
     for (axis, degree), (first, second) in PRINTED_TABLE_2.items():
         phi = PRINTED_TABLE_1[degree]["dq".index(axis)] * base
@@ -150,7 +150,7 @@ def table_2(design: Design) -> tuple[PolynomialRow, ...]:
 
 def _currents(design: Design, strategy: Strategy) -> tuple[float, float]:
     torque = np.array([_POINT_TORQUE])
-    i_d, i_q = (id0_currents if strategy == "id0" else mtpa_currents)(design.machine, torque)
+    i_d, i_q = (id0_currents if strategy == "id0" else mtpa_currents)(linearised(design.machine), torque)
     return float(i_d[0]), float(i_q[0])
 
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from dqforge import __version__
 from dqforge.machines.design import Design
+from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.fixed_point import to_q
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
-from dqforge.optimizer.mtpa import OperatingPoints
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution

@@ -9,11 +9,12 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.quantities import format_quantity
+from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
 from dqforge.optimizer.fixed_point import to_q
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
-from dqforge.optimizer.mtpa import OperatingPoints, PerUnitBase
+from dqforge.optimizer.mtpa import PerUnitBase
 from dqforge.optimizer.observer import steady_state_error
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit

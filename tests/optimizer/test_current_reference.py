@@ -14,15 +14,15 @@ from scipy.optimize import minimize_scalar
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.settings import FitForm, FitSettings
 from dqforge.machines.synchronous import LinearMachine
+from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.current_reference import error_curves, sample_torques
-from dqforge.optimizer.mtpa import largest_torque
 from dqforge.optimizer.reference_fit import ReferenceFit, alternatives, fit_reference
 
 FORMS: list[FitForm] = ["polynomial", "torque-exact", "closed-form"]
 
 
 def fitted(machine: LinearMachine, **settings_: Any) -> ReferenceFit:
-    return fit_reference(machine, "mtpa", machine.i_max, FitSettings(**settings_))
+    return fit_reference(CurrentChoice(machine, "mtpa", machine.i_max), FitSettings(**settings_))
 
 
 @pytest.fixture(scope="module", params=FORMS)
@@ -100,13 +100,13 @@ def test_figures_of_the_per_unit_problem() -> None:
 
 
 def test_surface_machine_and_id0_need_no_polynomial() -> None:
-    for fit in (fitted(SURFACE), fit_reference(IPM, "id0", 283.0, FitSettings())):
+    for fit in (fitted(SURFACE), fit_reference(CurrentChoice(IPM, "id0", 283.0), FitSettings())):
         assert fit.form == "proportional"
         assert fit.d is None
         assert fit.q is None
         assert fit.errors.torque_relative < 2e-7
         assert fit.errors.i_d == 0.0
-        assert alternatives(SURFACE, "mtpa", 50.0, fit) == ()
+        assert alternatives(CurrentChoice(SURFACE, "mtpa", 50.0), fit) == ()
 
 
 def test_reluctance_machine_has_an_exact_square_root_and_refuses_a_division_by_zero() -> None:
@@ -138,7 +138,7 @@ def test_own_breakpoints_differ_per_axis_and_are_no_worse() -> None:
 
 def test_alternatives_change_one_thing_at_a_time() -> None:
     fit = fitted(IPM, degree=3)
-    rows = {row.label: row for row in alternatives(IPM, "mtpa", 283.0, fit)}
+    rows = {row.label: row for row in alternatives(CurrentChoice(IPM, "mtpa", 283.0), fit)}
     assert set(rows) == {
         "form polynomial",
         "form closed-form",
@@ -165,8 +165,9 @@ def test_any_machine_gives_finite_sound_references(
     l_d: float, ratio: float, psi_pm: float, i_max: float, degree: int, form: FitForm
 ) -> None:
     machine = LinearMachine(3, 0.1, l_d, l_d * ratio, psi_pm, i_max)
-    fit = fit_reference(machine, "mtpa", i_max, FitSettings(form=form, degree=degree, method="lagrange"))
-    most = largest_torque(machine, "mtpa", i_max)
+    choice = CurrentChoice(machine, "mtpa", i_max)
+    fit = fit_reference(choice, FitSettings(form=form, degree=degree, method="lagrange"))
+    most = choice.largest_torque()
     torque = np.linspace(-1.0, 1.0, 101, dtype=np.float32) * np.float32(most)
     for fused in (False, True):
         i_d, i_q = fit.reference.currents(torque, fused=fused)
@@ -190,12 +191,12 @@ def test_stated_errors_cover_both_contractions() -> None:
     larger = set()
     for machine in (IPM, INVERSE_SALIENT):
         for degree in (3, 4, 5, 6):
-            fit = fitted(
-                machine, degree=degree, method="lagrange", breakpoints=(0.4 * largest_torque(machine, "mtpa", 40.0),)
-            )
+            choice = CurrentChoice(machine, "mtpa", machine.i_max)
+            breakpoint_ = 0.4 * CurrentChoice(machine, "mtpa", 40.0).largest_torque()
+            fit = fitted(machine, degree=degree, method="lagrange", breakpoints=(breakpoint_,))
             torque = sample_torques(fit.reference, 4000)
             separate, fused = (
-                float(np.max(np.abs(error_curves(machine, "mtpa", fit.reference, torque, fused=way).torque_error)))
+                float(np.max(np.abs(error_curves(choice, fit.reference, torque, fused=way).torque_error)))
                 for way in (False, True)
             )
             assert fit.errors.torque == max(separate, fused)

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer import mtpa
+from dqforge.optimizer.current_choice import CurrentChoice
 
 
 def quartic_root(torque: float) -> tuple[float, float]:
@@ -54,11 +55,15 @@ machines = st.builds(
 )
 
 
+def chosen(machine: LinearMachine) -> CurrentChoice:
+    return CurrentChoice(machine, "mtpa", machine.i_max)
+
+
 @settings(max_examples=200, deadline=None)
 @given(machine=machines, fraction=st.floats(-1.0, 1.0))
 def test_no_point_of_a_dense_scan_gives_more_torque_per_ampere(machine: LinearMachine, fraction: float) -> None:
-    most = mtpa.largest_torque(machine, "mtpa", machine.i_max)
-    point = mtpa.operating_points(machine, np.array([fraction * most]))
+    most = chosen(machine).largest_torque()
+    point = chosen(machine).points(np.array([fraction * most]))
     current = np.hypot(point.i_d, point.i_q)
     angle = np.linspace(0.0, 2.0 * np.pi, 7201)
     scan = machine.torque(current * np.cos(angle), current * np.sin(angle))
@@ -91,7 +96,7 @@ def test_dense_scan_is_attained(ipm100: LinearMachine) -> None:
     ids=["ipm", "nearly-surface", "l_d>l_q", "surface", "reluctance", "reluctance-q"],
 )
 def test_ipopt_finds_the_same_currents(machine: LinearMachine) -> None:
-    torque = 0.8 * mtpa.largest_torque(machine, "mtpa", machine.i_max)
+    torque = 0.8 * chosen(machine).largest_torque()
     i_d, i_q = ca.SX.sym("i_d"), ca.SX.sym("i_q")
     air_gap = 1.5 * machine.pole_pairs * (machine.psi_pm + (machine.l_d - machine.l_q) * i_d) * i_q
     problem = {"x": ca.vertcat(i_d, i_q), "f": (i_d**2 + i_q**2) / machine.i_max**2, "g": air_gap / torque}
@@ -99,7 +104,7 @@ def test_ipopt_finds_the_same_currents(machine: LinearMachine) -> None:
     solver = ca.nlpsol("mtpa", "ipopt", problem, options)
     start_d = -np.sign(machine.saliency) * 0.3 * machine.i_max
     solution = np.asarray(solver(x0=[start_d, 0.5 * machine.i_max], lbg=1.0, ubg=1.0)["x"]).ravel()
-    point = mtpa.operating_points(machine, np.array([torque]))
+    point = chosen(machine).points(np.array([torque]))
     np.testing.assert_allclose([point.i_d[0], point.i_q[0]], solution, atol=1e-6 * machine.i_max)
 
 
@@ -117,15 +122,15 @@ def test_points_printed_by_another_tool(shared_data: Path) -> None:
 
 
 def test_current_limit_returns_the_largest_torque_and_says_so(ipm100: LinearMachine) -> None:
-    point = mtpa.operating_points(ipm100, np.array([-1e4, 100.0, 1e4]))
+    point = chosen(ipm100).points(np.array([-1e4, 100.0, 1e4]))
     np.testing.assert_array_equal(point.limited, [True, False, True])
     np.testing.assert_allclose(np.hypot(point.i_d, point.i_q)[[0, 2]], 283.0, rtol=1e-12)
-    assert point.torque[2] == -point.torque[0] == pytest.approx(mtpa.largest_torque(ipm100, "mtpa", 283.0))
+    assert point.torque[2] == -point.torque[0] == pytest.approx(chosen(ipm100).largest_torque())
 
 
 def test_id0_draws_paper_000_current(ipm100: LinearMachine) -> None:
     """206.54 A at 130 N m: i_q = 2 T / (3 p psi_pm) by hand."""
-    point = mtpa.operating_points(ipm100, np.array([130.0]), strategy="id0")
+    point = CurrentChoice(ipm100, "id0", ipm100.i_max).points(np.array([130.0]))
     assert point.i_d[0] == 0.0
     assert point.i_q[0] == pytest.approx(2.0 * 130.0 / (3.0 * 4.0 * 0.1049), rel=1e-14)
 
@@ -142,15 +147,15 @@ def test_refusals_name_the_reason(ipm100: LinearMachine) -> None:
     with pytest.raises(InputError, match="strategy id0 needs magnet flux"):
         mtpa.id0_currents(replace(ipm100, psi_pm=0.0), np.array([1.0]))
     with pytest.raises(InputError, match="must be finite"):
-        mtpa.operating_points(ipm100, np.array([np.nan]))
+        chosen(ipm100).points(np.array([np.nan]))
     with pytest.raises(InputError, match="straight line"):
         mtpa.per_unit_base(replace(ipm100, l_q=ipm100.l_d))
     with pytest.raises(NoSolutionError, match=r"283 A \(peak\) give at most"):
-        mtpa.require_torque(ipm100, "mtpa", 283.0, 1000.0, "fit.torque_max")
+        chosen(ipm100).require(1000.0, "fit.torque_max")
 
 
 def test_a_given_limit_replaces_that_of_the_machine(ipm100: LinearMachine) -> None:
     """At i_d = 0 the largest torque is 3/2 p psi_pm i_max = 0.6294 N m/A times 100 A."""
-    points = mtpa.operating_points(ipm100, np.array([60.0, 70.0]), strategy="id0", i_max=100.0)
+    points = CurrentChoice(ipm100, "id0", 100.0).points(np.array([60.0, 70.0]))
     assert points.limited.tolist() == [False, True]
     assert points.torque.tolist() == pytest.approx([60.0, 62.94])

@@ -17,6 +17,7 @@ from matplotlib.image import imread
 from dqforge.machines import catalogue
 from dqforge.machines.design import Design, InputValue
 from dqforge.machines.settings import FitSettings
+from dqforge.machines.synchronous import linearised
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.figures_style import BLUE, LOSS_COLOURS, ORANGE, TEAL
 from dqforge.reports.html_report import copper_saving, render_report
@@ -150,7 +151,7 @@ def test_the_outcome_of_the_verification_is_plain(solution: Solution, report: st
 
 
 def _varied(design: Design, variant: str) -> Design:
-    machine, control = design.machine, design.control
+    machine, control = linearised(design.machine), design.control
     match variant:
         case "surface":
             return replace(design, machine=replace(machine, l_q=machine.l_d), fit=FitSettings())
