@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from dqforge.machines import datasheet
 from dqforge.machines.entries import Quantity
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.schema import CurrentLoopSection, DesignFile, MachineSection, SpeedLoopSection
-from dqforge.machines.synchronous import LinearMachine
+from dqforge.machines.settings import Strategy
+from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.machines.yaml_source import KeyPath, YamlDocument
 
 # A torque that is written as the limit itself, rounded, is meant to be the limit.
@@ -28,9 +31,9 @@ def si_of(quantity: Quantity | None) -> float | None:
     return None if quantity is None else quantity.si
 
 
-def check_machine(section: MachineSection, machine: LinearMachine, document: YamlDocument) -> None:
+def check_machine(section: MachineSection, machine: Machine, document: YamlDocument) -> None:
     """Check the machine as a whole against its name plate; raises `InputError` with a position."""
-    if machine.psi_pm == 0.0 and machine.l_d == machine.l_q:
+    if isinstance(machine, LinearMachine) and machine.psi_pm == 0.0 and machine.l_d == machine.l_q:
         raise document.error(
             "machine: no magnet flux and inductance_d equal to inductance_q, so it gives no torque; "
             "write magnet_flux or two different inductances",
@@ -48,14 +51,13 @@ def check_machine(section: MachineSection, machine: LinearMachine, document: Yam
         _check_rated_current(datasheet.peak_current(rated.current.si, rated.current.kind or ""), machine, document)
     if torque is not None:
         with document.at(("machine", "rated", "torque")):
-            largest = datasheet.largest_torque(machine.pole_pairs, machine.psi_pm, machine.saliency, machine.i_max)
-            datasheet.check_rated_torque(torque, largest)
+            datasheet.check_rated_torque(torque, _largest_torque(machine, machine.i_max))
     if speed is not None and machine.omega_m_max is not None and speed > machine.omega_m_max * (1.0 + _ROUNDING):
         message = f"machine.rated.speed {format_quantity(speed, 'rpm')} is above max_speed; correct one of them"
         raise document.error(message, ("machine", "rated", "speed"))
 
 
-def _check_rated_current(current: float, machine: LinearMachine, document: YamlDocument) -> None:
+def _check_rated_current(current: float, machine: Machine, document: YamlDocument) -> None:
     if current <= machine.i_max * (1.0 + _ROUNDING):
         return
     raise document.error(
@@ -91,7 +93,7 @@ def check_inverter(sections: DesignFile, document: YamlDocument) -> None:
         )
 
 
-def check_loops(sections: DesignFile, machine: LinearMachine, document: YamlDocument) -> None:
+def check_loops(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
     """Check that each controller has the keys that its method needs; raises `InputError` with a position."""
     control = sections.control
     _check_method(control.current_loop, ("control", "current_loop"), document)
@@ -128,23 +130,67 @@ def _check_method(loop: CurrentLoopSection | SpeedLoopSection, path: KeyPath, do
             )
 
 
-def check_fit(sections: DesignFile, machine: LinearMachine, i_max: float, document: YamlDocument) -> None:
+def check_fit(sections: DesignFile, machine: Machine, i_max: float, document: YamlDocument) -> None:
     """Check strategy, form and domain of the current references; raises `InputError` with a position."""
     strategy, fit = sections.operation.strategy, sections.fit
     if strategy == "id0" and machine.psi_pm == 0.0:
         message = "operation.strategy: id0 gives no torque without magnets; write strategy: mtpa"
         raise document.error(message, ("operation", "strategy"))
-    if strategy == "mtpa" and fit.form == "closed-form" and machine.l_d == machine.l_q:
-        message = "fit.form: closed-form needs inductance_d and inductance_q to differ; write form: torque-exact"
-        raise document.error(message, ("fit", "form"))
-    if fit.form == "torque-exact" and machine.psi_pm == 0.0:
-        message = "fit.form: torque-exact divides by the magnet torque, the machine has none; write form: closed-form"
-        raise document.error(message, ("fit", "form"))
-    saliency = machine.saliency if strategy == "mtpa" else 0.0
-    largest = datasheet.largest_torque(machine.pole_pairs, machine.psi_pm, saliency, i_max)
+    _check_form(sections, machine, document)
+    _check_speed(sections, machine, document)
+    largest = _largest_torque(machine, i_max, strategy)
     end = largest if fit.torque_max is None else fit.torque_max.si
     if fit.breakpoints is not None:
         _check_breakpoints(fit.breakpoints, fit.segments, end, document)
+
+
+def _largest_torque(machine: Machine, i_max: float, strategy: Strategy = "mtpa") -> float:
+    """Largest torque in N m within a current limit in A; of saturated machines by a scan, good for a cross-check."""
+    if isinstance(machine, LinearMachine):
+        saliency = machine.saliency if strategy == "mtpa" else 0.0
+        return datasheet.largest_torque(machine.pole_pairs, machine.psi_pm, saliency, i_max)
+    angle = np.linspace(0.0, np.pi, 721) if strategy == "mtpa" else np.array([0.5 * np.pi])
+    return float(np.max(machine.torque(i_max * np.cos(angle), i_max * np.sin(angle))))
+
+
+def _check_form(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
+    """Check that the machine and the strategy have the form that is asked for."""
+    form, path = sections.fit.form, ("fit", "form")
+    if not isinstance(machine, LinearMachine):
+        if form != "polynomial" and "form" in sections.fit.model_fields_set:
+            message = f"fit.form: {form} needs constant inductances, the machine saturates; write form: polynomial"
+            raise document.error(message, path)
+        return
+    if sections.operation.strategy == "mtpa" and form == "closed-form" and machine.l_d == machine.l_q:
+        message = "fit.form: closed-form needs inductance_d and inductance_q to differ; write form: torque-exact"
+        raise document.error(message, path)
+    if form == "closed-form" and sections.operation.speed is not None:
+        other = "polynomial" if machine.psi_pm == 0.0 else "torque-exact"
+        message = f"fit.form: closed-form follows the MTPA locus, which operation.speed leaves; write form: {other}"
+        raise document.error(message, path)
+    if form == "torque-exact" and machine.psi_pm == 0.0:
+        other = "closed-form" if sections.operation.speed is None else "polynomial"
+        message = f"fit.form: torque-exact divides by the magnet torque, the machine has none; write form: {other}"
+        raise document.error(message, path)
+
+
+def _check_speed(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
+    """Check the speed for which the field is weakened."""
+    operation = sections.operation
+    for key in ("modulation", "voltage_margin"):
+        if operation.speed is None and key in operation.model_fields_set:
+            message = f"operation.{key} limits the voltage at a speed; write speed: 3000 rpm, or remove the key"
+            raise document.error(message, ("operation", key), key=True)
+    if operation.speed is None:
+        return
+    if operation.strategy == "id0":
+        message = "operation.speed: id0 cannot weaken the field; write strategy: mtpa, or remove the speed"
+        raise document.error(message, ("operation", "speed"), key=True)
+    most = machine.omega_m_max
+    if most is not None and operation.speed.si > most * (1.0 + _ROUNDING):
+        shown, limit = format_quantity(operation.speed.si, "rpm"), format_quantity(most, "rpm")
+        message = f"operation.speed: {shown} is above machine.max_speed {limit}; correct one of them"
+        raise document.error(message, ("operation", "speed"))
 
 
 def _check_breakpoints(breakpoints: tuple[Quantity, ...], segments: int, end: float, document: YamlDocument) -> None:
@@ -166,7 +212,7 @@ def _check_breakpoints(breakpoints: tuple[Quantity, ...], segments: int, end: fl
             raise document.error(message, (*path, index))
 
 
-def check_comparison(sections: DesignFile, machine: LinearMachine, document: YamlDocument) -> None:
+def check_comparison(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
     """Check the loss comparison: no alternative twice, no point beyond the largest speed."""
     if sections.losses is None:
         return
@@ -183,7 +229,7 @@ def check_comparison(sections: DesignFile, machine: LinearMachine, document: Yam
             raise document.error(message + (hint or "; correct one of them"), ("losses", "points", index, "speed"))
 
 
-def sampling_warning(machine: LinearMachine, f_s: float) -> str:
+def sampling_warning(machine: Machine, f_s: float) -> str:
     """Sentence on a sampling (Hz) that is slow against the electrical frequency at top speed, or an empty text."""
     if machine.omega_m_max is None:
         return ""

@@ -274,6 +274,10 @@ class SaturatedMachine(MachineFormulas):
         """Flux linkages with first and second derivatives at currents in A, arrays of shape (N,)."""
         return self.flux_map.jet(i_d, i_q)
 
+    def known(self, i_d: FloatArray, i_q: FloatArray) -> NDArray[np.bool_]:
+        """Whether currents in A lie on the map, any one shape."""
+        return self.flux_map.inside(i_d, i_q)
+
 
 @dataclass(frozen=True, slots=True)
 class Inductances:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from dqforge.machines import checks, datasheet
 from dqforge.machines.checks import si_of
-from dqforge.machines.datasheet import FluxStatement
-from dqforge.machines.design import Design, InputValue
-from dqforge.machines.entries import Quantity
+from dqforge.machines.design import Design
 from dqforge.machines.inverter import Inverter, SwitchDevice
+from dqforge.machines.machine_reader import read_machine
 from dqforge.machines.provenance import input_values, kind_assumptions
 from dqforge.machines.quantities import format_quantity
+from dqforge.machines.reading import Reading
 from dqforge.machines.schema import (
     ControlSection,
     CurrentLoopSection,
@@ -22,7 +21,7 @@ from dqforge.machines.schema import (
     DeviceSection,
     FitSection,
     InverterSection,
-    MachineSection,
+    OperationSection,
     SpeedLoopSection,
 )
 from dqforge.machines.settings import (
@@ -37,7 +36,7 @@ from dqforge.machines.settings import (
     PerUnitBases,
     SpeedLoopSettings,
 )
-from dqforge.machines.synchronous import LinearMachine
+from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.machines.validation import read_sections
 from dqforge.machines.yaml_source import YamlDocument, parse_yaml, read_bytes
 
@@ -54,10 +53,10 @@ def load_design(path: str | Path) -> Design:
     InputError
         The file cannot be read, or its content is wrong; with the position where there is one.
     """
-    return load_text(read_bytes(path), str(path))
+    return load_text(read_bytes(path), str(path), Path(path).parent)
 
 
-def load_text(text: bytes, source: str) -> Design:
+def load_text(text: bytes, source: str, folder: Path | None = None) -> Design:
     """Design in the bytes of a file.
 
     Parameters
@@ -66,6 +65,8 @@ def load_text(text: bytes, source: str) -> Design:
         Content, UTF-8.
     source:
         File name for messages.
+    folder:
+        Where the files lie that the design names; None where it may name none.
 
     Raises
     ------
@@ -73,24 +74,26 @@ def load_text(text: bytes, source: str) -> Design:
         The content is wrong; with the position of the first fault.
     """
     document = parse_yaml(text, source)
-    sections = read_sections(document)
-    return _Build(document, sections).design(hashlib.sha256(text).hexdigest())
+    return _Build(document, read_sections(document), Reading(document, text, folder)).design()
 
 
 @dataclass(slots=True)
 class _Build:
-    """One design in the making: `converted` and `remarks` collect what the file does not say itself."""
+    """One design in the making."""
 
     document: YamlDocument
     sections: DesignFile
-    converted: dict[str, tuple[float, str]] = field(default_factory=dict)
-    derived: list[InputValue] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)
+    reading: Reading
 
-    def design(self, digest: str) -> Design:
+    @property
+    def remarks(self) -> list[str]:
+        """Sentences on what the file leaves open."""
+        return self.reading.remarks
+
+    def design(self) -> Design:
         """Build all parts in an order in which each check has what it needs."""
         sections, document = self.sections, self.document
-        machine = self.machine(sections.machine)
+        machine = read_machine(sections.machine, self.reading)
         checks.check_machine(sections.machine, machine, document)
         checks.check_inverter(sections, document)
         checks.check_loops(sections, machine, document)
@@ -106,95 +109,14 @@ class _Build:
             machine=machine,
             inverter=inverter,
             control=control,
-            operation=OperationSettings(sections.operation.strategy),
-            fit=_fit(sections.fit),
+            operation=_operation(sections.operation),
+            fit=self.fit(sections.fit, machine),
             losses=_losses(sections),
             export=ExportSettings(prefix=sections.export.prefix, vectors=sections.export.vectors),
-            values=(*input_values(sections, self.converted), *self.derived),
+            values=(*input_values(sections, self.reading.converted), *self.reading.derived),
             assumptions=(*kind_assumptions(sections), *self.remarks),
-            digest=digest,
+            digest=self.reading.digest(),
         )
-
-    def peak(self, quantity: Quantity, path: str) -> float:
-        """Peak of a current entry, with a note when it was converted."""
-        value = datasheet.peak_current(quantity.si, quantity.kind or "peak")
-        if quantity.kind == "rms":
-            self.converted[path] = (value, "r.m.s. value times sqrt(2)")
-        return value
-
-    def per_phase(self, quantity: Quantity, path: str) -> float:
-        """Phase value of a resistance or inductance, with a note when it was converted."""
-        value = datasheet.phase_resistance(quantity.si, quantity.kind or "phase")
-        if quantity.kind == "line-to-line":
-            self.converted[path] = (value, "half of the line-to-line value (star connection)")
-        return value
-
-    def machine(self, section: MachineSection) -> LinearMachine:
-        """Machine per phase and peak; raises `InputError` when its constants contradict each other."""
-        counts = [None if q is None else int(q.si) for q in (section.pole_pairs, section.poles)]
-        with self.document.at(("machine", "poles") if section.poles else ("machine",), key=section.poles is None):
-            pole_pairs = datasheet.check_pole_counts(*counts)
-        if section.poles is not None:
-            self.converted["machine.poles"] = (section.poles.si, f"{pole_pairs} pole pairs")
-        r_s = self.per_phase(section.resistance, "machine.resistance")
-        l_d = self.per_phase(section.inductance_d, "machine.inductance_d")
-        l_q = self.per_phase(section.inductance_q, "machine.inductance_q")
-        psi_pm = self.magnet_flux(section, pole_pairs)
-        if section.rated.current is not None:
-            self.peak(section.rated.current, "machine.rated.current")
-        return LinearMachine(
-            pole_pairs=pole_pairs,
-            r_s=r_s,
-            l_d=l_d,
-            l_q=l_q,
-            psi_pm=psi_pm,
-            i_max=self.peak(section.max_current, "machine.max_current"),
-            inertia=si_of(section.inertia),
-            friction=si_of(section.friction) or 0.0,
-            omega_m_max=si_of(section.max_speed),
-        )
-
-    def magnet_flux(self, section: MachineSection, pole_pairs: int) -> float:
-        """Flux linkage of the magnets from the first of the keys that imply it, once all agree."""
-        statements = self.flux_statements(section, pole_pairs)
-        if not statements:
-            raise self.document.error(
-                "machine needs magnet_flux, back_emf_constant or torque_constant; write e.g. magnet_flux: 0.06 Wb "
-                "(0 Wb for a reluctance machine)",
-                ("machine",),
-                key=True,
-            )
-        # Whichever of the keys stands last in the file is the one that contradicts what was read before.
-        last = max(statements, key=lambda s: self.document.position(("machine", s.key)))
-        with self.document.at(("machine", last.key)):
-            datasheet.check_flux_agreement(statements, pole_pairs)
-        used = statements[0]
-        if used.key != "magnet_flux":
-            note = f"derived from {used.key} {used.text} with {pole_pairs} pole pairs"
-            self.derived.append(InputValue("machine.magnet_flux", "", used.psi_pm, "Wb", inferred=True, note=note))
-            self.remarks.append(f"machine.magnet_flux is {format_quantity(used.psi_pm, 'Wb')} (peak of phase), {note}")
-        return used.psi_pm
-
-    def flux_statements(self, section: MachineSection, pole_pairs: int) -> list[FluxStatement]:
-        """What each given key says about the flux linkage, in order of trust."""
-        statements = []
-        if (flux := section.magnet_flux) is not None:
-            psi_pm = datasheet.peak_flux(flux.si, flux.kind or "peak")
-            statements.append(FluxStatement("magnet_flux", _said(flux), psi_pm, counts_poles=False))
-            if flux.kind != "peak":
-                self.converted["machine.magnet_flux"] = (psi_pm, f"peak of phase from the {flux.kind} value")
-        if (emf := section.back_emf_constant) is not None:
-            psi_pm = datasheet.flux_from_back_emf(emf.si, emf.kind or "", pole_pairs)
-            statements.append(FluxStatement("back_emf_constant", _said(emf), psi_pm, counts_poles=True))
-            inverted = "reciprocal of the speed per volt; " if emf.inverted else ""
-            implied = f"{inverted}implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
-            self.converted["machine.back_emf_constant"] = (emf.si, implied)
-        if (constant := section.torque_constant) is not None:
-            psi_pm = datasheet.flux_from_torque_constant(constant.si, constant.kind or "", pole_pairs)
-            statements.append(FluxStatement("torque_constant", _said(constant), psi_pm, counts_poles=True))
-            implied = f"implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
-            self.converted["machine.torque_constant"] = (constant.si, implied)
-        return statements
 
     def inverter(self, section: InverterSection) -> Inverter:
         """Inverter in SI units."""
@@ -206,13 +128,11 @@ class _Build:
             device=None if section.device is None else _device(section.device),
             coolant_temperature=_DEFAULT_COOLANT if coolant is None else coolant,
             dead_time=si_of(section.dead_time) or 0.0,
-            i_max=None if limit is None else self.peak(limit, "inverter.max_current"),
+            i_max=None if limit is None else self.reading.peak(limit, "inverter.max_current"),
             topology=section.topology,
         )
 
-    def control(
-        self, section: ControlSection, machine: LinearMachine, inverter: Inverter, i_max: float
-    ) -> ControlSettings:
+    def control(self, section: ControlSection, machine: Machine, inverter: Inverter, i_max: float) -> ControlSettings:
         """Controllers in SI units, with the bases that the file leaves open."""
         f_s = si_of(section.sampling_frequency)
         if f_s is None:
@@ -230,10 +150,10 @@ class _Build:
             bases=self.bases(section, machine, inverter, i_max),
         )
 
-    def bases(self, section: ControlSection, machine: LinearMachine, inverter: Inverter, i_max: float) -> PerUnitBases:
+    def bases(self, section: ControlSection, machine: Machine, inverter: Inverter, i_max: float) -> PerUnitBases:
         """Bases of the per-unit gains; what the file leaves open is stated among the assumptions."""
         given = section.per_unit
-        current = i_max if given.current is None else self.peak(given.current, "control.per_unit.current")
+        current = i_max if given.current is None else self.reading.peak(given.current, "control.per_unit.current")
         voltage = inverter.v_dc / math.sqrt(3.0) if given.voltage is None else given.voltage.si
         speed, speed_from = self.base_speed(machine, inverter) if given.speed is None else (given.speed.si, "")
         torque = (machine.torque_per_ampere * current or 1.0) if given.torque is None else given.torque.si
@@ -248,7 +168,7 @@ class _Build:
                 self.remarks.append(f"control.per_unit.{name} is {format_quantity(value, unit)}: {source}")
         return PerUnitBases(current=current, voltage=voltage, speed=speed, torque=torque)
 
-    def base_speed(self, machine: LinearMachine, inverter: Inverter) -> tuple[float, str]:
+    def base_speed(self, machine: Machine, inverter: Inverter) -> tuple[float, str]:
         """Base speed in rad/s that the file leaves open, and where it comes from."""
         if machine.omega_m_max is not None:
             return machine.omega_m_max, "machine.max_speed"
@@ -261,7 +181,25 @@ class _Build:
         omega_m = inverter.v_dc / math.sqrt(3.0) / (machine.pole_pairs * machine.psi_pm)
         return omega_m, "where the back-EMF reaches v_dc/sqrt(3)"
 
-    def general_remarks(self, machine: LinearMachine, inverter: Inverter, control: ControlSettings) -> None:
+    def fit(self, section: FitSection, machine: Machine) -> FitSettings:
+        """Settings of the fit; what the machine cannot have is no default."""
+        form = section.form
+        if "form" not in section.model_fields_set and not isinstance(machine, LinearMachine):
+            form = "polynomial"
+            self.remarks.append("fit.form is polynomial: the machine saturates, so that no other form holds")
+        return FitSettings(
+            form=form,
+            method=section.method,
+            degree=section.degree,
+            segments=section.segments,
+            breakpoint_mode=section.breakpoint_mode,
+            exact_at_zero=section.exact_at_zero,
+            continuous=section.continuous,
+            torque_max=si_of(section.torque_max),
+            breakpoints=None if section.breakpoints is None else tuple(point.si for point in section.breakpoints),
+        )
+
+    def general_remarks(self, machine: Machine, inverter: Inverter, control: ControlSettings) -> None:
         """Sentences on defaults that change the result."""
         sections = self.sections
         if machine.omega_m_max is not None:
@@ -282,10 +220,6 @@ class _Build:
             self.remarks.append(f"inverter.device.max_junction_temperature is {_DEFAULT_JUNCTION:g} degC")
         if device is not None and sections.inverter.coolant_temperature is None:
             self.remarks.append(f"inverter.coolant_temperature is {format_quantity(_DEFAULT_COOLANT, 'degC')}")
-
-
-def _said(quantity: Quantity) -> str:
-    return f"{quantity.text} ({quantity.kind})"
 
 
 def _device(section: DeviceSection) -> SwitchDevice:
@@ -337,17 +271,9 @@ def _speed_loop(section: SpeedLoopSection) -> SpeedLoopSettings:
     )
 
 
-def _fit(section: FitSection) -> FitSettings:
-    return FitSettings(
-        form=section.form,
-        method=section.method,
-        degree=section.degree,
-        segments=section.segments,
-        breakpoint_mode=section.breakpoint_mode,
-        exact_at_zero=section.exact_at_zero,
-        continuous=section.continuous,
-        torque_max=si_of(section.torque_max),
-        breakpoints=None if section.breakpoints is None else tuple(point.si for point in section.breakpoints),
+def _operation(section: OperationSection) -> OperationSettings:
+    return OperationSettings(
+        section.strategy, si_of(section.speed), section.modulation, si_of(section.voltage_margin) or 0.0
     )
 
 

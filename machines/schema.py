@@ -21,8 +21,12 @@ from dqforge.machines.settings import (
     FitForm,
     FitMethod,
     FitSettings,
+    FluxAxes,
+    FluxScaling,
     LossSettings,
+    MachineModel,
     ModulationName,
+    OperationSettings,
     SpeedLoopMethod,
     SpeedLoopSettings,
     Strategy,
@@ -32,6 +36,7 @@ FORMAT_VERSION = 1
 
 _PHASE = ("phase", "line-to-line")
 _PEAK = ("peak", "rms")
+_OPERATION = OperationSettings()
 _FIT = FitSettings()
 _CURRENT = CurrentLoopSettings()
 _SPEED = SpeedLoopSettings()
@@ -44,6 +49,8 @@ Version = Annotated[Literal[1], BeforeValidator(not_truth)]
 Name = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text, limit=80))]
 About = Annotated[str, AfterValidator(partial(plain_text, limit=2000))]
 Prefix = Annotated[str, AfterValidator(check_prefix)]
+FileName = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text, limit=200))]
+ColumnName = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text, limit=80))]
 Bits = Annotated[int, Field(ge=0, le=31)]
 
 Resistance = Annotated[Quantity, QuantityRule("resistance", 1e-6, 1e3, _PHASE, "phase")]
@@ -82,6 +89,9 @@ CurrentGain = Annotated[Quantity, QuantityRule("current-gain", 1e-9, 1e9)]
 CurrentIntegralGain = Annotated[Quantity, QuantityRule("current-integral-gain", 0.0, 1e12)]
 SpeedGain = Annotated[Quantity, QuantityRule("speed-gain", 1e-12, 1e9)]
 SpeedIntegralGain = Annotated[Quantity, QuantityRule("speed-integral-gain", 0.0, 1e12)]
+Share = Annotated[Quantity, QuantityRule("number", 0.0, 0.9)]
+Nonnegative = Annotated[float, Field(ge=0.0, le=1e9, strict=False), BeforeValidator(not_truth)]
+Positive = Annotated[float, Field(gt=0.0, le=1e9, strict=False), BeforeValidator(not_truth)]
 PolePairs = Annotated[Quantity, CountRule(1, 200, 4)]
 Poles = Annotated[Quantity, CountRule(2, 400, 8)]
 
@@ -104,18 +114,109 @@ class RatedSection(Section):
     frequency: Frequency | None = Field(default=None, description="rated electrical frequency (Hz)")
 
 
-class MachineSection(Section):
-    """The machine. One of magnet_flux, back_emf_constant and torque_constant is needed; several must agree."""
+class ColumnsSection(Section):
+    """What a file calls the columns or arrays of a flux map, where their names are not recognised."""
 
-    model: Literal["linear"] = Field(default="linear", description="linear: constant inductances")
+    i_d: ColumnName | None = Field(default=None, description="name of the d current")
+    i_q: ColumnName | None = Field(default=None, description="name of the q current")
+    psi_d: ColumnName | None = Field(default=None, description="name of the d flux linkage")
+    psi_q: ColumnName | None = Field(default=None, description="name of the q flux linkage")
+
+
+class FluxMapFileSection(Section):
+    """One of several flux maps of the same machine."""
+
+    file: FileName = Field(description="file beside the design file")
+    magnet_temperature: Temperature = Field(description="temperature of the magnets in this map (degC)")
+
+
+class FluxMapSection(Section):
+    """Flux linkages over the currents, in a file: CSV, NPZ, MAT or HDF5."""
+
+    file: FileName | None = Field(default=None, description="file beside the design file, or in a folder below it")
+    files: Annotated[Listing[FluxMapFileSection], Field(min_length=2, max_length=20)] | None = Field(
+        default=None, description="several maps over the magnet temperature, in place of file"
+    )
+    axes: FluxAxes = Field(
+        default="magnet-d",
+        description="magnet-d: d along the magnets; reluctance: the magnets lie on the negative q axis",
+    )
+    scaling: FluxScaling = Field(
+        default="peak", description="of currents and flux linkages: peak, rms, power-invariant"
+    )
+    current_unit: Literal["A", "mA", "kA"] | None = Field(default=None, description="where the file does not say it")
+    flux_unit: Literal["Wb", "mWb", "V s", "mV s"] | None = Field(
+        default=None, description="where the file does not say it"
+    )
+    columns: ColumnsSection = Field(default=ColumnsSection(), description="names in the file, where they are unusual")
+    extrapolate: bool = Field(
+        default=False, description="permit currents beyond the map; results that use them are marked"
+    )
+
+
+class BridgeSection(Section):
+    """Magnets and their saturable bridges; the coefficients are those of Lelli et al. 2024."""
+
+    psi_n: Nonnegative = Field(description="flux linkage at which the bridges carry none (Wb)")
+    a_b: Nonnegative = Field(description="coefficient of the inverse inductance (1/H at 1 Wb)")
+    a_bp: Nonnegative = Field(description="coefficient of its saturation (at 1 Wb)")
+    k_q: Nonnegative = Field(description="share of the q flux linkage, squared")
+    w: Nonnegative = Field(description="exponent")
+
+
+class SaturationSection(Section):
+    """Saturation by published coefficients (Hinkkanen et al. 2017), in powers of A and Wb, peak dq quantities."""
+
+    a_d0: Positive = Field(description="1/H")
+    a_dd: Nonnegative = Field(description="coefficient of |psi_d|^s")
+    s: Nonnegative = Field(description="exponent")
+    a_q0: Positive = Field(description="1/H")
+    a_qq: Nonnegative = Field(description="coefficient of |psi_q|^t")
+    t: Nonnegative = Field(description="exponent")
+    a_dq: Nonnegative = Field(description="coefficient of the cross-saturation")
+    u: Nonnegative = Field(description="exponent of |psi_d| there")
+    v: Nonnegative = Field(description="exponent of |psi_q| there")
+    bridge: BridgeSection | None = Field(default=None, description="magnets and bridges, if there are any")
+
+
+class TemperatureSection(Section):
+    """Operating temperatures; resistance and magnet flux are converted from those of their values."""
+
+    winding: Temperature | None = Field(default=None, description="operating temperature of the winding (degC)")
+    winding_reference: Temperature | None = Field(
+        default=None, description="temperature of the resistance as given (degC); default 20"
+    )
+    copper_coefficient: Coefficient | None = Field(
+        default=None, description="relative change of the resistance (1/K; write %/K); default 0.393 %/K"
+    )
+    magnet: Temperature | None = Field(default=None, description="operating temperature of the magnets (degC)")
+    magnet_reference: Temperature | None = Field(
+        default=None, description="temperature of the magnet flux as given (degC); default 20"
+    )
+    magnet_coefficient: Coefficient | None = Field(
+        default=None, description="relative change of the magnet flux (1/K; write %/K), such as -0.11 %/K (NdFeB)"
+    )
+
+
+class MachineSection(Section):
+    """The machine.
+
+    Model linear needs inductance_d, inductance_q and one of magnet_flux, back_emf_constant and torque_constant (several
+    must agree); flux-map and saturation need the section of their name.
+    """
+
+    model: MachineModel = Field(
+        default="linear",
+        description="linear: constant inductances; flux-map: data in a file; saturation: published coefficients",
+    )
     pole_pairs: PolePairs | None = Field(default=None, description="number of pole pairs p; or give poles")
     poles: Poles | None = Field(default=None, description="number of poles, 2 p; or give pole_pairs")
     resistance: Resistance = Field(description="stator resistance (Ohm); kind phase (default) or line-to-line")
-    inductance_d: Inductance = Field(
-        description="inductance along the magnets (H); kind phase (default) or line-to-line"
+    inductance_d: Inductance | None = Field(
+        default=None, description="inductance along the magnets (H); kind phase (default) or line-to-line"
     )
-    inductance_q: Inductance = Field(
-        description="inductance across the magnets (H); kind phase (default) or line-to-line"
+    inductance_q: Inductance | None = Field(
+        default=None, description="inductance across the magnets (H); kind phase (default) or line-to-line"
     )
     magnet_flux: Flux | None = Field(
         default=None,
@@ -128,6 +229,9 @@ class MachineSection(Section):
     torque_constant: TorqueConstant | None = Field(
         default=None, description="torque per ampere of phase current (N m/A), kind required: per ampere peak or rms"
     )
+    flux_map: FluxMapSection | None = Field(default=None, description="for model flux-map: the data")
+    saturation: SaturationSection | None = Field(default=None, description="for model saturation: the coefficients")
+    temperature: TemperatureSection = Field(default=TemperatureSection(), description="operating temperatures")
     max_current: PhaseCurrent = Field(description="largest phase current (A); kind peak (default) or rms")
     max_speed: Speed | None = Field(default=None, description="largest mechanical speed (rad/s; write rpm)")
     inertia: Inertia | None = Field(default=None, description="moment of inertia of all that turns (kg m^2)")
@@ -255,6 +359,15 @@ class OperationSection(Section):
     """Which currents make the torque."""
 
     strategy: Strategy = Field(default="mtpa", description="mtpa: least current for the torque; id0: no d current")
+    speed: Speed | None = Field(
+        default=None, description="mechanical speed for which the field is weakened (rad/s; write rpm); default: none"
+    )
+    modulation: ModulationName = Field(
+        default=_OPERATION.modulation, description="whose linear range limits the voltage at the speed"
+    )
+    voltage_margin: Share | None = Field(
+        default=None, description="share of that voltage kept free for control (write 5 %); default 0"
+    )
 
 
 class FitSection(Section):

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 Strategy = Literal["mtpa", "id0"]
+MachineModel = Literal["linear", "flux-map", "saturation"]
+FluxAxes = Literal["magnet-d", "reluctance"]
+FluxScaling = Literal["peak", "rms", "power-invariant"]
 FitMethod = Literal["lagrange", "least-squares", "minimax"]
 FitForm = Literal["polynomial", "torque-exact", "closed-form"]
 BreakpointMode = Literal["shared", "own"]

@@ -112,6 +112,10 @@ class Machine(Protocol):
         """Flux linkages with first and second derivatives at currents in A, arrays of shape (N,)."""
         ...
 
+    def known(self, i_d: FloatArray, i_q: FloatArray) -> NDArray[np.bool_]:
+        """Whether the model has data at currents in A, any one shape; elsewhere it is extrapolated."""
+        ...
+
     @property
     def saliency(self) -> float:
         """Inductance difference l_q - l_d in H."""
@@ -135,6 +139,10 @@ class MachineFormulas:
     """What follows from flux linkage, resistance and pole pairs alike in every machine model; a base for models."""
 
     __slots__ = ()
+
+    def known(self, i_d: FloatArray, i_q: FloatArray) -> NDArray[np.bool_]:
+        """Whether the model has data at currents in A, any one shape: a formula holds everywhere."""
+        return np.ones(np.broadcast_shapes(np.shape(i_d), np.shape(i_q)), dtype=np.bool_)
 
     @property
     def saliency(self: Machine) -> float:

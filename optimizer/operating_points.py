@@ -35,6 +35,7 @@ class OptimalPoints:
     ``torque_request`` and ``torque`` in N m (equal where ``reached``), ``omega_m`` in rad/s, ``i_d``, ``i_q`` in A,
     ``voltage`` is the phase amplitude in V, ``loss`` in W by the objective's model. ``active`` holds codes of `Active`.
     ``kkt_residual`` is the largest of the relative violations of torque, limits, stationarity and multiplier signs.
+    ``extrapolated`` is true where the currents lie beyond the data of a flux map.
     """
 
     torque_request: FloatArray
@@ -47,6 +48,7 @@ class OptimalPoints:
     active: NDArray[np.int8]
     reached: BoolArray
     kkt_residual: FloatArray
+    extrapolated: BoolArray
 
 
 def _as_points(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
@@ -132,6 +134,7 @@ def optimal_points(
         active=active.astype(np.int8),
         reached=met,
         kkt_residual=residuals,
+        extrapolated=~machine.known(i_d, i_q),
     )
 
 

@@ -25,7 +25,8 @@ _CURVE_POINTS = 201
 class Curves:
     """Operating points from zero to the end of the torque domain, for the design's strategy and for i_d = 0.
 
-    ``id0`` is None for a machine without magnet; ``base`` is None where the MTPA curve has no scale of its own.
+    ``id0`` is None for a machine without magnet and at a speed; ``base`` is None where the MTPA curve has no scale of
+    its own.
     """
 
     chosen: OperatingPoints
@@ -70,7 +71,8 @@ def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     choice, machine = current_choice(design), design.machine
     end = torque_max if torque_max is not None else domain_end(choice, design.fit)
     torque = np.linspace(0.0, end, _CURVE_POINTS)
-    id0 = CurrentChoice(machine, "id0", design.i_max).points(torque) if machine.psi_pm > 0.0 else None
+    compared = machine.psi_pm > 0.0 and choice.speed is None  # at a speed i_d = 0 may not keep the voltage limit
+    id0 = CurrentChoice(machine, "id0", design.i_max).points(torque) if compared else None
     linear = choice.closed_form
     has_base = linear is not None and linear.psi_pm > 0.0 and linear.saliency != 0.0
     return Curves(choice.points(torque), id0, per_unit_base(linear) if linear is not None and has_base else None)

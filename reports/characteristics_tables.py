@@ -48,8 +48,14 @@ def points_tables(design: Design, points: OptimalPoints, limit: VoltageLimit) ->
     columns = ("speed rpm", "asked N m", "torque N m", "i_d A", "i_q A", "|i| A", "voltage V", "copper W", "held by")
     rows = tuple(_point_row(points, k) for k in range(points.torque.size))
     worst = float(np.max(points.kkt_residual, initial=0.0))
-    notes = (_limit_note(limit), f"largest violation of the optimality conditions {worst:.1e} (relative)")
+    violation = f"largest violation of the optimality conditions {worst:.1e} (relative)"
+    notes = (_limit_note(limit), violation, *_extrapolation_notes(points))
     return [Table(f"{design.name}: least copper loss within the limits", columns, rows, notes)]
+
+
+def _extrapolation_notes(points: OptimalPoints) -> tuple[str, ...]:
+    beyond = int(np.count_nonzero(points.extrapolated))
+    return (f"{beyond} of {points.extrapolated.size} points lie beyond the flux map: extrapolated",) if beyond else ()
 
 
 _HELD_BY = {
@@ -102,7 +108,7 @@ def point_tables(
         ("most torque here", f"{_number(most.torque[0])} N m, held by {_HELD_BY[Active(int(most.active[0]))]}"),
         ("optimality residual", f"{points.kkt_residual[0]:.1e} (relative)"),
     ]
-    notes = ("currents and voltages are peak of phase", _limit_note(limit))
+    notes = ("currents and voltages are peak of phase", _limit_note(limit), *_extrapolation_notes(points))
     return [Table(f"{design.name}: operating point of least copper loss", ("", ""), tuple(rows), notes)]
 
 
@@ -158,9 +164,10 @@ def envelope_tables(
     best = float(np.nanmax(chart.efficiency)) if np.any(np.isfinite(chart.efficiency)) else math.nan
     losses = "copper, conduction and switching loss" if chart.with_inverter else "copper loss alone"
     best_text = f"best efficiency on the map {100.0 * best:.2f} % (with {losses})"
+    notes = (note, best_text, *_extrapolation_notes(chart.points))
     return [
         Table(f"{design.name}: limits", ("", ""), rows, (_limit_note(limit),)),
-        Table("Most torque over speed", columns, _envelope_rows(envelope), (note, best_text)),
+        Table("Most torque over speed", columns, _envelope_rows(envelope), notes),
     ]
 
 
@@ -176,6 +183,7 @@ def _plain_points(points: OptimalPoints) -> PlainData:
         "held_by": [Active(int(code)).label for code in points.active],
         "reached": points.reached,
         "kkt_residual": points.kkt_residual,
+        "extrapolated": points.extrapolated,
     }
 
 

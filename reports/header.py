@@ -9,12 +9,15 @@ import numpy as np
 
 from dqforge import __version__
 from dqforge.machines.design import Design
+from dqforge.machines.synchronous import LinearMachine
+from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.current_reference import CurrentReference, sample_torques
 from dqforge.optimizer.fixed_point import to_q
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_numbers import rounded_up
+from dqforge.reports.labels import operation_text
 from dqforge.reports.reference_ir import PlainData, shortest, to_plain
 from dqforge.reports.templating import render
 
@@ -42,19 +45,38 @@ def _entry(name: str, value: float, comment: str) -> PlainData:
 
 def _machine_group(solution: Solution) -> PlainData:
     machine = solution.design.machine
+    rest = "" if isinstance(machine, LinearMachine) else "; at zero current, the machine saturates"
     return {
         "title": "Machine (dq quantities are amplitude-invariant: peak of phase)",
         "comment": [],
         "entries": [
             _entry("POLE_PAIRS", machine.pole_pairs, "number of pole pairs"),
             _entry("R_S_OHM", machine.r_s, "phase resistance, Ohm"),
-            _entry("L_D_H", machine.l_d, "d-axis inductance, H; decoupling v_q += omega_e (L_D i_d + PSI_PM)"),
-            _entry("L_Q_H", machine.l_q, "q-axis inductance, H; decoupling v_d -= omega_e L_Q i_q"),
+            _entry("L_D_H", machine.l_d, f"d-axis inductance, H{rest}; decoupling v_q += omega_e (L_D i_d + PSI_PM)"),
+            _entry("L_Q_H", machine.l_q, f"q-axis inductance, H{rest}; decoupling v_d -= omega_e L_Q i_q"),
             _entry("PSI_PM_WB", machine.psi_pm, "magnet flux linkage, Wb (peak)"),
             _entry("CURRENT_MAX_A", solution.design.i_max, "current limit, A (peak)"),
             _entry("TORQUE_MAX_NM", shortest(solution.fit.reference.torque_max), "end of the torque domain, N m"),
         ],
     }
+
+
+def _operation_group(solution: Solution) -> list[PlainData]:
+    """The speed for which the references weaken the field, where there is one."""
+    operation = solution.design.operation
+    if operation.omega_m is None:
+        return []
+    limit = voltage_limit(solution.design.inverter, operation.modulation, operation.voltage_margin)
+    return [
+        {
+            "title": "The one speed for which the current references hold",
+            "comment": ["Below it they keep the voltage limit with current to spare, above it they exceed the limit."],
+            "entries": [
+                _entry("REFERENCE_SPEED_RAD_PER_S", operation.omega_m, "mechanical speed, rad/s"),
+                _entry("REFERENCE_VOLTAGE_V", limit.v_max, "phase amplitude that is not exceeded there, V"),
+            ],
+        }
+    ]
 
 
 def _bases_group(solution: Solution) -> PlainData:
@@ -184,6 +206,8 @@ def error_text(solution: Solution) -> list[str]:
     """What the current reference errs by, as lines of at most 110 characters."""
     errors = solution.fit.errors
     i_d, i_q, torque, loss = (rounded_up(value) for value in (errors.i_d, errors.i_q, errors.torque, errors.loss))
+    voltage = errors.voltage_excess
+    over = [] if voltage is None else [f"phase voltage at most {rounded_up(100.0 * voltage)} % above its limit."]
     torque_percent, loss_percent = (rounded_up(100.0 * v) for v in (errors.torque_relative, errors.loss_relative))
     return [
         f"Largest errors found in {errors.samples} evaluations (single precision, with and without fused multiply-add;",
@@ -191,11 +215,12 @@ def error_text(solution: Solution) -> list[str]:
         f"i_d {i_d} A, i_q {i_q} A against the exact {solution.design.strategy} currents;",
         f"torque {torque} N m ({torque_percent} % of the largest torque);",
         f"copper loss {loss} W above the least ({loss_percent} % from 5 % torque up).",
+        *over,
     ]
 
 
 def _reference_context(solution: Solution, plain: PlainData) -> PlainData:
-    fit = solution.fit
+    fit, where = solution.fit, operation_text(solution.design)
     shape = (
         f"{fit.settings.method}, degree {fit.settings.degree}, {fit.settings.segments} segment(s) "
         f"over 0 to {fit.torque_max:.6g} N m;"
@@ -213,7 +238,7 @@ def _reference_context(solution: Solution, plain: PlainData) -> PlainData:
             "comment": [
                 "torque_Nm: torque in N m, clamped to +-TORQUE_MAX; i_d_A, i_q_A: currents in A (peak).",
                 "i_d is even and i_q odd in the torque; not-a-number gives the reference of zero torque.",
-                f"Strategy {solution.design.strategy}; form {plain['form']}:",
+                f"Strategy {solution.design.strategy}{f' at {where}' if where else ''}; form {plain['form']}:",
                 *_FORM_TEXT[plain["form"]],
                 *([shape] if has_polynomials else []),
                 *error_text(solution),
@@ -250,6 +275,7 @@ def header_context(solution: Solution) -> PlainData:
         ],
         "groups": [
             _machine_group(solution),
+            *_operation_group(solution),
             _bases_group(solution),
             *_gain_groups(solution),
             *_observer_group(solution),

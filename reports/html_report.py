@@ -34,7 +34,7 @@ from dqforge.reports.html_tables import (
     value_rows,
 )
 from dqforge.reports.html_text import count, degrees, number, quantity, share, symbols
-from dqforge.reports.labels import MODULATION_LABELS, point_text, watts
+from dqforge.reports.labels import MODULATION_LABELS, operation_text, point_text, watts
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.templating import render
 from dqforge.reports.verify import Verification
@@ -180,8 +180,12 @@ def _penalty_text(solution: Solution) -> str:
 def summary(solution: Solution, verification: Verification | None) -> Markup:
     """One paragraph with the key numbers."""
     fit, errors, design = solution.fit, solution.fit.errors, solution.design
+    where = operation_text(design)
     sentences = [
-        f"The current reference follows {STRATEGY_TEXT[design.strategy]} up to {quantity(fit.torque_max, 'N m')}.",
+        (
+            f"The current reference follows {STRATEGY_TEXT[design.strategy]}{f' at {where}' if where else ''} up to "
+            f"{quantity(fit.torque_max, 'N m')}."
+        ),
         (
             f"The torque errs by at most {quantity(ceiling(errors.torque), 'N m', 3)}, {_penalty_text(solution)}; "
             "both are sampled."

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.machines.design import Design
-from dqforge.machines.synchronous import FloatArray, copper_loss
+from dqforge.machines.synchronous import FloatArray, LinearMachine, copper_loss
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
 from dqforge.optimizer.fixed_point import to_q
@@ -64,11 +64,12 @@ def _headings(*texts: str) -> tuple[Markup, ...]:
 def fact_rows(design: Design) -> list[tuple[Markup, str]]:
     """The drive in one glance: label and value."""
     machine, inverter, control = design.machine, design.inverter, design.control
+    rest = "" if isinstance(machine, LinearMachine) else " at zero current"
     facts = [
         ("pole pairs", f"{machine.pole_pairs}"),
         ("phase resistance R_s", quantity(machine.r_s, "Ohm")),
-        ("inductance L_d", quantity(machine.l_d, "H")),
-        ("inductance L_q", quantity(machine.l_q, "H")),
+        (f"inductance L_d{rest}", quantity(machine.l_d, "H")),
+        (f"inductance L_q{rest}", quantity(machine.l_q, "H")),
         ("magnet flux \u03c8_PM (peak)", quantity(machine.psi_pm, "Wb")),
         ("current limit (peak)", quantity(design.i_max, "A")),
         ("dc link", quantity(inverter.v_dc, "V")),
@@ -79,6 +80,8 @@ def fact_rows(design: Design) -> list[tuple[Markup, str]]:
         facts.append(("inertia", quantity(machine.inertia, "kg m^2")))
     if machine.omega_m_max is not None:
         facts.append(("largest speed", quantity(machine.omega_m_max, "rpm")))
+    if design.operation.omega_m is not None:
+        facts.append(("speed of the references", quantity(design.operation.omega_m, "rpm")))
     return [(symbols(label), value) for label, value in facts]
 
 

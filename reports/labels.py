@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 
+from dqforge.machines.design import Design
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.settings import LoadPoint
+from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.loss_budget import LossBudget
 
 _SPACE = "\u00a0"  # does not break
@@ -33,3 +35,12 @@ def obstacle(budget: LossBudget, index: tuple[int, int, int]) -> str:
     if not budget.linear[index]:
         return "voltage beyond the linear range"
     return "" if budget.cool_enough[index] else "junction too hot"
+
+
+def operation_text(design: Design) -> str:
+    """Where the design's currents hold: the speed and the voltage limit, or an empty text where there is none."""
+    operation = design.operation
+    if operation.omega_m is None:
+        return ""
+    limit = voltage_limit(design.inverter, operation.modulation, operation.voltage_margin)
+    return f"{format_quantity(operation.omega_m, 'rpm', 4)} within {format_quantity(limit.v_max, 'V', 4)} (phase peak)"

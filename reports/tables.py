@@ -9,6 +9,7 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.quantities import format_quantity
+from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
 from dqforge.optimizer.fixed_point import to_q
@@ -20,7 +21,7 @@ from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.reports.c_numbers import rounded_up
-from dqforge.reports.labels import obstacle
+from dqforge.reports.labels import obstacle, operation_text
 from dqforge.reports.verify import Verification
 
 POOR_FIT = 0.01
@@ -117,6 +118,13 @@ def _coefficient_rows(axis: str, polynomial: PiecewisePolynomial | None) -> list
     ]
 
 
+def _voltage_notes(design: Design, fit: ReferenceFit) -> tuple[str, ...]:
+    where, excess = operation_text(design), fit.errors.voltage_excess
+    if excess is None:
+        return ()
+    return (f"for {where}; the fit takes at most {rounded_up(100.0 * excess)} % more voltage",)
+
+
 def fit_tables(design: Design, fit: ReferenceFit, rows: tuple[Alternative, ...]) -> list[Table]:
     """Errors of the fit beside its alternatives, and its coefficients."""
     columns = ("", "i_d error A", "i_q error A", "torque error %", "loss penalty %", "step at zero A")
@@ -126,7 +134,7 @@ def fit_tables(design: Design, fit: ReferenceFit, rows: tuple[Alternative, ...])
         "largest values found in the float32 arithmetic of the header (sampled, not proven); torque error in % of "
         f"{fit.torque_max:.4g} N m, loss penalty in % of the least copper loss from 5 % torque upwards"
     )
-    notes = (note, _poor_fit_text(fit)) if fit.errors.loss_relative > POOR_FIT else (note,)
+    notes = (note, *_voltage_notes(design, fit), *_poor_fit_notes(design, fit))
     tables = [Table(f"{design.name}: current reference, {fit.settings.method}", columns, (chosen, *others), notes)]
     coefficients = [*_coefficient_rows("i_d", fit.d), *_coefficient_rows("i_q", fit.q)]
     if coefficients:
@@ -265,23 +273,31 @@ def _loop_text(gains: LoopGains) -> str:
     return f"{crossover:.4g} Hz crossover, {margin:.0f} deg phase margin"
 
 
-def _poor_fit_text(fit: ReferenceFit) -> str:
-    more = "closed-form, " if fit.form != "closed-form" else ""
+def _poor_fit_notes(design: Design, fit: ReferenceFit) -> tuple[str, ...]:
+    return (_poor_fit_text(design, fit),) if fit.errors.loss_relative > POOR_FIT else ()
+
+
+def _poor_fit_text(design: Design, fit: ReferenceFit) -> str:
+    closed = (
+        isinstance(design.machine, LinearMachine) and design.operation.omega_m is None and fit.form != "closed-form"
+    )
+    more = "closed-form, " if closed else ""
     return f"the fit costs more than {100.0 * POOR_FIT:.0f} % copper loss: try {more}a higher degree or more segments"
 
 
 def run_tables(solution: Solution, verification: Verification | None) -> list[Table]:
     """The short summary of a run."""
-    fit, gains = solution.fit, solution.gains
+    fit, gains, where = solution.fit, solution.gains, operation_text(solution.design)
     polynomial = fit.d or fit.q
     plural = "" if polynomial is None or polynomial.segments == 1 else "s"
     shape = "" if polynomial is None else f", degree {polynomial.degree}, {polynomial.segments} segment{plural}"
     rows = [
         ("current reference", f"{fit.form}{shape}, 0 to {fit.torque_max:.4g} N m"),
+        *([("  holds at", where)] if where else []),
         ("  largest errors", _errors_text(fit.errors)),
     ]
     if fit.errors.loss_relative > POOR_FIT:
-        rows.append(("  warning", _poor_fit_text(fit)))
+        rows.append(("  warning", _poor_fit_text(solution.design, fit)))
     rows += [
         (f"{loop.loop} loop", _loop_text(loop)) for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None
     ]

@@ -8,7 +8,26 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from dqforge.machines.saturation import SaturationModel
 from dqforge.machines.synchronous import FloatArray, FluxJet, MachineFormulas
+
+PM_SYRM = SaturationModel(
+    a_d0=3.96,
+    a_dd=28.5,
+    s=4,
+    a_q0=5.89,
+    a_qq=2.67,
+    t=6,
+    a_dq=41.5,
+    u=1,
+    v=1,
+    psi_n=0.804,
+    a_b=81.75,
+    a_bp=1.0,
+    k_q=0.1,
+    bridge_exponent=2,
+)
+"""Baldor 5.6 kW, Lelli et al. 2024."""
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from dqforge.machines import catalogue
@@ -13,11 +14,15 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.loader import load_text
 from dqforge.machines.quantities import format_quantity
 
+ANGLE = np.linspace(0.0, np.pi, 20_001)
+
 
 def test_names() -> None:
     assert catalogue.names() == [
         "abb-ipmsm-2k2",
         "abb-syrm-6k7",
+        "abb-syrm-6k7-saturated",
+        "baldor-pmsyrm-5k6",
         "paper000-ipmsm-100kw",
         "paper001-pmsm-bench",
         "paper002-pmsm-nonsinusoidal",
@@ -41,7 +46,7 @@ def test_designs_have_different_prefixes_and_reachable_points(name: str) -> None
     others = [catalogue.load(other).export.prefix for other in catalogue.names() if other != name]
     assert design.export.prefix not in others
     machine = design.machine
-    largest = largest_torque(machine.pole_pairs, machine.psi_pm, machine.saliency, design.i_max)
+    largest = np.max(machine.torque(*(design.i_max * np.array([np.cos(ANGLE), np.sin(ANGLE)]))))
     assert design.fit.torque_max is None or design.fit.torque_max <= largest
     for point in design.losses.points if design.losses else ():
         assert abs(point.torque) <= largest

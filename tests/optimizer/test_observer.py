@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.synchronous import LinearMachine
+from dqforge.machines.synchronous import FloatArray, LinearMachine
 from dqforge.optimizer.observer import (
-    FloatArray,
     ReducedOrderObserver,
     estimate_speed,
     reduced_order_observer,

@@ -11,15 +11,17 @@ import casadi as ca
 import numpy as np
 import pytest
 from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE
-from saturated import ArctanMachine
+from saturated import PM_SYRM, ArctanMachine
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine, torque_from_flux
 from dqforge.optimizer.local_terms import LossCoefficients, loss_terms, torque_terms, voltage_terms
 from dqforge.optimizer.mtpa import mtpa_currents
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points import Active, OptimalPoints, copper_only, optimal_points
 
+BALDOR = SaturatedMachine(2, 0.63, PM_SYRM.flux_map(18.7), 18.7)
 ABB = LinearMachine(3, 3.6, 0.036, 0.051, 0.545, 9.1)
 MACHINES: dict[str, tuple[Machine, float]] = {
     "ipm": (IPM, 288.0),
@@ -28,6 +30,7 @@ MACHINES: dict[str, tuple[Machine, float]] = {
     "reluctance": (RELUCTANCE, 300.0),
     "abb": (ABB, 300.0),
     "saturated": (ArctanMachine(), 150.0),
+    "flux map": (BALDOR, 311.0),
 }
 
 
@@ -157,12 +160,30 @@ def test_random_machines_against_the_scan() -> None:
                 assert not beaten or np.min(towards) >= abs(points.torque[k]) - 1e-9 * scale
 
 
+def casadi_splines(flux_map: FluxMap) -> list[Any]:
+    """The map's flux linkages as CasADi's own cubic splines, which are the same functions (shown below)."""
+    axes = [flux_map.i_d.tolist(), flux_map.i_q.tolist()]
+    return [
+        ca.interpolant("psi", "bspline", axes, flux.ravel(order="F").tolist())
+        for flux in (flux_map.psi_d, flux_map.psi_q)
+    ]
+
+
+def test_casadi_makes_the_same_splines() -> None:
+    flux_map = BALDOR.flux_map
+    i_d, i_q = np.random.default_rng(0).uniform(-18.0, 18.0, (2, 400))
+    for theirs, ours in zip(casadi_splines(flux_map), flux_map.flux(i_d, i_q), strict=True):
+        np.testing.assert_allclose(np.asarray(theirs(np.array([i_d, i_q]))).ravel(), ours, atol=1e-12)
+
+
 def ipopt_solver(machine: Any) -> Any:
     """The same problem as a nonlinear programme: least |i|^2 for a torque within both limits."""
-    i = ca.SX.sym("i", 2)
-    par = ca.SX.sym("par", 4)  # torque, omega_e, v_max, scale of the torque
+    i = ca.MX.sym("i", 2)
+    par = ca.MX.sym("par", 4)  # torque, omega_e, v_max, scale of the torque
     if isinstance(machine, LinearMachine):
         psi_d, psi_q = machine.psi_pm + machine.l_d * i[0], machine.l_q * i[1]
+    elif isinstance(machine, SaturatedMachine):
+        psi_d, psi_q = (spline(i) for spline in casadi_splines(machine.flux_map))
     else:
         psi_d, psi_q = machine.flux(i[0], i[1], ca)
     torque = 1.5 * machine.pole_pairs * (psi_d * i[1] - psi_q * i[0])

@@ -1,0 +1,302 @@
+"""The machine of a design file: constants, a flux map in files, or published saturation coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dqforge.machines import datasheet
+from dqforge.machines.checks import si_of
+from dqforge.machines.datasheet import FluxStatement
+from dqforge.machines.design import InputValue
+from dqforge.machines.entries import Quantity
+from dqforge.machines.errors import DqforgeError, InputError
+from dqforge.machines.flux_map import FluxMap, SaturatedMachine
+from dqforge.machines.quantities import format_quantity
+from dqforge.machines.reading import Reading
+from dqforge.machines.saturation import SaturationModel
+from dqforge.machines.schema import FluxMapSection, MachineSection, SaturationSection
+from dqforge.machines.settings import MachineModel
+from dqforge.machines.synchronous import LinearMachine, Machine
+from dqforge.machines.yaml_source import KeyPath
+
+_COPPER = 0.00393
+"""Relative change of the resistance of copper per kelvin, at 20 degC (IEC 60034-1 uses 1/(235 + 20) K)."""
+
+_REFERENCE = 20.0
+
+_NEEDED: dict[MachineModel, tuple[tuple[str, str], ...]] = {
+    "linear": (("inductance_d", "1.61 mH"), ("inductance_q", "1.74 mH")),
+    "flux-map": (("flux_map", "{file: map.csv}"),),
+    "saturation": (("saturation", "{a_d0: ...}"),),
+}
+_OWN: dict[str, MachineModel] = {
+    "inductance_d": "linear",
+    "inductance_q": "linear",
+    "magnet_flux": "linear",
+    "back_emf_constant": "linear",
+    "torque_constant": "linear",
+    "flux_map": "flux-map",
+    "saturation": "saturation",
+}
+
+
+def read_machine(section: MachineSection, reading: Reading) -> Machine:
+    """Machine per phase and peak, at its operating temperatures.
+
+    Raises
+    ------
+    InputError
+        Keys are missing or belong to another model, constants contradict each other, or a flux map is not sound.
+    """
+    _check_model(section, reading)
+    counts = [None if q is None else int(q.si) for q in (section.pole_pairs, section.poles)]
+    with reading.document.at(("machine", "poles") if section.poles else ("machine",), key=section.poles is None):
+        pole_pairs = datasheet.check_pole_counts(*counts)
+    if section.poles is not None:
+        reading.converted["machine.poles"] = (section.poles.si, f"{pole_pairs} pole pairs")
+    common: Mapping[str, Any] = {
+        "pole_pairs": pole_pairs,
+        "r_s": _resistance(section, reading),
+        "i_max": reading.peak(section.max_current, "machine.max_current"),
+        "inertia": si_of(section.inertia),
+        "friction": si_of(section.friction) or 0.0,
+        "omega_m_max": si_of(section.max_speed),
+    }
+    if section.rated.current is not None:
+        reading.peak(section.rated.current, "machine.rated.current")
+    if section.inductance_d is not None and section.inductance_q is not None:
+        return LinearMachine(
+            l_d=reading.per_phase(section.inductance_d, "machine.inductance_d"),
+            l_q=reading.per_phase(section.inductance_q, "machine.inductance_q"),
+            psi_pm=_at_temperature(_magnet_flux(section, pole_pairs, reading), section, reading),
+            **common,
+        )
+    _refuse_magnet_coefficient(section, reading)
+    if section.saturation is not None:
+        flux_map = _saturation_map(section.saturation, common["i_max"], reading)
+    else:
+        flux_map = _flux_map(section, reading)
+    machine = SaturatedMachine(flux_map=flux_map, **common)
+    _check_range(machine, reading)
+    return machine
+
+
+def _check_model(section: MachineSection, reading: Reading) -> None:
+    """Check that the keys are those of the model."""
+    document = reading.document
+    for key, model in _OWN.items():
+        if getattr(section, key) is not None and model != section.model:
+            message = f"machine.{key} belongs to the model '{model}', this is '{section.model}'; write model: {model}"
+            raise document.error(message + ", or remove the key", ("machine", key), key=True)
+    for key, example in _NEEDED[section.model]:
+        if getattr(section, key) is None:
+            raise document.error(f"machine needs the key '{key}'; write {key}: {example}", ("machine",), key=True)
+
+
+def _resistance(section: MachineSection, reading: Reading) -> float:
+    """Phase resistance in Ohm at the temperature of the winding."""
+    path = "machine.resistance"
+    value = reading.per_phase(section.resistance, path)
+    temperature = section.temperature
+    if temperature.winding is None:
+        return value
+    coefficient = si_of(temperature.copper_coefficient)
+    reference = si_of(temperature.winding_reference)
+    coefficient = _COPPER if coefficient is None else coefficient
+    reference = _REFERENCE if reference is None else reference
+    warm = value * (1.0 + coefficient * (temperature.winding.si - reference))
+    if not warm > 0.0:
+        raise reading.document.error(
+            f"machine.temperature: the resistance at {temperature.winding.text} would be {warm:.3g} Ohm; check the "
+            "coefficient, e.g. 0.393 %/K",
+            ("machine", "temperature", "copper_coefficient"),
+        )
+    before = reading.converted.get(path, (value, ""))[1]
+    note = f"at {temperature.winding.text}, {coefficient * 100.0:.4g} %/K from {reference:g} degC"
+    reading.converted[path] = (warm, f"{before}; {note}" if before else note)
+    return warm
+
+
+def _at_temperature(psi_pm: float, section: MachineSection, reading: Reading) -> float:
+    """Magnet flux linkage in Wb at the temperature of the magnets."""
+    temperature = section.temperature
+    if temperature.magnet is None or psi_pm == 0.0:
+        return psi_pm
+    if temperature.magnet_coefficient is None:
+        raise reading.document.error(
+            "machine.temperature.magnet needs the coefficient of the magnets; write magnet_coefficient: -0.11 %/K "
+            "(NdFeB) or -0.2 %/K (ferrite)",
+            ("machine", "temperature", "magnet"),
+            key=True,
+        )
+    reference = si_of(temperature.magnet_reference)
+    reference = _REFERENCE if reference is None else reference
+    coefficient = temperature.magnet_coefficient.si
+    warm = psi_pm * (1.0 + coefficient * (temperature.magnet.si - reference))
+    if not warm > 0.0:
+        raise reading.document.error(
+            f"machine.temperature: nothing would be left of the magnet flux at {temperature.magnet.text}; check the "
+            "coefficient, e.g. -0.11 %/K",
+            ("machine", "temperature", "magnet_coefficient"),
+        )
+    reading.remarks.append(
+        f"the magnet flux is {format_quantity(warm, 'Wb')} at {temperature.magnet.text} "
+        f"({format_quantity(psi_pm, 'Wb')} at {reference:g} degC)"
+    )
+    return warm
+
+
+def _refuse_magnet_coefficient(section: MachineSection, reading: Reading) -> None:
+    temperature = section.temperature
+    several = section.flux_map is not None and section.flux_map.files is not None
+    if temperature.magnet_coefficient is not None or (temperature.magnet is not None and not several):
+        raise reading.document.error(
+            "machine.temperature: the flux linkages of a saturated machine do not follow one coefficient; write "
+            "flux_map.files with a magnet_temperature each, or leave the magnet's temperature out",
+            ("machine", "temperature"),
+            key=True,
+        )
+
+
+def _saturation_map(section: SaturationSection, i_max: float, reading: Reading) -> FluxMap:
+    bridge = section.bridge
+    try:
+        model = SaturationModel(
+            a_d0=section.a_d0,
+            a_dd=section.a_dd,
+            s=section.s,
+            a_q0=section.a_q0,
+            a_qq=section.a_qq,
+            t=section.t,
+            a_dq=section.a_dq,
+            u=section.u,
+            v=section.v,
+            psi_n=bridge.psi_n if bridge else 0.0,
+            a_b=bridge.a_b if bridge else 0.0,
+            a_bp=bridge.a_bp if bridge else 0.0,
+            k_q=bridge.k_q if bridge else 0.0,
+            bridge_exponent=bridge.w if bridge else 2.0,
+        )
+        return model.flux_map(i_max)
+    except DqforgeError as error:
+        raise reading.document.error(f"machine.saturation: {error}", ("machine", "saturation"), key=True) from None
+
+
+def _flux_map(section: MachineSection, reading: Reading) -> FluxMap:
+    """Flux map of the files that the section names, at the temperature of the magnets."""
+    from dqforge.machines.flux_map_checks import flux_map_of_maps
+
+    given = section.flux_map
+    path: KeyPath = ("machine", "flux_map")
+    if given is None or (given.file is None) == (given.files is None):
+        raise reading.document.error("machine.flux_map: write either file or files", path, key=True)
+    if given.file is not None:
+        return _one_map(given, given.file, (*path, "file"), reading)
+    files = given.files or ()
+    magnet = section.temperature.magnet
+    if magnet is None:
+        raise reading.document.error(
+            "machine.flux_map.files needs machine.temperature.magnet, the temperature at which the machine runs; write "
+            "temperature: {magnet: 80 degC}",
+            (*path, "files"),
+            key=True,
+        )
+    maps = [_one_map(given, part.file, (*path, "files", index, "file"), reading) for index, part in enumerate(files)]
+    temperatures = np.array([part.magnet_temperature.si for part in files])
+    with reading.document.at(("machine", "temperature", "magnet")):
+        return flux_map_of_maps(temperatures, maps, magnet.si)
+
+
+def _one_map(given: FluxMapSection, name: str, path: KeyPath, reading: Reading) -> FluxMap:
+    """Flux map of one file, its findings among the remarks."""
+    # The readers are needed for maps only; a design with constants starts faster without them.
+    from dqforge.machines.flux_map_files import read_flux_points
+    from dqforge.machines.flux_points import build_flux_map
+
+    columns = {key: value for key, value in given.columns if value is not None}
+    try:
+        points = read_flux_points(
+            reading.read_beside(name, path),
+            name,
+            current_unit=given.current_unit,
+            flux_unit=given.flux_unit,
+            columns=columns or None,
+        )
+        found = build_flux_map(points, axes=given.axes, scaling=given.scaling, extrapolate=given.extrapolate)
+    except InputError as error:
+        if error.line is not None:
+            raise
+        about = error.message if name in error.message else f"{name}: {error.message}"
+        raise reading.document.error(f"machine.flux_map: {about}", path) from None
+    reading.remarks.extend(f"{name}: {finding}" for finding in found.findings)
+    return found.flux_map
+
+
+def _check_range(machine: SaturatedMachine, reading: Reading) -> None:
+    """Refuse a current limit beyond the map, unless it may be left."""
+    flux_map, i_max = machine.flux_map, machine.i_max
+    reach = min(max(-float(flux_map.i_d[0]), float(flux_map.i_d[-1])), float(flux_map.i_q[-1]))
+    if i_max <= reach * (1.0 + 1e-6):
+        return
+    if flux_map.extrapolate:
+        reading.remarks.append(
+            f"machine.max_current {format_quantity(i_max, 'A')} lies beyond the flux map, which ends at "
+            f"{format_quantity(reach, 'A')}: results there are extrapolated along its tangents"
+        )
+        return
+    raise reading.document.error(
+        f"machine.max_current {format_quantity(i_max, 'A')} (peak) lies beyond the flux map, which ends at "
+        f"{format_quantity(reach, 'A')}; lower it, or write flux_map: extrapolate: true",
+        ("machine", "max_current"),
+    )
+
+
+def _magnet_flux(section: MachineSection, pole_pairs: int, reading: Reading) -> float:
+    """Flux linkage of the magnets from the first of the keys that imply it, once all agree."""
+    statements = _flux_statements(section, pole_pairs, reading)
+    if not statements:
+        raise reading.document.error(
+            "machine needs magnet_flux, back_emf_constant or torque_constant; write e.g. magnet_flux: 0.06 Wb "
+            "(0 Wb for a reluctance machine)",
+            ("machine",),
+            key=True,
+        )
+    # Whichever of the keys stands last in the file is the one that contradicts what was read before.
+    last = max(statements, key=lambda s: reading.document.position(("machine", s.key)))
+    with reading.document.at(("machine", last.key)):
+        datasheet.check_flux_agreement(statements, pole_pairs)
+    used = statements[0]
+    if used.key != "magnet_flux":
+        note = f"derived from {used.key} {used.text} with {pole_pairs} pole pairs"
+        reading.derived.append(InputValue("machine.magnet_flux", "", used.psi_pm, "Wb", inferred=True, note=note))
+        reading.remarks.append(f"machine.magnet_flux is {format_quantity(used.psi_pm, 'Wb')} (peak of phase), {note}")
+    return used.psi_pm
+
+
+def _flux_statements(section: MachineSection, pole_pairs: int, reading: Reading) -> list[FluxStatement]:
+    """What each given key says about the flux linkage, in order of trust."""
+    statements = []
+    if (flux := section.magnet_flux) is not None:
+        psi_pm = datasheet.peak_flux(flux.si, flux.kind or "peak")
+        statements.append(FluxStatement("magnet_flux", _said(flux), psi_pm, counts_poles=False))
+        if flux.kind != "peak":
+            reading.converted["machine.magnet_flux"] = (psi_pm, f"peak of phase from the {flux.kind} value")
+    if (emf := section.back_emf_constant) is not None:
+        psi_pm = datasheet.flux_from_back_emf(emf.si, emf.kind or "", pole_pairs)
+        statements.append(FluxStatement("back_emf_constant", _said(emf), psi_pm, counts_poles=True))
+        inverted = "reciprocal of the speed per volt; " if emf.inverted else ""
+        implied = f"{inverted}implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
+        reading.converted["machine.back_emf_constant"] = (emf.si, implied)
+    if (constant := section.torque_constant) is not None:
+        psi_pm = datasheet.flux_from_torque_constant(constant.si, constant.kind or "", pole_pairs)
+        statements.append(FluxStatement("torque_constant", _said(constant), psi_pm, counts_poles=True))
+        implied = f"implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
+        reading.converted["machine.torque_constant"] = (constant.si, implied)
+    return statements
+
+
+def _said(quantity: Quantity) -> str:
+    return f"{quantity.text} ({quantity.kind})"
