@@ -48,6 +48,10 @@ MarginOption = Annotated[
     str, typer.Option("--margin", metavar="SHARE", help="Share of the voltage kept free for control, e.g. '5 %'.")
 ]
 
+ObjectiveOption = Annotated[
+    str, typer.Option("--objective", metavar="LOSS", help="What is minimised: copper, or total with iron and inverter.")
+]
+
 
 def _load(design: str) -> Design:
     """Load a design file, or a library drive when no such file exists and the text can be its name."""
@@ -187,13 +191,16 @@ def mtpa(
     chart: MapOption = None,
     modulation: ModulationOption = "svpwm",
     margin: MarginOption = "0 %",
+    objective: ObjectiveOption = "copper",
 ) -> None:
     """Show the currents over torque; with a speed, a torque or a map also within the voltage limit."""
     loaded = _load_for(design, plot)
     if speed is not None or torque is not None or chart is not None:
         from dqforge.reports.operating_points import Request, answer
 
-        request = Request(speed=speed, torque=torque, chart=chart, modulation=modulation, margin=margin)
+        request = Request(
+            speed=speed, torque=torque, chart=chart, modulation=modulation, margin=margin, objective=objective
+        )
         reply = answer(loaded, request)
         _plot(reply.figure, plot)
         if json:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dqforge.machines.inverter import Inverter
+from dqforge.machines.machine_loss import MachineLoss
 from dqforge.machines.settings import (
     ControlSettings,
     ExportSettings,
@@ -44,6 +45,7 @@ class Design:
     name: str
     about: str
     machine: Machine
+    machine_loss: MachineLoss
     inverter: Inverter
     control: ControlSettings
     operation: OperationSettings

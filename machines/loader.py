@@ -10,7 +10,7 @@ from dqforge.machines import checks, datasheet
 from dqforge.machines.checks import si_of
 from dqforge.machines.design import Design
 from dqforge.machines.inverter import Inverter, SwitchDevice
-from dqforge.machines.machine_reader import read_machine
+from dqforge.machines.machine_reader import read_machine, read_machine_loss
 from dqforge.machines.provenance import input_values, kind_assumptions
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
@@ -107,6 +107,7 @@ class _Build:
             name=sections.name,
             about=sections.about,
             machine=machine,
+            machine_loss=read_machine_loss(sections.machine, document),
             inverter=inverter,
             control=control,
             operation=_operation(sections.operation),

@@ -89,6 +89,7 @@ CurrentGain = Annotated[Quantity, QuantityRule("current-gain", 1e-9, 1e9)]
 CurrentIntegralGain = Annotated[Quantity, QuantityRule("current-integral-gain", 0.0, 1e12)]
 SpeedGain = Annotated[Quantity, QuantityRule("speed-gain", 1e-12, 1e9)]
 SpeedIntegralGain = Annotated[Quantity, QuantityRule("speed-integral-gain", 0.0, 1e12)]
+Ratio = Annotated[Quantity, QuantityRule("number", 1.0, 100.0)]
 Share = Annotated[Quantity, QuantityRule("number", 0.0, 0.9)]
 Nonnegative = Annotated[float, Field(ge=0.0, le=1e9, strict=False), BeforeValidator(not_truth)]
 Positive = Annotated[float, Field(gt=0.0, le=1e9, strict=False), BeforeValidator(not_truth)]
@@ -198,6 +199,22 @@ class TemperatureSection(Section):
     )
 
 
+class IronLossSection(Section):
+    """Iron loss at one frequency and flux linkage; it grows with f (hysteresis) and f^2 (eddy currents), and psi^2."""
+
+    frequency: Frequency = Field(description="electrical frequency of the two losses (Hz)")
+    flux: Flux = Field(description="flux linkage of the two losses (Wb); kind peak of phase (default), rms")
+    hysteresis: Power | None = Field(default=None, description="hysteresis loss there (W)")
+    eddy: Power | None = Field(default=None, description="eddy-current loss there (W)")
+
+
+class AcResistanceSection(Section):
+    """Rise of the resistance with the frequency, (R_ac - R_dc) proportional to f^2."""
+
+    ratio: Ratio = Field(description="R_ac / R_dc at the frequency, such as 1.3")
+    frequency: Frequency = Field(description="electrical frequency of the ratio (Hz)")
+
+
 class MachineSection(Section):
     """The machine.
 
@@ -231,6 +248,8 @@ class MachineSection(Section):
     )
     flux_map: FluxMapSection | None = Field(default=None, description="for model flux-map: the data")
     saturation: SaturationSection | None = Field(default=None, description="for model saturation: the coefficients")
+    iron_loss: IronLossSection | None = Field(default=None, description="iron loss, if it is known")
+    ac_resistance: AcResistanceSection | None = Field(default=None, description="AC resistance, if it is known")
     temperature: TemperatureSection = Field(default=TemperatureSection(), description="operating temperatures")
     max_current: PhaseCurrent = Field(description="largest phase current (A); kind peak (default) or rms")
     max_speed: Speed | None = Field(default=None, description="largest mechanical speed (rad/s; write rpm)")

@@ -7,12 +7,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from dqforge.machines.inverter import Inverter
+from dqforge.machines.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.modulation import linear_limit
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
 from dqforge.optimizer.feasible_region import least_flux_current, make_limits
 from dqforge.optimizer.local_terms import LossCoefficients
-from dqforge.optimizer.loss_model import NO_EXTRA_LOSS, DriveLosses, MachineLoss, drive_losses
+from dqforge.optimizer.loss_model import DriveLosses, drive_losses
 from dqforge.optimizer.mtpa_locus import MtpaLocus, mtpa_locus
 from dqforge.optimizer.operating_points import Active, OptimalPoints, optimal_points
 

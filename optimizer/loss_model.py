@@ -3,9 +3,6 @@
 The solver needs the loss as P = a |i|^2 + b |i| + c |psi|^2 with coefficients that depend on the speed alone. Copper,
 iron, the channels of MOSFETs and the switching loss of continuous modulators have exactly this form; what an IGBT
 bridge and discontinuous modulators add to it is said at `loss_coefficients`.
-
-Source of the iron loss: G. Bertotti, "General properties of power losses in soft ferromagnetic materials", IEEE
-Transactions on Magnetics 24(1), 1988, doi:10.1109/20.43994 (hysteresis and eddy-current terms).
 """
 
 from __future__ import annotations
@@ -16,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import Inverter
+from dqforge.machines.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.modulation import in_linear_range
 from dqforge.machines.semiconductors import (
     REFERENCE_TEMPERATURE,
@@ -37,39 +34,6 @@ _SWITCHED_SHARE: dict[ModulationName, float] = {"spwm": 1.0, "svpwm": 1.0, "ddt-
 
 
 @dataclass(frozen=True, slots=True)
-class MachineLoss:
-    """Losses of the machine beyond the dc copper loss; all zero by default.
-
-    Parameters
-    ----------
-    ac_copper:
-        k_ac in s^2/rad^2: the resistance that makes heat is R (1 + k_ac omega_e^2).
-    hysteresis, eddy:
-        k_h in W s/(rad Wb^2) and k_c in W s^2/(rad^2 Wb^2): iron loss (k_h |omega_e| + k_c omega_e^2) |psi|^2 with the
-        peak dq flux linkage.
-    """
-
-    ac_copper: float = 0.0
-    hysteresis: float = 0.0
-    eddy: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse what is no loss."""
-        for name in ("ac_copper", "hysteresis", "eddy"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise InputError(f"machine loss: {name} must be zero or positive, got {value:g}")
-
-    def copper_factor(self, omega_e: FloatArray) -> FloatArray:
-        """AC over dc copper loss at electrical speeds in rad/s, any shape."""
-        return 1.0 + self.ac_copper * omega_e * omega_e
-
-    def iron_factor(self, omega_e: FloatArray) -> FloatArray:
-        """Iron loss over |psi|^2 in W/Wb^2 at electrical speeds in rad/s, any shape."""
-        return self.hysteresis * np.abs(omega_e) + self.eddy * omega_e * omega_e
-
-
-@dataclass(frozen=True, slots=True)
 class DriveLosses:
     """Losses of machine and inverter in W at operating points, arrays of one shape.
 
@@ -84,9 +48,6 @@ class DriveLosses:
     junction_temperature: FloatArray
     total: FloatArray
     with_inverter: bool
-
-
-NO_EXTRA_LOSS = MachineLoss()
 
 
 def loss_coefficients(

@@ -28,7 +28,7 @@ def _limit_note(limit: VoltageLimit) -> str:
     return f"voltage limit {limit.v_max:.4g} V (phase amplitude): {limit.modulation} at {limit.v_dc:.4g} V dc{kept}"
 
 
-def _point_row(points: OptimalPoints, k: int) -> tuple[str, ...]:
+def _point_row(points: OptimalPoints, losses: DriveLosses, k: int) -> tuple[str, ...]:
     label = Active(int(points.active[k])).label
     return (
         _number(points.omega_m[k] * _RPM),
@@ -38,19 +38,36 @@ def _point_row(points: OptimalPoints, k: int) -> tuple[str, ...]:
         _number(points.i_q[k]),
         _number(float(np.hypot(points.i_d[k], points.i_q[k]))),
         _number(points.voltage[k]),
-        _number(points.loss[k]),
+        _number(losses.copper[k]),
+        _number(losses.total[k]),
         label,
     )
 
 
-def points_tables(design: Design, points: OptimalPoints, limit: VoltageLimit) -> list[Table]:
-    """One row per operating point: what was asked for, what can be had, and what holds it."""
-    columns = ("speed rpm", "asked N m", "torque N m", "i_d A", "i_q A", "|i| A", "voltage V", "copper W", "held by")
-    rows = tuple(_point_row(points, k) for k in range(points.torque.size))
+def points_tables(
+    design: Design, points: OptimalPoints, losses: DriveLosses, limit: VoltageLimit, objective: str
+) -> list[Table]:
+    """One row per operating point: what was asked for, what can be had, what it loses, and what holds it.
+
+    ``objective`` says which loss was minimised: ``copper`` or ``total``.
+    """
+    columns = (
+        "speed rpm",
+        "asked N m",
+        "torque N m",
+        "i_d A",
+        "i_q A",
+        "|i| A",
+        "voltage V",
+        "copper W",
+        "total W",
+        "held by",
+    )
+    rows = tuple(_point_row(points, losses, k) for k in range(points.torque.size))
     worst = float(np.max(points.kkt_residual, initial=0.0))
     violation = f"largest violation of the optimality conditions {worst:.1e} (relative)"
     notes = (_limit_note(limit), violation, *_extrapolation_notes(points))
-    return [Table(f"{design.name}: least copper loss within the limits", columns, rows, notes)]
+    return [Table(f"{design.name}: least {objective} loss within the limits", columns, rows, notes)]
 
 
 def _extrapolation_notes(points: OptimalPoints) -> tuple[str, ...]:
@@ -75,18 +92,27 @@ def _watts(value: float) -> str:
 def _loss_rows(losses: DriveLosses) -> list[tuple[str, str]]:
     """Rows of the first point; without device data the inverter is left out."""
     rows = [("copper loss", _watts(float(losses.copper[0])))]
+    if losses.iron[0] > 0.0:
+        rows.append(("iron loss", _watts(float(losses.iron[0]))))
     if losses.with_inverter:
         rows += [
             ("conduction loss", _watts(float(losses.conduction[0]))),
             ("switching loss", _watts(float(losses.switching[0]))),
-            ("total loss", _watts(float(losses.total[0]))),
-            ("junction", f"{losses.junction_temperature[0]:.4g} degC"),
         ]
+    if len(rows) > 1:
+        rows.append(("total loss", _watts(float(losses.total[0]))))
+    if losses.with_inverter:
+        rows.append(("junction", f"{losses.junction_temperature[0]:.4g} degC"))
     return rows
 
 
 def point_tables(
-    design: Design, points: OptimalPoints, losses: DriveLosses, most: OptimalPoints, limit: VoltageLimit
+    design: Design,
+    points: OptimalPoints,
+    losses: DriveLosses,
+    most: OptimalPoints,
+    limit: VoltageLimit,
+    objective: str,
 ) -> list[Table]:
     """One operating point in detail; ``most`` is the most torque in its direction at its speed."""
     torque, voltage = float(points.torque[0]), float(points.voltage[0])
@@ -109,7 +135,7 @@ def point_tables(
         ("optimality residual", f"{points.kkt_residual[0]:.1e} (relative)"),
     ]
     notes = ("currents and voltages are peak of phase", _limit_note(limit), *_extrapolation_notes(points))
-    return [Table(f"{design.name}: operating point of least copper loss", ("", ""), tuple(rows), notes)]
+    return [Table(f"{design.name}: operating point of least {objective} loss", ("", ""), tuple(rows), notes)]
 
 
 def _envelope_rows(envelope: Envelope) -> tuple[tuple[str, ...], ...]:
@@ -162,7 +188,9 @@ def envelope_tables(
     reached = int(np.count_nonzero(chart.points.reached))
     note = f"map: {reached} of {chart.points.reached.size} points can be had; largest violation {worst:.1e}"
     best = float(np.nanmax(chart.efficiency)) if np.any(np.isfinite(chart.efficiency)) else math.nan
-    losses = "copper, conduction and switching loss" if chart.with_inverter else "copper loss alone"
+    iron = ["iron"] if np.any(chart.losses.iron > 0.0) else []
+    parts = ["copper", *iron, *(["conduction", "switching"] if chart.with_inverter else [])]
+    losses = f"{', '.join(parts)} loss" if len(parts) > 1 else "copper loss alone"
     best_text = f"best efficiency on the map {100.0 * best:.2f} % (with {losses})"
     notes = (note, best_text, *_extrapolation_notes(chart.points))
     return [
@@ -179,7 +207,7 @@ def _plain_points(points: OptimalPoints) -> PlainData:
         "i_d_A": points.i_d,
         "i_q_A": points.i_q,
         "voltage_V": points.voltage,
-        "copper_W": points.loss,
+        "minimised_W": points.loss,
         "held_by": [Active(int(code)).label for code in points.active],
         "reached": points.reached,
         "kkt_residual": points.kkt_residual,
@@ -197,6 +225,7 @@ def _plain_losses(losses: DriveLosses) -> PlainData:
     conduction, switching, junction = inverter if losses.with_inverter else (None, None, None)
     return {
         "copper_W": losses.copper,
+        "iron_W": losses.iron,
         "conduction_W": conduction,
         "switching_W": switching,
         "total_W": losses.total,
@@ -208,10 +237,13 @@ def _plain_locus(locus: MtpaLocus) -> PlainData:
     return {"torque_Nm": locus.torque, "i_d_A": locus.i_d, "i_q_A": locus.i_q}
 
 
-def plain_points(points: OptimalPoints, losses: DriveLosses, most: OptimalPoints, limit: VoltageLimit) -> PlainData:
+def plain_points(
+    points: OptimalPoints, losses: DriveLosses, most: OptimalPoints, limit: VoltageLimit, objective: str
+) -> PlainData:
     """Operating points as arrays, their losses, the most torque at the speed, and the voltage limit they keep."""
     return {
         "limit": _plain_limit(limit),
+        "objective": objective,
         "points": _plain_points(points),
         "losses": _plain_losses(losses),
         "most_torque": _plain_points(most),

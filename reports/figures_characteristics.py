@@ -202,7 +202,8 @@ def _draw_envelope(axes: Axes, figures: Characteristics, envelope: Envelope) -> 
 def plot_operating_map(figures: Characteristics, envelope: Envelope, chart: OperatingMap) -> Figure:
     """Efficiency over speed and torque, the envelope with what holds it, and the line where field weakening begins."""
     top = 1.1 * figures.torque_max
-    losses = "machine (copper) and inverter" if chart.with_inverter else "machine (copper)"
+    machine = "machine (copper and iron)" if np.any(chart.losses.iron > 0.0) else "machine (copper)"
+    losses = f"{machine} and inverter" if chart.with_inverter else machine
     with style():
         figure = new_figure("map", 4.2, "Efficiency over speed and torque within the limits of current and voltage")
         axes = figure.add_axes((0.09, 0.115, 0.87, 0.81))

@@ -13,6 +13,7 @@ from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.quantities import parse_quantity
 from dqforge.machines.settings import ModulationName
+from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.characteristics import (
     Characteristics,
     VoltageLimit,
@@ -23,7 +24,8 @@ from dqforge.optimizer.characteristics import (
     operating_map,
     voltage_limit,
 )
-from dqforge.optimizer.loss_model import drive_losses
+from dqforge.optimizer.local_terms import LossCoefficients
+from dqforge.optimizer.loss_model import drive_losses, loss_coefficients
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points import Active, OptimalPoints, optimal_points
 from dqforge.reports.characteristics_tables import (
@@ -49,6 +51,7 @@ class Request:
     chart: str | None
     modulation: str
     margin: str
+    objective: str = "copper"
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,11 +103,22 @@ def answer(design: Design, request: Request) -> Reply:
     if design.strategy != "mtpa":
         raise InputError("these options minimise the copper loss, but operation.strategy is id0; write strategy: mtpa")
     limit = _limit(design, request)
+    if request.objective not in ("copper", "total"):
+        raise InputError(f"--objective: expected copper or total, got '{request.objective}'")
     if request.chart is not None:
         if request.speed is not None or request.torque is not None:
             raise InputError("--map spans all speeds and torques; leave --speed and --torque out")
-        return _map(design, limit, *_map_size(request.chart))
+        return _map(design, limit, request, *_map_size(request.chart))
     return _points(design, limit, request)
+
+
+def _minimised(design: Design, limit: VoltageLimit, request: Request, omega: FloatArray) -> LossCoefficients | None:
+    """What is minimised at speeds in rad/s: None for the copper loss."""
+    if request.objective == "copper":
+        return None
+    return loss_coefficients(
+        design.machine, omega, design.inverter, extra=design.machine_loss, modulation=limit.modulation
+    )
 
 
 def _most_torque(design: Design, limit: VoltageLimit, omega: float, sign: float) -> OptimalPoints:
@@ -128,20 +142,34 @@ def _points(design: Design, limit: VoltageLimit, request: Request) -> Reply:
     most = _most_torque(design, limit, omega, -1.0 if asked is not None and asked < 0.0 else 1.0)
     end = float(most.torque[0])
     shown = np.linspace(0.0, end, _CURVE_ROWS) if asked is None else np.array([asked])
-    points = optimal_points(machine, shown, omega, v_max=limit.v_max, i_max=i_max)
-    losses = drive_losses(machine, design.inverter, points.i_d, points.i_q, points.omega_m, modulation=limit.modulation)
+    loss = _minimised(design, limit, request, np.asarray(omega))
+    points = optimal_points(machine, shown, omega, v_max=limit.v_max, i_max=i_max, loss=loss)
+    losses = drive_losses(
+        machine,
+        design.inverter,
+        points.i_d,
+        points.i_q,
+        points.omega_m,
+        modulation=limit.modulation,
+        extra=design.machine_loss,
+    )
 
     def figure() -> Any:
         from dqforge.reports.figures_characteristics import plot_speed
 
         if asked is not None:
             raise InputError("--plot draws a speed or a map; leave --torque out")
-        fine = optimal_points(machine, np.linspace(0.0, end, 201), omega, v_max=limit.v_max, i_max=i_max)
+        fine = optimal_points(machine, np.linspace(0.0, end, 201), omega, v_max=limit.v_max, i_max=i_max, loss=loss)
         return plot_speed(fine, limit)
 
     one = asked is not None
-    tables = point_tables(design, points, losses, most, limit) if one else points_tables(design, points, limit)
-    return Reply(tables, {"operating_points": plain_points(points, losses, most, limit)}, figure)
+    name = request.objective
+    tables = (
+        point_tables(design, points, losses, most, limit, name)
+        if one
+        else points_tables(design, points, losses, limit, name)
+    )
+    return Reply(tables, {"operating_points": plain_points(points, losses, most, limit, name)}, figure)
 
 
 def _fastest(design: Design, figures: Characteristics, limit: VoltageLimit) -> float:
@@ -156,17 +184,20 @@ def _fastest(design: Design, figures: Characteristics, limit: VoltageLimit) -> f
     return 3.0 * figures.base_speed
 
 
-def _map(design: Design, limit: VoltageLimit, torques: int, speeds: int) -> Reply:
+def _map(design: Design, limit: VoltageLimit, request: Request, torques: int, speeds: int) -> Reply:
     machine, i_max = design.machine, design.i_max
     figures = characteristics(machine, limit.v_max, i_max)
     fastest = _fastest(design, figures, limit)
+    omega = np.linspace(0.0, fastest, speeds)
     chart = operating_map(
         machine,
         design.inverter,
         limit,
         np.linspace(0.0, figures.torque_max, torques),
-        np.linspace(0.0, fastest, speeds),
+        omega,
         i_max,
+        loss=_minimised(design, limit, request, omega),
+        extra=design.machine_loss,
     )
     edge = envelope(machine, limit.v_max, envelope_speeds(machine, limit.v_max, fastest, i_max), i_max)
 
@@ -176,5 +207,5 @@ def _map(design: Design, limit: VoltageLimit, torques: int, speeds: int) -> Repl
         return plot_operating_map(figures, edge, chart)
 
     tables = envelope_tables(design, figures, edge, chart, limit)
-    plain = plain_map(figures, edge, chart, loci(machine, limit.v_max, i_max), limit)
+    plain = plain_map(figures, edge, chart, loci(machine, limit.v_max, i_max), limit) | {"objective": request.objective}
     return Reply(tables, {"operating_map": plain}, figure)

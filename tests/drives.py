@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dqforge.machines.design import Design
 from dqforge.machines.inverter import Inverter, SwitchDevice
+from dqforge.machines.machine_loss import NO_EXTRA_LOSS
 from dqforge.machines.settings import (
     ControlSettings,
     CurrentLoopSettings,
@@ -51,6 +52,7 @@ def make_design(
         name=name,
         about="made by the tests",
         machine=machine,
+        machine_loss=NO_EXTRA_LOSS,
         inverter=Inverter(500.0, 100e3, MOSFET, 64.0),
         control=control,
         operation=OperationSettings(strategy),

@@ -356,6 +356,23 @@ def test_one_operating_point_in_detail(run: Run) -> None:
     )
 
 
+def test_least_total_loss_counts_iron_and_loses_less(run: Run, tmp_path: Path) -> None:
+    """With iron loss the field is weakened before the voltage asks for it: less loss in total, more in the copper."""
+    text = run("machines", IPM).out.replace(
+        "\ninverter:", "  iron_loss: {frequency: 400 Hz, flux: 0.12 Wb, hysteresis: 150 W, eddy: 250 W}\ninverter:", 1
+    )
+    (tmp_path / "iron.yaml").write_text(text, encoding="utf-8")
+    where = ("mtpa", "iron.yaml", "--torque", "60 N m", "--speed", "6000 rpm", "--json")
+    copper, total = (
+        json.loads(run(*where, "--objective", name).out)["operating_points"] for name in ("copper", "total")
+    )
+    assert total["losses"]["total_W"][0] < 0.98 * copper["losses"]["total_W"][0]
+    assert total["losses"]["copper_W"][0] > copper["losses"]["copper_W"][0]
+    assert total["losses"]["iron_W"][0] < copper["losses"]["iron_W"][0]
+    assert total["points"]["minimised_W"][0] == pytest.approx(total["losses"]["total_W"][0], rel=1e-2)
+    assert "expected copper or total" in one_line(run("mtpa", IPM, "--map", "8x8", "--objective", "iron"), 2)
+
+
 def test_speed_beyond_all_currents_has_no_solution(run: Run) -> None:
     """The ABB machine's back-EMF cannot be weakened enough above 4597 rpm."""
     line = one_line(run("mtpa", "abb-ipmsm-2k2", "--speed", "5000 rpm"), 1)
@@ -376,7 +393,7 @@ def test_resistance_drop_beyond_the_voltage_limit(run: Run, tmp_path: Path) -> N
 
 def test_map_document_holds_envelopes_and_loci(run: Run) -> None:
     document = json.loads(run("mtpa", "abb-syrm-6k7", "--map", "5x6", "--json").out)["operating_map"]
-    assert set(document) == {"limit", "characteristics", "envelope", "braking_envelope", "loci", "map"}
+    assert set(document) == {"limit", "characteristics", "envelope", "braking_envelope", "loci", "map", "objective"}
     braking, motoring = document["braking_envelope"]["torque_Nm"], document["envelope"]["torque_Nm"]
     assert all(-low >= high * (1.0 - 1e-9) for low, high in zip(braking, motoring, strict=True))
     assert document["loci"]["mtpv"]["held_by"][0] == "MTPV"

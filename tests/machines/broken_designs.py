@@ -133,7 +133,7 @@ _STRUCTURE: list[Broken] = [
     ("missing-inverter", "dqforge: 1\nname: x\nmachine: {}\n", 1, 1, "the section 'inverter' is missing"),
     ("missing-key", changed("  resistance: 2.35 Ohm\n", ""), 3, 1, "needs the key 'resistance'; write resistance:"),
     ("missing-poles", changed("  pole_pairs: 3\n", ""), 3, 1, "write poles: 8 (or pole_pairs: 4)"),
-    ("unknown-key", changed("  resistance:", "  resistence:"), 6, 3, "'resistence'; did you mean 'resistance'?"),
+    ("unknown-key", changed("  resistance:", "  resistence:"), 6, 3, "'resistence'; did you mean 'resistance'"),
     ("symbol-as-key", changed("  inductance_d:", "  Ld:"), 7, 3, "did you mean 'inductance_d'?"),
     ("unknown-section", changed("inverter:\n", "converter:\n"), 13, 1, "did you mean 'inverter'?"),
     (

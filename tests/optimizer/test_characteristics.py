@@ -10,6 +10,7 @@ from drives import INVERSE_SALIENT, IPM, MOSFET, RELUCTANCE, SURFACE
 from saturated import ArctanMachine
 
 from dqforge.machines.inverter import Inverter
+from dqforge.machines.machine_loss import MachineLoss
 from dqforge.optimizer.characteristics import (
     characteristics,
     efficiency,
@@ -21,7 +22,7 @@ from dqforge.optimizer.characteristics import (
     operating_map,
     voltage_limit,
 )
-from dqforge.optimizer.loss_model import MachineLoss, loss_coefficients
+from dqforge.optimizer.loss_model import loss_coefficients
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points import Active
 

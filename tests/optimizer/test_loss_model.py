@@ -11,11 +11,12 @@ from saturated import ArctanMachine
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import Inverter, SwitchDevice
+from dqforge.machines.machine_loss import MachineLoss
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray, Machine
 from dqforge.optimizer.local_terms import LossCoefficients
 from dqforge.optimizer.loss_budget import loss_budget
-from dqforge.optimizer.loss_model import MachineLoss, drive_losses, loss_coefficients
+from dqforge.optimizer.loss_model import drive_losses, loss_coefficients
 from dqforge.optimizer.operating_points import optimal_points
 
 INVERTER = Inverter(500.0, 100e3, MOSFET, 64.0)

@@ -49,7 +49,7 @@ def detail(design: Design, torque: float, omega: float) -> dict[str, str]:
     points = optimal_points(design.machine, torque, omega, v_max=LIMIT.v_max)
     most = optimal_points(design.machine, 1e4, omega, v_max=LIMIT.v_max)
     losses = drive_losses(design.machine, design.inverter, points.i_d, points.i_q, points.omega_m)
-    (table,) = point_tables(design, points, losses, most, LIMIT)
+    (table,) = point_tables(design, points, losses, most, LIMIT, "copper")
     return {row[0]: row[1] for row in table.rows}
 
 
@@ -82,7 +82,9 @@ def test_point_in_detail_beyond_what_can_be_had_and_without_device() -> None:
 
 def test_points_table_has_a_row_per_point_and_the_limit() -> None:
     points = optimal_points(IPM, np.array([0.0, 50.0, 300.0]), 600.0, v_max=LIMIT.v_max)
-    (table,) = points_tables(make_design(), points, replace(LIMIT, margin=0.05))
+    design = make_design()
+    losses = drive_losses(IPM, design.inverter, points.i_d, points.i_q, points.omega_m)
+    (table,) = points_tables(design, points, losses, replace(LIMIT, margin=0.05), "copper")
     assert [len(row) for row in table.rows] == [len(table.columns)] * 3
     assert "(no more)" in table.rows[2][2]
     assert table.notes[0].endswith("5 % kept free")
