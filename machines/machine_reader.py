@@ -36,9 +36,6 @@ _NEEDED: dict[MachineModel, tuple[tuple[str, str], ...]] = {
 _OWN: dict[str, MachineModel] = {
     "inductance_d": "linear",
     "inductance_q": "linear",
-    "magnet_flux": "linear",
-    "back_emf_constant": "linear",
-    "torque_constant": "linear",
     "flux_map": "flux-map",
     "saturation": "saturation",
 }
@@ -77,9 +74,12 @@ def read_machine(section: MachineSection, reading: Reading) -> Machine:
         )
     _refuse_magnet_coefficient(section, reading)
     if section.saturation is not None:
+        _refuse_constants(section, reading)
         flux_map = _saturation_map(section.saturation, common["i_max"], reading)
     else:
-        flux_map = _flux_map(section, reading)
+        known = any((section.magnet_flux, section.back_emf_constant, section.torque_constant))
+        expected = _magnet_flux(section, pole_pairs, reading) if known else None
+        flux_map = _flux_map(section, reading, expected)
     machine = SaturatedMachine(flux_map=flux_map, **common)
     _check_range(machine, reading)
     return machine
@@ -189,6 +189,15 @@ def _refuse_magnet_coefficient(section: MachineSection, reading: Reading) -> Non
         )
 
 
+def _refuse_constants(section: MachineSection, reading: Reading) -> None:
+    for key in ("magnet_flux", "back_emf_constant", "torque_constant"):
+        if getattr(section, key) is not None:
+            message = (
+                f"machine.{key} does not belong to the model 'saturation', whose coefficients say it; remove the key"
+            )
+            raise reading.document.error(message, ("machine", key), key=True)
+
+
 def _saturation_map(section: SaturationSection, i_max: float, reading: Reading) -> FluxMap:
     bridge = section.bridge
     try:
@@ -213,7 +222,7 @@ def _saturation_map(section: SaturationSection, i_max: float, reading: Reading) 
         raise reading.document.error(f"machine.saturation: {error}", ("machine", "saturation"), key=True) from None
 
 
-def _flux_map(section: MachineSection, reading: Reading) -> FluxMap:
+def _flux_map(section: MachineSection, reading: Reading, expected: float | None) -> FluxMap:
     """Flux map of the files that the section names, at the temperature of the magnets."""
     from dqforge.machines.flux_map_checks import flux_map_of_maps
 
@@ -222,7 +231,7 @@ def _flux_map(section: MachineSection, reading: Reading) -> FluxMap:
     if given is None or (given.file is None) == (given.files is None):
         raise reading.document.error("machine.flux_map: write either file or files", path, key=True)
     if given.file is not None:
-        return _one_map(given, given.file, (*path, "file"), reading)
+        return _one_map(given, given.file, (*path, "file"), reading, expected)
     files = given.files or ()
     magnet = section.temperature.magnet
     if magnet is None:
@@ -238,8 +247,10 @@ def _flux_map(section: MachineSection, reading: Reading) -> FluxMap:
         return flux_map_of_maps(temperatures, maps, magnet.si)
 
 
-def _one_map(given: FluxMapSection, name: str, path: KeyPath, reading: Reading) -> FluxMap:
-    """Flux map of one file, its findings among the remarks."""
+def _one_map(
+    given: FluxMapSection, name: str, path: KeyPath, reading: Reading, expected: float | None = None
+) -> FluxMap:
+    """Flux map of one file, its findings among the remarks; ``expected`` is the known magnet flux in Wb."""
     # The readers are needed for maps only; a design with constants starts faster without them.
     from dqforge.machines.flux_map_files import read_flux_points
     from dqforge.machines.flux_points import build_flux_map
@@ -253,7 +264,13 @@ def _one_map(given: FluxMapSection, name: str, path: KeyPath, reading: Reading) 
             flux_unit=given.flux_unit,
             columns=columns or None,
         )
-        found = build_flux_map(points, axes=given.axes, scaling=given.scaling, extrapolate=given.extrapolate)
+        found = build_flux_map(
+            points,
+            axes=given.axes,
+            scaling=given.scaling,
+            extrapolate=given.extrapolate,
+            expected_psi_pm=expected,
+        )
     except InputError as error:
         if error.line is not None:
             raise

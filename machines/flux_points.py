@@ -1,0 +1,335 @@
+"""Points of flux maps: their axes and scaling are converted, and grids or scattered points become a flux map.
+
+A flux map lies on a full rectangle that is symmetric in i_q. Files hold half planes, planes whose halves differ by
+measurement errors, grids with gaps and points without any order.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.errors import InputError
+from dqforge.machines.flux_map import FluxMap, complete_by_symmetry
+from dqforge.machines.flux_map_checks import check_map, check_points, energy_misfit
+from dqforge.machines.quantities import format_quantity
+from dqforge.machines.settings import FluxAxes, FluxScaling
+from dqforge.machines.synchronous import FloatArray
+
+_TO_PEAK: dict[FluxScaling, float] = {"peak": 1.0, "rms": math.sqrt(2.0), "power-invariant": math.sqrt(2.0 / 3.0)}
+_SAME = 1e-6
+"""Difference over the largest value below which two currents, or two flux linkages, are the same."""
+
+_FEWEST_SCATTERED = 16
+_GRID_SIZES = (9, 81)
+_FULL_PLANE = 0.95
+_PARTIAL_GRID = 0.5
+_MOST_GAPS = 50_000
+_NEIGHBOURS = 64
+_WORST_ASYMMETRY = 0.25
+_NOTABLE_ASYMMETRY = 1e-3
+_MUCH_OUTSIDE = 0.15
+_MIRROR = np.array([1.0, -1.0])[:, np.newaxis, np.newaxis]
+"""Signs of (psi_d, psi_q), shape (2, M, N), on the other side of i_q = 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class FluxPoints:
+    """Points of a flux map as a file holds them, in its own axes and scaling but in A and Wb, arrays of shape (K,)."""
+
+    source: str
+    i_d: FloatArray
+    i_q: FloatArray
+    psi_d: FloatArray
+    psi_q: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class FluxMapReading:
+    """A flux map with what was found and done on the way.
+
+    ``findings`` are sentences for the user. ``energy_misfit`` is the r.m.s. difference of the two mutual inductances
+    over the r.m.s. of the diagonal ones. ``asymmetry`` is the largest distance in Wb between the given flux linkages
+    and their symmetric part, half the difference between mirrored points.
+    """
+
+    flux_map: FluxMap
+    findings: tuple[str, ...]
+    energy_misfit: float
+    asymmetry: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Plane:
+    """Flux linkages (2, M, N) on ascending axes (M,) and (N,), the asymmetry of what they come from, and sentences."""
+
+    i_d: FloatArray
+    i_q: FloatArray
+    psi: FloatArray
+    asymmetry: float = 0.0
+    findings: tuple[str, ...] = ()
+
+
+def converted(points: FluxPoints, axes: FluxAxes, scaling: FluxScaling) -> FluxPoints:
+    """Points with the d axis along the magnets and in peak values, from the axes and the scaling of a file."""
+    factor = _TO_PEAK[scaling]
+    i_d, i_q, psi_d, psi_q = (factor * part for part in (points.i_d, points.i_q, points.psi_d, points.psi_q))
+    if axes == "reluctance":
+        i_d, i_q, psi_d, psi_q = -i_q, i_d, -psi_q, psi_d
+    return FluxPoints(points.source, i_d, i_q, psi_d, psi_q)
+
+
+def build_flux_map(
+    points: FluxPoints,
+    *,
+    axes: FluxAxes = "magnet-d",
+    scaling: FluxScaling = "peak",
+    extrapolate: bool = False,
+    expected_psi_pm: float | None = None,
+) -> FluxMapReading:
+    """Flux map through points in any order, once they are found sound.
+
+    Points that fill a grid are its nodes. Others are interpolated by thin-plate splines: on their own grid where they
+    are at least half of one, else on a regular grid over their bounding box. Half planes are mirrored, full planes
+    averaged with their mirror image; of a plane with unequal halves the larger one counts.
+
+    Parameters
+    ----------
+    points:
+        Points as in the file, shape (K,).
+    axes, scaling:
+        Convention of the file.
+    extrapolate:
+        Whether the map may be used beyond its grid.
+    expected_psi_pm:
+        Flux linkage of the magnets in Wb (peak), if known from elsewhere; the scaling is checked with it.
+
+    Raises
+    ------
+    InputError
+        The points do not make a map, or not that of a machine; see also `check_points` and `check_map`.
+    """
+    source = points.source
+    check_points(points, axes)
+    findings = _conversion(axes, scaling)
+    single, repeated = _merged(converted(points, axes, scaling))
+    if repeated:
+        findings = (*findings, f"{repeated} points are given repeatedly and were merged")
+    plane = _filled_grid(single)
+    plane = _symmetric(plane, source) if plane is not None else _scattered(single)
+    if plane.asymmetry > _WORST_ASYMMETRY * _largest(single.psi_d, single.psi_q):
+        raise InputError(
+            f"the halves i_q > 0 and i_q < 0 are no mirror images: they lie {format_quantity(plane.asymmetry, 'Wb')} "
+            "from their mean; psi_d must be even and psi_q odd in i_q (d along the magnets), check the signs",
+            source=source,
+        )
+    zero = _zero_current(plane.i_d, source)
+    try:
+        flux_map = FluxMap(plane.i_d, plane.i_q, plane.psi[0], plane.psi[1], extrapolate)
+    except InputError as error:
+        raise InputError(error.message, source=source) from None
+    checked = check_map(flux_map, source, expected_psi_pm)
+    return FluxMapReading(
+        flux_map, (*findings, *plane.findings, *zero, *checked), energy_misfit(flux_map), plane.asymmetry
+    )
+
+
+def _conversion(axes: FluxAxes, scaling: FluxScaling) -> tuple[str, ...]:
+    """What the conversion did, in sentences."""
+    turned = ("the axes were turned so that d lies along the magnets (i_d = -i_q and i_q = i_d of the file)",)
+    scaled = (f"currents and flux linkages were multiplied by {_TO_PEAK[scaling]:.4f} ({scaling} to peak)",)
+    return (turned if axes == "reluctance" else ()) + (scaled if scaling != "peak" else ())
+
+
+def _largest(*values: FloatArray) -> float:
+    return max(float(np.max(np.abs(part))) for part in values)
+
+
+def _labels(values: FloatArray, tolerance: float) -> tuple[NDArray[np.intp], FloatArray]:
+    """Group of equal values that each value belongs to, shape (K,), and the mean of each group, ascending."""
+    order = np.argsort(values, kind="stable")
+    ascending = values[order]
+    new = np.diff(ascending) > tolerance
+    starts, ends = np.flatnonzero(np.append(True, new)), np.flatnonzero(np.append(new, True))
+    groups = np.append(0, np.cumsum(new))
+    if np.max(ascending[ends] - ascending[starts]) > 10.0 * tolerance:
+        # So many values that each touches the next: steps of the tolerance tell them apart.
+        groups = np.unique(np.round((ascending - ascending[0]) / tolerance), return_inverse=True)[1]
+    means = np.bincount(groups, ascending) / np.bincount(groups)
+    labels = np.empty(values.size, dtype=np.intp)
+    labels[order] = groups
+    return labels, np.where(np.abs(means) <= tolerance, 0.0, means)
+
+
+def _merged(points: FluxPoints) -> tuple[FluxPoints, int]:
+    """Points of which no two are the same, equal currents equal to the last digit, and how many were repeated.
+
+    Raises `InputError` where repeated points contradict each other.
+    """
+    tolerance = _SAME * _largest(points.i_d, points.i_q)
+    rows, i_d = _labels(points.i_d, tolerance)
+    columns, i_q = _labels(points.i_q, tolerance)
+    cells, inverse, counts = np.unique(rows * i_q.size + columns, return_inverse=True, return_counts=True)
+    given = np.stack([points.psi_d, points.psi_q])
+    psi = np.stack([np.bincount(inverse, part) / counts for part in given])
+    away = np.max(np.abs(given - psi[:, inverse]), axis=0)
+    worst = int(np.argmax(away))
+    if away[worst] > _SAME * _largest(given):
+        raise InputError(
+            f"the point i_d = {points.i_d[worst]:g} A, i_q = {points.i_q[worst]:g} A (peak, d along the magnets) is "
+            f"given {counts[inverse[worst]]} times, with flux linkages that differ by up to "
+            f"{format_quantity(2.0 * float(away[worst]), 'Wb', 3)}; keep one of them",
+            source=points.source,
+        )
+    single = FluxPoints(points.source, i_d[cells // i_q.size], i_q[cells % i_q.size], psi[0], psi[1])
+    return single, points.i_d.size - cells.size
+
+
+def _filled_grid(points: FluxPoints) -> _Plane | None:
+    """Grid of points that fill one, None if they do not."""
+    i_d, rows = np.unique(points.i_d, return_inverse=True)
+    i_q, columns = np.unique(points.i_q, return_inverse=True)
+    if points.i_d.size != i_d.size * i_q.size:
+        return None
+    psi = np.empty((2, i_d.size, i_q.size))
+    psi[:, rows, columns] = points.psi_d, points.psi_q
+    return _Plane(i_d, i_q, psi)
+
+
+def _symmetric(grid: _Plane, source: str) -> _Plane:
+    """Symmetric plane from a grid over a half plane, a whole one, or one with unequal halves; raises `InputError`."""
+    from scipy.interpolate import CubicSpline
+
+    i_q, psi = grid.i_q, grid.psi
+    if turned := bool(i_q[-1] < -i_q[0]):
+        i_q, psi = -i_q[::-1], psi[:, :, ::-1] * _MIRROR
+    other = -float(i_q[0])
+    along = CubicSpline(i_q, psi, axis=2)
+    whole = bool(np.all(np.abs(i_q + i_q[::-1]) <= 0.25 * np.min(np.diff(i_q))))
+    if whole:
+        axis = np.clip(0.5 * (i_q - i_q[::-1]), -other, other)
+        values = along(axis)
+    else:
+        axis, values = i_q[i_q >= 0.0], psi[:, :, i_q >= 0.0]
+        _check_begin(axis, float(axis[1] - axis[0]) if axis.size > 1 else 0.0, source)
+    shared = axis[(axis >= 0.0) & (axis <= other)]
+    asymmetry = 0.5 * float(np.max(np.abs(along(shared) - along(-shared) * _MIRROR), initial=0.0))
+    if not whole and axis[0] > 0.0:
+        axis, values = np.append(-axis[::-1], axis), np.concatenate([values[:, :, ::-1] * _MIRROR, values], axis=2)
+    done = _halves(whole, other > 0.0, turned, asymmetry, _largest(psi))
+    i_q, psi_d, psi_q = complete_by_symmetry(axis, *values)
+    return _Plane(grid.i_d, i_q, np.stack([psi_d, psi_q]), asymmetry, done)
+
+
+def _check_begin(upper: FloatArray, step: float, source: str) -> None:
+    """Refuse a half plane whose points with i_q >= 0 begin more than a step away from 0."""
+    begin = float(np.min(upper))
+    if begin > step:
+        raise InputError(
+            f"the half plane begins at |i_q| = {begin:g} A (peak, d along the magnets); add points with i_q = 0",
+            source=source,
+        )
+
+
+def _halves(whole: bool, unequal: bool, turned: bool, asymmetry: float, largest: float) -> tuple[str, ...]:
+    """What was done with the halves of the plane, in a sentence."""
+    size, side = format_quantity(asymmetry, "Wb", 3), "i_q <= 0" if turned else "i_q >= 0"
+    if whole:
+        agree = "they agree" if asymmetry <= _SAME * largest else f"they lie at most {size} from their mean"
+        return (f"the halves i_q > 0 and i_q < 0 were averaged; {agree}",)
+    about = f"; it contradicts its mirror image by up to {size}" if asymmetry > _NOTABLE_ASYMMETRY * largest else ""
+    return (f"{'the larger half' if unequal else 'the half plane'} {side} was mirrored{about}",)
+
+
+def _scattered(points: FluxPoints) -> _Plane:
+    """Symmetric plane through scattered points or a grid with gaps; raises `InputError`."""
+    i_d, i_q, psi = points.i_d, points.i_q, np.stack([points.psi_d, points.psi_q])
+    if i_d.size < _FEWEST_SCATTERED:
+        message = f"{i_d.size} points that fill no grid are too few for a map; give at least {_FEWEST_SCATTERED}"
+        raise InputError(message, source=points.source)
+    if turned := bool(np.max(i_q) < -np.min(i_q)):
+        i_q, psi = -i_q, psi * _MIRROR[:, :, 0]
+    end, other = float(np.max(i_q)), -float(np.min(i_q))
+    whole = other >= _FULL_PLANE * end
+    asymmetry = float(np.max(np.abs(psi[1, i_q == 0.0]), initial=0.0))
+    if not whole:
+        i_d, i_q, psi = _with_mirror_image(i_d, i_q, psi)
+    axis_d, axis_q, own = _axes(i_d, i_q, min(end, other) if whole else end)
+    _check_begin(i_q[i_q >= 0.0], float(axis_q[-1] - axis_q[-2]), points.source)
+    values, outside = _thin_plates(i_d, i_q, psi, axis_d, axis_q, own, points.source)
+    if whole:
+        known = ~(outside | outside[:, ::-1])
+        asymmetry = 0.5 * float(np.max(np.abs(values - values[:, :, ::-1] * _MIRROR)[:, known], initial=0.0))
+    size, way = f"{axis_d.size} x {axis_q.size} grid", "interpolated by thin-plate splines"
+    gaps = f"gaps of the {size} {way}: {axis_d.size * axis_q.size - i_d.size}"
+    first = gaps if own else f"scattered points: {points.i_d.size} {way} on a {size}"
+    findings = (first, *_halves(whole, other > 0.0, turned, asymmetry, _largest(psi)))
+    if (share := float(np.mean(outside))) > _MUCH_OUTSIDE:
+        beyond = "of the nodes lie outside the convex hull of the points; the flux linkages there are extrapolated"
+        findings = (*findings, f"warning: {100.0 * share:.0f} % {beyond}")
+    axis_q, psi_d, psi_q = complete_by_symmetry(axis_q, *values)
+    return _Plane(axis_d, axis_q, np.stack([psi_d, psi_q]), asymmetry, findings)
+
+
+def _with_mirror_image(i_d: FloatArray, i_q: FloatArray, psi: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The half of the points with i_q >= 0 and its mirror image; at i_q = 0, psi_q is 0."""
+    upper, lower = i_q >= 0.0, i_q > 0.0
+    odd = np.where(i_q == 0.0, np.array([[1.0], [0.0]]), 1.0) * psi
+    both = np.concatenate([odd[:, upper], odd[:, lower] * _MIRROR[:, :, 0]], axis=1)
+    return np.append(i_d[upper], i_d[lower]), np.append(i_q[upper], -i_q[lower]), both
+
+
+def _axes(i_d: FloatArray, i_q: FloatArray, end: float) -> tuple[FloatArray, FloatArray, bool]:
+    """Axes for the points of a full plane, and whether they are the points' own, of a grid with gaps."""
+    own_d, own_q = np.unique(i_d), np.unique(i_q)
+    nodes = own_d.size * own_q.size
+    filled = i_d.size >= max(_PARTIAL_GRID * nodes, nodes - _MOST_GAPS)
+    if filled and np.max(np.abs(own_q + own_q[::-1])) <= _SAME * end:
+        return own_d, own_q, True
+    count = int(np.clip(np.rint(np.sqrt(i_d.size)), *_GRID_SIZES))
+    # An odd number of i_q has a node at 0.
+    return np.linspace(np.min(i_d), np.max(i_d), count), np.linspace(-end, end, count | 1), False
+
+
+def _thin_plates(
+    i_d: FloatArray, i_q: FloatArray, psi: FloatArray, axis_d: FloatArray, axis_q: FloatArray, own: bool, source: str
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Flux linkages (2, M, N) on a grid through points of a full plane, and which nodes lie outside their hull.
+
+    ``own``: the points lie on nodes, and the others are the gaps.
+    """
+    from scipy.interpolate import RBFInterpolator
+    from scipy.spatial import ConvexHull, Delaunay, QhullError
+
+    scale = np.array([np.ptp(i_d), np.ptp(i_q)])
+    at = np.stack([i_d, i_q], axis=1) / scale
+    nodes = np.stack(np.meshgrid(axis_d, axis_q, indexing="ij"), axis=2) / scale
+    known = np.zeros(nodes.shape[:2], dtype=bool)
+    values = np.empty((2, *known.shape))
+    if own:
+        place = np.searchsorted(axis_d, i_d), np.searchsorted(axis_q, i_q)
+        values[:, *place], known[place] = psi, True
+    try:
+        hull = Delaunay(at[ConvexHull(at).vertices])
+        spline = RBFInterpolator(at, psi.T, neighbors=min(_NEIGHBOURS, at.shape[0]), degree=1)
+        values[:, ~known] = spline(nodes[~known]).T
+    except (QhullError, np.linalg.LinAlgError):
+        message = "the points lie on a line or too close together; spread them over i_d and i_q"
+        raise InputError(message, source=source) from None
+    outside = ~known
+    outside[~known] = hull.find_simplex(nodes[~known], tol=_SAME) < 0
+    return values, outside
+
+
+def _zero_current(i_d: FloatArray, source: str) -> tuple[str, ...]:
+    """Refuse an axis of i_d that stays more than a step away from 0; say when it is less."""
+    gap, step = (i_d[0], i_d[1] - i_d[0]) if i_d[0] > 0.0 else (-i_d[-1], i_d[-1] - i_d[-2])
+    if gap <= 0.0:
+        return ()
+    ends = f"i_d (peak, d along the magnets) runs from {i_d[0]:g} to {i_d[-1]:g} A"
+    if gap > step * (1.0 + _SAME):
+        raise InputError(f"{ends} and leaves out zero current; add points there", source=source)
+    return (f"{ends}; the flux linkages at i_d = 0 are extrapolated",)
