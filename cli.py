@@ -288,6 +288,43 @@ def losses(design: DesignArgument, json: JsonOption = False, plot: PlotOption = 
 
 
 @app.command()
+def bemf(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Text file with time, or angle, and three phases.")],
+    json: JsonOption = False,
+    plot: PlotOption = None,
+    line_to_line: Annotated[bool, typer.Option("--line-to-line", help="The channels are ab, bc and ca.")] = False,
+    pole_pairs: Annotated[
+        int | None, typer.Option("--pole-pairs", metavar="P", help="For constants per mechanical speed.")
+    ] = None,
+    speed: SpeedOption = None,
+    scale: Annotated[
+        str | None, typer.Option("--scale", metavar="A,B,C", help="Factors of the channels (probes), e.g. 1,1,10.")
+    ] = None,
+    columns: Annotated[
+        str | None, typer.Option("--columns", metavar="T,A,B,C", help="Names or numbers of the columns.")
+    ] = None,
+    harmonics: Annotated[int, typer.Option("--harmonics", metavar="N", help="Highest order.")] = 25,
+) -> None:
+    """Say what a capture of the back-EMF holds: harmonics, symmetry, noise, and the magnet flux."""
+    from dqforge.reports.bemf import CaptureRequest, capture_tables, plain_capture, read_capture
+
+    if plot is not None:
+        from dqforge.reports.files import check_figure_path
+
+        check_figure_path(plot)
+    request = CaptureRequest(line_to_line, pole_pairs, speed, scale, columns, harmonics)
+    reading = read_capture(file, request)
+    if plot is not None:
+        from dqforge.reports.figures_bemf import plot_capture
+
+        _plot(lambda: plot_capture(reading), plot)
+    if json:
+        _print_json("bemf", reading.name, {"bemf": plain_capture(reading)})
+    else:
+        _show(capture_tables(reading))
+
+
+@app.command()
 def reproduce(
     paper: Annotated[str, typer.Argument(metavar="PAPER", help="Number of the paper: 000.")], json: JsonOption = False
 ) -> None:

@@ -89,8 +89,9 @@ class TextTable:
 def read_table(content: bytes, source: str) -> TextTable:
     """Numbers, names and units of a text table; delimiter, decimal sign, encoding and header are found out.
 
-    Columns without a number, and those that hold text in most rows, are left out. Where no line has more than
-    one comma and there is no header, it parts two columns if every line has it and none looks like decimals.
+    Columns without a number, and those that hold text in most rows, are left out; blank lines, rulers and comments
+    (# or %) among the rows are passed over. Where no line has more than one comma and there is no header, the comma
+    parts two columns if every line has one and none looks like decimals.
 
     Parameters
     ----------
@@ -243,7 +244,7 @@ def _layout(lines: list[str], source: str) -> _Layout:
     typical = np.flatnonzero(plain if plain.any() else digits)
     if not typical.size:
         raise _no_numbers(source)
-    form = _format(lines, typical, content | comment)
+    form = _format(lines, typical, (content, comment))
     # Lines are counted by single delimiters; the text of comments and titles keeps its blanks.
     blanks = form.delimiter == " "
     cells = [_BLANKS.sub(" ", line).strip(" ") for line in lines] if blanks else [line.rstrip(" ") for line in lines]
@@ -270,7 +271,7 @@ def _counts(lines: Sequence[str], delimiter: str) -> tuple[_IndexArray, _IndexAr
     return np.add.reduceat(marks, starts, dtype=np.intp) + 1, (marks[last] & (last >= starts)).astype(np.intp)
 
 
-def _format(lines: list[str], typical: _IndexArray, said: _BoolArray) -> _Format:
+def _format(lines: list[str], typical: _IndexArray, headers: Sequence[_BoolArray]) -> _Format:
     """The format that makes most numbers and least text of the typical lines.
 
     Parameters
@@ -279,8 +280,8 @@ def _format(lines: list[str], typical: _IndexArray, said: _BoolArray) -> _Format
         All lines of the file.
     typical:
         Indices of lines that seem to hold numbers.
-    said:
-        Marks the lines that are not blank.
+    headers:
+        Marks of two kinds of lines, either of which may hold the header.
     """
     places = np.unique(np.linspace(0, typical.size - 1, _SAMPLE).astype(np.intp))
     sample = [lines[place] for place in typical[places]]
@@ -289,9 +290,9 @@ def _format(lines: list[str], typical: _IndexArray, said: _BoolArray) -> _Format
         return best
     if not all(_COMMA_NUMBER.fullmatch(lines[place].strip()) for place in typical):
         return best
-    above = np.flatnonzero(said[: typical[0]])
-    if above.size:
-        return best if "," in lines[above[-1]] else _ONE_COLUMN
+    above = [lines[place] for kind in headers for place in np.flatnonzero(kind[: typical[0]])[-1:]]
+    if above:
+        return best if any("," in line for line in above) else _ONE_COLUMN
     decimals = any("," not in lines[place] or _LIKE_DECIMALS.search(lines[place]) for place in typical)
     return _ONE_COLUMN if decimals else best
 
@@ -568,9 +569,7 @@ def _name_and_unit(title: str, titles: Sequence[str]) -> tuple[str, str]:
     title = " ".join(title.strip(" \"'").split())
     bracketed = _BRACKETED.fullmatch(title)
     if bracketed and (bracketed[2] is not None or _is_unit(bracketed[3])):
-        return bracketed[1].rstrip(" _,/"), (bracketed[2] if bracketed[2] is not None else bracketed[3]).strip().strip(
-            "-"
-        )
+        return bracketed[1].rstrip(" _,/"), (bracketed[2] or bracketed[3] or "").strip(" -")
     separated = _SEPARATED.fullmatch(title)
     if separated and _is_unit(separated[2]):
         return separated[1], separated[2]

@@ -246,6 +246,12 @@ def test_points_keep_the_order_of_the_file() -> None:
     np.testing.assert_array_equal(read_flux_points(csv(flat), "map.csv").i_q, flat["iq"])
 
 
+@pytest.mark.parametrize(("write", "source"), WRITERS)
+def test_grids_go_row_by_row_as_the_writer_saw_them(write: Callable[[Arrays], bytes], source: str) -> None:
+    grid = rows_of_d()
+    np.testing.assert_array_equal(read_flux_points(write(grid), source).i_d, grid["id"].ravel())
+
+
 # Units
 
 
@@ -310,6 +316,7 @@ SYRE = {
         "data": {"motorName": "THOR", "p": 2.0},
         "FluxMap_dq": {**renamed(transposed(rows_of_d()), "Id Iq Fd Fq"), "T": np.zeros((5, 4))},
         "controlTrajectories": {"MTPA": renamed({n: np.ones(3) for n in rows_of_d()}, "id iq fd fq")},
+        "tmpMap": renamed({n: np.ones((3, 3)) for n in rows_of_d()}, "Id Iq Fd Fq"),
         "FluxMap_dqt": {"data": renamed({n: np.ones((2, 3, 4)) for n in rows_of_d()}, "Id Iq Fd Fq")},
     }
 }

@@ -1,0 +1,380 @@
+"""Numerics of a periodic record: its frequency, its drifting angle, and its harmonics by least squares.
+
+The record is modelled as v_k(t) = o_k + dtheta/dt Re sum_h C_kh exp(j h theta) for each channel k, with theta a
+polynomial in time: a back-EMF grows with the speed at each instant, so that a record of drifting speed needs neither
+resampling nor whole periods. The harmonics and offsets enter linearly and are eliminated (variable projection); the
+few numbers of theta are found by Gauss-Newton.
+
+References
+----------
+G. Golub, V. Pereyra, "Separable nonlinear least squares: the variable projection method and its applications", Inverse
+Problems 19(2), 2003, doi:10.1088/0266-5611/19/2/201.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.synchronous import FloatArray
+
+ComplexArray = NDArray[np.complex128]
+
+_BLOCK = 128
+"""Samples multiplied at a time: products so small are not spread over threads, whose start would take longer."""
+
+_CHUNK = 16
+"""Blocks whose design matrix is held at a time: a long record needs no more memory than a short one."""
+
+_ITERATIONS = 12
+
+_MISS = 0.05
+"""Probability that a coefficient lies outside its stated uncertainty."""
+
+_SHORT = 4.0
+"""Periods below which neighbouring lines of the spectrum run into each other, so that the frequency is searched."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Electrical angle over a record of N samples.
+
+    Parameters
+    ----------
+    u:
+        Time from -1 at the first to 1 at the last sample, shape (N,); zeros where the angle is given.
+    half:
+        Half the length of the record in s.
+    unit_speed:
+        Electrical speed in rad/s that counts as 1 in `rate`.
+    powers:
+        theta = sum powers[i] u^(i + 1) in rad, shape (P,).
+    given:
+        The angle itself in rad, shape (N,), where it was recorded; the powers are then empty.
+    """
+
+    u: FloatArray
+    half: float
+    unit_speed: float
+    powers: FloatArray
+    given: FloatArray | None = None
+
+    def angle(self) -> FloatArray:
+        """Electrical angle in rad, 0 in the middle of a record over time, shape (N,)."""
+        if self.given is not None:
+            return self.given
+        return np.asarray(np.polynomial.polynomial.polyval(self.u, np.concatenate([[0.0], self.powers])))
+
+    def rate(self) -> FloatArray:
+        """Electrical speed at each sample over `unit_speed`, shape (N,)."""
+        if self.given is not None:
+            return np.ones_like(self.given)
+        slopes = np.arange(1.0, self.powers.size + 1.0) * self.powers / (self.half * self.unit_speed)
+        return np.asarray(np.polynomial.polynomial.polyval(self.u, slopes))
+
+    def thinned(self, stride: int) -> Motion:
+        """Every ``stride``-th sample of it."""
+        given = None if self.given is None else self.given[::stride]
+        return replace(self, u=self.u[::stride], given=given)
+
+    @property
+    def frequency(self) -> float:
+        """Mean electrical frequency in Hz."""
+        return float(np.sum(self.powers[::2])) / (2.0 * np.pi * self.half)
+
+
+@dataclass(frozen=True, slots=True)
+class HarmonicFit:
+    """Least-squares harmonics of K channels over a record of N samples.
+
+    Parameters
+    ----------
+    motion:
+        The angle at which they hold.
+    coefficients:
+        C of v = offset + rate Re sum C_h exp(j h theta), orders 1..H, in the unit of the channels, shape (K, H).
+    offsets:
+        Constant part of each channel, shape (K,).
+    residual:
+        What the model leaves, shape (K, N).
+    noise:
+        Its r.m.s., corrected for the number of unknowns, shape (K,).
+    explained:
+        Share of each channel's variance that the model explains, shape (K,).
+    deviation:
+        Standard deviation of the real or imaginary part of the coefficients for white noise, shape (K, H).
+    condition:
+        Condition number of the normal equations.
+    """
+
+    motion: Motion
+    coefficients: ComplexArray
+    offsets: FloatArray
+    residual: FloatArray
+    noise: FloatArray
+    explained: FloatArray
+    deviation: FloatArray
+    condition: float
+
+
+def sample_interval(time: FloatArray) -> float:
+    """Mean distance in s of ascending sample times, shape (N,)."""
+    return float(time[-1] - time[0]) / (time.size - 1)
+
+
+def _evenly(time: FloatArray, values: FloatArray) -> FloatArray:
+    """Values, shape (K, N), at evenly spaced times; as they are if the times are even to a tenth of a step."""
+    even = np.linspace(time[0], time[-1], time.size)
+    if np.max(np.abs(time - even)) < 0.1 * sample_interval(time):
+        return values
+    return np.stack([np.interp(even, time, row) for row in values])
+
+
+def rough_frequency(time: FloatArray, voltages: FloatArray) -> tuple[float, float]:
+    """Fundamental frequency in Hz of channels, shape (K, N), good to a fraction of 1 / length.
+
+    With it the share of the channels' power that lies within 15 % of it: nearly all of a machine's, little of noise.
+    """
+    length = time.size * sample_interval(time)
+    even = _evenly(time, voltages)
+    even = even - np.mean(even, axis=1, keepdims=True)
+    power = np.sum(np.abs(np.fft.rfft(even * np.hanning(time.size), axis=1)) ** 2, axis=0)
+    peak = 1 + int(np.argmax(power[1:-1]))
+    if peak < _SHORT + 1.0:
+        return _searched_frequency(time, voltages)
+    left, middle, right = np.log(power[peak - 1 : peak + 2] + 1e-300)
+    bend = left - 2.0 * middle + right
+    wide = 3 + int(0.15 * peak)
+    share = float(np.sum(power[max(1, peak - wide) : peak + wide + 1]) / np.sum(power[1:]))
+    return float(peak + (0.5 * (left - right) / bend if bend < 0.0 else 0.0)) / length, share
+
+
+def _searched_frequency(time: FloatArray, voltages: FloatArray) -> tuple[float, float]:
+    """Frequency in Hz whose offset and fundamental leave least of a record of few periods, from 0.3 to 6 of them.
+
+    With it the share of the channels' power that they explain.
+    """
+    stride = max(1, time.size // 1024)
+    length = time.size * sample_interval(time)
+    phase = (time[::stride] - time[0]) / length
+    values = voltages[:, ::stride] - np.mean(voltages, axis=1, keepdims=True)
+    periods = np.linspace(0.3, 6.0, 229)
+    turn = 2.0 * np.pi * np.multiply.outer(periods, phase)
+    basis = np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)], axis=1)  # (F, 3, n)
+    right = basis @ values.T  # (F, 3, K)
+    explained = np.sum(right * np.linalg.solve(basis @ basis.transpose(0, 2, 1), right), axis=(1, 2))
+    return float(periods[np.argmax(explained)]) / length, float(np.max(explained) / np.sum(values**2))
+
+
+def rough_motion(time: FloatArray, voltages: FloatArray, frequency: float) -> Motion:
+    """Angle to start from: constant speed for a short record, else the phase of the channel with most of it.
+
+    The phase of the fundamental is that of the channel times exp(-j w t), averaged twice over a period, which removes
+    the offset and the harmonics. A polynomial goes through it: of degree 2 up to 5 periods, then of degree 3.
+    """
+    middle, half = 0.5 * (time[0] + time[-1]), 0.5 * float(time[-1] - time[0])
+    omega = 2.0 * np.pi * frequency
+    periods = frequency * time.size * sample_interval(time)
+    degree = 1 + int(periods >= 1.5) + int(periods >= 5.0)
+    start = Motion((time - middle) / half, half, omega, np.array([omega * half, 0.0, 0.0][:degree]))
+    window = round(time.size / periods)
+    if periods < _SHORT:
+        return start
+    grid = np.linspace(-1.0, 1.0, time.size)
+    even = _evenly(time, voltages - np.mean(voltages, axis=1, keepdims=True))
+    slow = even * np.exp(-1j * omega * half * grid)
+    for _ in range(2):
+        total = np.cumsum(np.pad(slow, ((0, 0), (1, 0))), axis=1)
+        slow = (total[:, window:] - total[:, :-window]) / window
+    # The largest channel may be the one that is nothing but noise.
+    share = np.mean(np.abs(slow) ** 2, axis=1) / (np.mean(even**2, axis=1) + 1e-300)
+    inner = slice(window - 1, window - 1 + slow.shape[1])
+    stride = max(1, slow.shape[1] // 2048)
+    phase = np.unwrap(np.angle(slow[int(np.argmax(share))]))[::stride]
+    bends = np.polynomial.polynomial.polyfit(grid[inner][::stride], phase, degree)
+    return replace(start, powers=start.powers + bends[1:])
+
+
+def _gram(motion: Motion, voltages: FloatArray, harmonics: int, coefficients: ComplexArray | None) -> FloatArray:
+    """Inner products of all columns of the model: cosines, sines, constant; slopes by the powers, (K, P); channels."""
+    powers = np.arange(motion.powers.size)[:, None]
+    angle, rate, one, u = _blocked(np.stack([motion.angle(), motion.rate(), np.ones_like(motion.u), motion.u]))
+    channels = _blocked(voltages).transpose(1, 0, 2)
+    gram = np.zeros(())
+    for start in range(0, one.shape[0], _CHUNK):
+        part = slice(start, start + _CHUNK)
+        turn, speed = _turns(angle[part], harmonics), rate[part, None]
+        rows = [turn.real * speed, turn.imag * speed, one[part, None]]
+        if coefficients is not None and powers.size:
+            u_powers = u[part, None] ** powers * one[part, None]  # (B, P, n)
+            shape = (coefficients @ turn).real
+            slope = (coefficients * (1j * np.arange(1, harmonics + 1)) @ turn).real
+            by_rate = (powers + 1) * u_powers / (motion.half * motion.unit_speed)
+            by_angle = speed * u[part, None] * u_powers
+            both = shape[:, :, None] * by_rate[:, None] + slope[:, :, None] * by_angle[:, None]  # (B, K, P, n)
+            rows.append(both.reshape(both.shape[0], -1, _BLOCK))
+        rows.append(channels[part])
+        block = np.concatenate(rows, axis=1)
+        gram = gram + np.sum(block @ block.transpose(0, 2, 1), axis=0)
+    return gram
+
+
+def _blocked(rows: FloatArray) -> FloatArray:
+    """Rows, shape (R, N), in blocks of samples, shape (R, B, n), with zeros behind the last."""
+    count = rows.shape[1]
+    blocks = -(-count // _BLOCK)
+    return np.pad(rows, ((0, 0), (0, blocks * _BLOCK - count))).reshape(-1, blocks, _BLOCK)
+
+
+def _turns(angle: FloatArray, harmonics: int) -> ComplexArray:
+    """exp(j h theta) for h = 1..H of angles in rad, shape (B, n); result shape (B, H, n)."""
+    turn = np.exp(1j * angle)[:, None]
+    return np.asarray(np.cumprod(np.broadcast_to(turn, (turn.shape[0], harmonics, turn.shape[2])), axis=1))
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """One Gauss-Newton step: new coefficients and powers, and what their covariance is made of."""
+
+    linear: FloatArray  # (2H + 1, K)
+    change: FloatArray  # (P,)
+    spread: FloatArray  # covariance of the powers, (P, P)
+    unit_variance: FloatArray  # of the linear unknowns, per noise variance, (2H + 1,)
+    leverage: FloatArray  # change of the linear unknowns with the powers, (2H + 1, K, P)
+    condition: float
+
+    def coefficients(self) -> ComplexArray:
+        harmonics = self.linear.shape[0] // 2
+        return np.asarray((self.linear[:harmonics] - 1j * self.linear[harmonics : 2 * harmonics]).T)
+
+
+def _solve(gram: FloatArray, harmonics: int, channels: int, powers: int, count: int) -> _Step:
+    """Eliminate the linear unknowns from the inner products and solve for the change of the powers."""
+    size = 2 * harmonics + 1
+    scales, vectors = np.linalg.eigh(gram[:size, :size])
+    condition = float(scales[-1] / max(scales[0], 1e-300))
+    inverse = (vectors / np.maximum(scales, 1e-13 * scales[-1])) @ vectors.T
+    across = inverse @ gram[:size, size:]
+    rest = gram[size:, size:] - gram[:size, size:].T @ across
+    slopes = gram.shape[0] - size - channels
+    linear = across[:, slopes:]
+    least = 1e-20 * np.diag(gram)[size + slopes :]
+    left = np.maximum(np.diag(rest)[slopes:], least) / count
+    change, spread = np.zeros(powers), np.zeros((powers, powers))
+    leverage = across[:, :slopes].reshape(size, channels, -1)
+    if slopes:
+        picked = np.arange(channels)
+        by_channel = rest[:slopes, :slopes].reshape(channels, powers, channels, powers)[picked, :, picked, :]
+        spread = np.linalg.pinv(np.sum(by_channel / left[:, None, None], axis=0), hermitian=True)
+        towards = rest[:slopes, slopes:].reshape(channels, powers, channels)[picked, :, picked]
+        change = spread @ np.sum(towards / left[:, None], axis=0)
+        # What the step itself removes is no noise.
+        removed = 2.0 * towards @ change - np.einsum("p,kpq,q->k", change, by_channel, change)
+        left = np.maximum(np.diag(rest)[slopes:] - removed, least) / count
+        spread = np.linalg.pinv(np.sum(by_channel / left[:, None, None], axis=0), hermitian=True)
+        linear = linear - np.einsum("skp,p->sk", leverage, change)
+    return _Step(linear, change, spread, np.diag(inverse), leverage, condition)
+
+
+def fit_harmonics(
+    motion: Motion, voltages: FloatArray, harmonics: int, coefficients: ComplexArray | None = None
+) -> HarmonicFit:
+    """Harmonics 1..H and offsets of channels, shape (K, N), and the angle that suits all of them best.
+
+    Unequal sampling, fractions of a period and drifting speed are part of the model. ``motion`` is where the search
+    begins, with the first ``coefficients``, shape (K, up to H), if they are known; an angle that was recorded is kept.
+    """
+    channels, count = voltages.shape
+    degree = motion.powers.size
+    if coefficients is None or not degree:
+        step = _solve(_gram(motion, voltages, harmonics, None), harmonics, channels, degree, count)
+        coefficients = step.coefficients()
+    coefficients = np.pad(coefficients, ((0, 0), (0, harmonics - coefficients.shape[1])))
+    for _ in range(_ITERATIONS if degree else 0):
+        step = _solve(_gram(motion, voltages, harmonics, coefficients), harmonics, channels, degree, count)
+        coefficients = step.coefficients()
+        size = float(np.sum(np.abs(step.change)))
+        # Beyond a radian the model is not linear any more, and the step would overshoot.
+        damping = min(1.0, 1.0 / max(size, 1e-300))
+        motion = replace(motion, powers=motion.powers + damping * step.change)
+        # The coefficients have followed the step already; what it still errs by is of the order of its square.
+        certain = 0.2 * float(np.sqrt(np.min(np.diag(step.spread))))
+        if harmonics * size**2 < max(certain, 1e-11):
+            break
+    return _completed(motion, voltages, step)
+
+
+def _completed(motion: Motion, voltages: FloatArray, step: _Step) -> HarmonicFit:
+    """Residuals and their statistics for the solution of the last step."""
+    channels, count = voltages.shape
+    coefficients, offsets = step.coefficients(), step.linear[-1]
+    harmonics = coefficients.shape[1]
+    angle = _blocked(motion.angle()[None])[0]
+    parts = [angle[start : start + _CHUNK] for start in range(0, angle.shape[0], _CHUNK)]
+    shape = np.concatenate([(coefficients @ _turns(part, harmonics)).real for part in parts])  # (B, K, n)
+    shape = shape.transpose(1, 0, 2).reshape(channels, -1)[:, :count]
+    residual = voltages - offsets[:, None] - shape * motion.rate()
+    left = np.sum(residual**2, axis=1)
+    freedom = max(count - step.linear.shape[0] - motion.powers.size / channels, 1.0)
+    noise = np.sqrt(left / freedom)
+    through_powers = np.einsum("skp,pq,skq->sk", step.leverage, step.spread, step.leverage)
+    variance = step.unit_variance[:, None] * noise**2 + through_powers
+    deviation = np.sqrt(np.maximum(variance[:harmonics], variance[harmonics : 2 * harmonics])).T
+    total = np.maximum(np.var(voltages, axis=1) * count, 1e-300)
+    return HarmonicFit(
+        motion, coefficients, offsets, residual, noise, 1.0 - left / total, np.asarray(deviation), step.condition
+    )
+
+
+def uncertainty(fit: HarmonicFit, periods: float) -> tuple[FloatArray, bool]:
+    """Radius of the disc that holds each complex coefficient with 95 %, shape (K, H); an amplitude errs by no more.
+
+    White noise spreads evenly over the spectrum; hum, speed ripple and unequal magnets do not. The spectrum of the
+    residual just beside each harmonic therefore tells how much more (never less) than white noise disturbs it, and
+    from how few lines that is known widens the disc (F distribution). The flag is False where the record is too short
+    to have lines between the harmonics, so that white noise had to be assumed.
+    """
+    harmonics = fit.coefficients.shape[1]
+    excess, lines = np.ones_like(fit.deviation), np.full(harmonics, float(fit.residual.shape[1]))
+    known = fit.motion.given is not None
+    if not known:
+        residual = _evenly(fit.motion.u, fit.residual)
+        power = np.abs(np.fft.rfft(residual, axis=1)) ** 2
+        power /= np.mean(power, axis=1, keepdims=True) + 1e-300
+        order = np.arange(power.shape[1]) / periods
+        # The fit has taken out what lies within about a line of each harmonic.
+        hole = np.abs(order - np.round(order)) * periods < 0.75
+        free = np.where(hole & (order < harmonics + 0.5), 0.0, 1.0)
+        wide = min(1.5, 16.0 / periods)
+        centre = np.arange(1, harmonics + 1)
+        first, last = np.searchsorted(order, centre - wide), np.searchsorted(order, centre + wide)
+        sums = np.concatenate([np.zeros((power.shape[0], 1)), np.cumsum(power * free, axis=1)], axis=1)
+        counts = np.concatenate([[0.0], np.cumsum(free)])
+        found = counts[last] - counts[first]
+        known = bool(np.min(found) >= 4.0)
+        if known:
+            lines = found
+            excess = np.maximum((sums[:, last] - sums[:, first]) / found, 1.0)
+    freedom = 2.0 * lines
+    return fit.deviation * np.sqrt(excess * freedom * (_MISS ** (-2.0 / freedom) - 1.0)), known
+
+
+def resolution(values: FloatArray) -> float:
+    """Step of the converter behind samples, shape (N,); 0 where most values occur once, so that none is seen."""
+    levels = np.unique(values)
+    if levels.size < 3 or levels.size > 0.5 * values.size:
+        return 0.0
+    return float(np.quantile(np.diff(levels), 0.1))
+
+
+def quantisation_error(step: FloatArray, noise: FloatArray) -> FloatArray:
+    """Largest error of a harmonic's amplitude by rounding to steps, for total r.m.s. noise, both of shape (K,).
+
+    (q / pi) exp(-2 pi^2 (s / q)^2): the first term of the rounding error's Fourier series, averaged over the noise s
+    before rounding. From half a step of noise on it vanishes; without noise it is all that there is.
+    """
+    before = np.maximum(noise**2 - step**2 / 12.0, 0.0)
+    ratio = before / np.maximum(step, 1e-150) ** 2
+    return np.asarray(step / np.pi * np.exp(-2.0 * np.pi**2 * np.minimum(ratio, 30.0)))
