@@ -52,6 +52,10 @@ _UNIT_KINDS: dict[str, frozenset[str]] = {
 }
 
 
+_NAMES_OF_SECOND_KIND = {"angle": "theta|angle|phi|winkel", "flux": "psi|flux|lambda"}
+"""How the heading of a column without unit begins that is an angle instead of a time, or a flux linkage."""
+
+
 @dataclass(frozen=True, slots=True)
 class BemfCapture:
     """Samples of three voltages (or flux linkages) of a machine without current, as recorded.
@@ -163,7 +167,8 @@ def capture_from_table(
     time_unit, voltage_unit:
         Units of the first and the other columns where the file has none or wrong ones; s and V if it has none.
     columns:
-        Headings or one-based numbers of the time (or angle) and the voltages to use instead.
+        Headings (without unit) of the time (or angle) and the voltages to use instead, or their one-based numbers among
+        the columns that hold numbers.
     scale:
         Factors of the channels, for probes whose setting the oscilloscope did not know.
     pole_pairs:
@@ -175,10 +180,9 @@ def capture_from_table(
         Columns that are missing or too many, a unit that does not fit, or a scale that is zero or not finite.
     """
     origin = Origin(table.source, table.lines)
-    if not (np.all(np.isfinite(scale)) and np.all(scale)):
-        raise origin.error(f"scale must be factors that are finite and not 0, got {scale}", None)
-    kinds = [_kind_and_unit(table, column) for column in range(table.values.shape[1])]
-    first, *others = _named(table, columns, origin) if columns else _guessed(kinds)
+    if len(scale) != 3 or not (np.all(np.isfinite(scale)) and np.all(scale)):
+        raise origin.error(f"scale must be three factors that are finite and not 0, got {scale}", None)
+    first, *others = _named(table, columns, origin) if columns else _guessed(table)
     _check_count(others, connection, table, origin)
     kind, factor = _factor(table, first, time_unit, ("time", "angle"), origin)
     scaled = [_factor(table, column, voltage_unit, ("voltage", "flux"), origin) for column in others]
@@ -211,10 +215,11 @@ def _symbol(unit: str) -> str:
     return unit if unit in SYMBOLS or unit in COMPOUNDS else _WORDS.get(unit.casefold(), unit)
 
 
-def _guessed(kinds: list[tuple[str, str]]) -> list[int]:
+def _guessed(table: TextTable) -> list[int]:
     """Columns of time and voltages: the first, and of the others those in V, else those in Wb, else all."""
-    others = range(1, len(kinds))
-    by_kind = [[column for column in others if kinds[column][0] == kind] for kind in ("voltage", "flux")]
+    others = range(1, table.values.shape[1])
+    kinds = [_kind_and_unit(table, column)[0] for column in others]
+    by_kind = [[column for column in others if kinds[column - 1] == kind] for kind in ("voltage", "flux")]
     return [0, *next((found for found in by_kind if found), list(others))]
 
 
@@ -228,8 +233,7 @@ def _named(table: TextTable, columns: Sequence[str | int], origin: Origin) -> li
         elif isinstance(column, int) and 1 <= column <= table.values.shape[1]:
             places.append(column - 1)
         else:
-            known = ", ".join(table.names[place] for place in range(table.values.shape[1]))
-            raise origin.error(f"there is no column {column!r}; the file has {known}", None)
+            raise origin.error(f"there is no column {column!r}; the file has {', '.join(table.names)}", None)
     return places
 
 
@@ -260,9 +264,8 @@ def _factor(
     if unit:
         examples = " or ".join(DIMENSIONS[name].unit for name in wanted)
         raise origin.error(f"{table.names[column]} has the unit {unit!r}, expected e.g. {examples}", 0)
-    if re.match(r"(theta|angle|phi|winkel)", table.names[column], re.IGNORECASE):
-        return wanted[1], 1.0
-    return wanted[0], 1.0
+    named = re.match(_NAMES_OF_SECOND_KIND[wanted[1]], table.names[column], re.IGNORECASE)
+    return wanted[1] if named else wanted[0], 1.0
 
 
 def analyse(
@@ -310,21 +313,25 @@ def analyse(
     periods = _periods(motion)
     checks.check_periodic(coarse, voltages[:, ::stride], thin.lines.size / periods, thin)
     checks.check_length(periods, voltages.shape[1] / periods, origin)
-    checks.check_ratios(coarse.coefficients[:, 0], origin)
-    checks.check_displacements(coarse.coefficients[:, 0], origin)
+    # A third channel that is nothing but the negative sum of the others would hide which of them is wrong.
+    derived = capture.connection == "line-to-line" and np.array_equal(voltages[2], -(voltages[0] + voltages[1]))
+    fundamentals = coarse.coefficients[: 2 if derived else 3, 0]
+    checks.check_ratios(fundamentals, origin)
+    checks.check_displacements(fundamentals, origin)
     start = coarse.coefficients
     if capture.connection == "line-to-line":
         findings += _line_to_line_findings(voltages)
         voltages, start = _TO_PHASES @ voltages, _TO_PHASES @ start
     fit = numerics.fit_harmonics(motion, voltages, count, start)
     checks.check_condition(fit, origin)
+    checks.check_length(_periods(fit.motion), samples, origin)
     if timed:
         checks.check_speed(fit.motion.frequency, pole_pairs, speed, origin)
         omega = fit.motion.unit_speed
     else:
         omega = _speed_of_angle(capture, pole_pairs, speed, origin, findings)
     steps = np.array([numerics.resolution(row) for row in capture.voltages]) * timed
-    return _result(fit, omega, steps, capture.connection, capture.quantity, findings)
+    return _result(fit, omega, steps, capture.connection, capture.quantity, findings, origin)
 
 
 def analyse_period(
@@ -359,7 +366,7 @@ def analyse_period(
     fit = numerics.fit_harmonics(motion, emf[None], _orders_resolved(harmonics, samples, findings))
     checks.check_condition(fit, origin)
     checks.check_periodic(fit, emf[None], emf.size, origin)
-    return _result(fit, 1.0, np.zeros(1), "phase", "voltage", findings)
+    return _result(fit, 1.0, np.zeros(1), "phase", "voltage", findings, origin)
 
 
 def _given_motion(angle: FloatArray, origin: Origin) -> tuple[Motion, float]:
@@ -420,6 +427,7 @@ def _result(
     connection: Connection,
     quantity: Literal["voltage", "flux"],
     findings: list[str],
+    origin: Origin,
 ) -> BemfResult:
     """Align a fit of one or three phases, and put it into the units of the result.
 
@@ -430,11 +438,13 @@ def _result(
     radius, known = numerics.uncertainty(fit, periods)
     radius = radius + np.max(numerics.quantisation_error(steps, fit.noise))
     if not known:
-        findings.append(f"{periods:.1f} periods are too few to see disturbances; the uncertainty assumes white noise.")
+        assumed = "white noise" if fit.motion.powers.size > 1 else "white noise and constant speed"
+        findings.append(f"{periods:.1f} periods are too few to see disturbances; the uncertainty assumes {assumed}.")
     volts = np.abs(fit.coefficients[:, 0])
     slope = 1j * orders if quantity == "flux" else np.ones(orders.size)
     phasors, sequence, direction, zero = _aligned(fit.coefficients * slope / omega)
     radius = np.broadcast_to(radius * np.abs(slope) / abs(omega), phasors.shape).copy()
+    findings += checks.check_certain(np.abs(phasors[:, 0]), radius[:, 0], origin)
     if connection == "line-to-line":
         phasors[:, 2::3], radius[:, 2::3] = 0.0, np.nan
     theta = np.arange(WAVEFORM_POINTS) * (2.0 * np.pi / WAVEFORM_POINTS)

@@ -153,7 +153,7 @@ def check_periodic(fit: HarmonicFit, voltages: FloatArray, samples: float, origi
     if np.min(fit.motion.rate()) <= 0.0:
         raise origin.error("the machine stops or turns back within the capture; give a part where it turns one way")
     best = float(np.max(fit.explained))
-    block = max(int(samples), 1)
+    block = min(int(samples), fit.residual.shape[1])
     whole = fit.residual.shape[1] // block * block
     left = np.mean(fit.residual[:, :whole].reshape(fit.residual.shape[0], -1, block) ** 2, axis=2)
     departs = left > (1.0 - _LEAST_EXPLAINED) * np.var(voltages, axis=1)[:, None]
@@ -183,9 +183,10 @@ def check_periodic(fit: HarmonicFit, voltages: FloatArray, samples: float, origi
 
 
 def check_ratios(fundamentals: NDArray[np.complex128], origin: Origin) -> None:
-    """Refuse three channels of which one is larger or smaller by a factor, as with a probe of another setting."""
+    """Refuse two or three channels of which one is larger or smaller by a factor, as by the setting of its probe."""
     sizes = np.abs(fundamentals)
-    for channel, size in enumerate(sizes):
+    # Of two that differ nobody can say which is wrong.
+    for channel, size in enumerate(sizes) if sizes.size == 3 else ():
         others = float(np.mean(np.delete(sizes, channel)))
         ratio = max(size / others, others / size)
         alike = np.ptp(np.delete(sizes, channel)) < 0.5 * others
@@ -212,24 +213,27 @@ def _round_ratio(factor: float) -> float:
 
 
 def check_displacements(fundamentals: NDArray[np.complex128], origin: Origin) -> None:
-    """Refuse three channels that are not 120 degrees apart, in either sequence."""
-    lags = np.angle(fundamentals[[0, 1, 2]] / fundamentals[[1, 2, 0]])  # each channel behind the one before
-    wanted = 2.0 * np.pi / 3.0
+    """Refuse two or three channels that are not 120 degrees apart, in either sequence."""
+    lags = np.angle(fundamentals[0] / fundamentals[1:])
+    wanted = (2.0 * np.pi / 3.0) * np.arange(1, fundamentals.size)
     if min(np.max(np.abs(np.angle(np.exp(1j * (lags - sign * wanted))))) for sign in (1.0, -1.0)) < _DISPLACEMENT:
         return
-    second, third = np.degrees(np.angle(fundamentals[0] / fundamentals[1:])) % 360.0
+    degrees = [float(lag) for lag in np.degrees(lags) % 360.0]
+    found = [f"channel {channel} is {lag:.0f} degrees" for channel, lag in enumerate(degrees, start=2)]
     raise origin.error(
-        f"channel 2 is {second:.0f} degrees behind channel 1 and channel 3 {third:.0f} degrees; three phases are 120 "
-        f"and 240 degrees behind (or 240 and 120){_displacement_hint(float(second), float(third))}"
+        f"{' and '.join(found)} behind channel 1; three phases are 120 and 240 degrees behind (or 240 and 120)"
+        f"{_displacement_hint(degrees)}"
     )
 
 
-def _displacement_hint(second: float, third: float) -> str:
-    pairs = (("1 and 2", second), ("1 and 3", third), ("2 and 3", third - second))
+def _displacement_hint(degrees: list[float]) -> str:
+    """What may be the reason, from how far the second and third channel are behind the first."""
+    pairs = [("1 and 2", degrees[0])]
+    pairs += [pair for third in degrees[1:] for pair in (("1 and 3", third), ("2 and 3", third - degrees[0]))]
     same = [name for name, lag in pairs if min(lag % 360.0, -lag % 360.0) < 10.0]
     if same:
         return f"; channels {same[0]} show the same voltage"
-    if any(abs(lag % 120.0 - 60.0) < 15.0 for _, lag in pairs):
+    if any(abs(min(lag % 360.0, -lag % 360.0) - 60.0) < 15.0 for _, lag in pairs):
         return "; a probe is connected the wrong way round (give it a negative scale)"
     return "; check what the probes were connected to"
 
@@ -265,6 +269,16 @@ def check_condition(fit: HarmonicFit, origin: Origin) -> None:
         raise origin.error(
             f"the samples lie too unevenly to tell {fit.coefficients.shape[1]} harmonics apart; ask for fewer harmonics"
         )
+
+
+def check_certain(amplitudes: FloatArray, uncertainty: FloatArray, origin: Origin) -> list[str]:
+    """Refuse fundamentals that are no larger than their uncertainty, shapes (3,); a finding above a fifth of them."""
+    worst = float(np.max(uncertainty / np.maximum(amplitudes, 1e-300)))
+    if worst >= 1.0:
+        raise origin.error("the fundamental is less than its uncertainty; capture more periods, or with less noise")
+    if worst > 0.2:
+        return [f"The fundamental is uncertain by {worst:.0%}; capture more periods, or with less noise."]
+    return []
 
 
 @dataclass(frozen=True, slots=True)

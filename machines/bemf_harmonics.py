@@ -300,7 +300,7 @@ def fit_harmonics(
         damping = min(1.0, 1.0 / max(size, 1e-300))
         motion = replace(motion, powers=motion.powers + damping * step.change)
         # The coefficients have followed the step already; what it still errs by is of the order of its square.
-        certain = 0.2 * float(np.sqrt(np.min(np.diag(step.spread))))
+        certain = 0.2 * float(np.sqrt(np.maximum(np.min(np.diag(step.spread)), 0.0)))
         if harmonics * size**2 < max(certain, 1e-11):
             break
     return _completed(motion, voltages, step)
@@ -321,7 +321,7 @@ def _completed(motion: Motion, voltages: FloatArray, step: _Step) -> HarmonicFit
     noise = np.sqrt(left / freedom)
     through_powers = np.einsum("skp,pq,skq->sk", step.leverage, step.spread, step.leverage)
     variance = step.unit_variance[:, None] * noise**2 + through_powers
-    deviation = np.sqrt(np.maximum(variance[:harmonics], variance[harmonics : 2 * harmonics])).T
+    deviation = np.sqrt(np.maximum(np.maximum(variance[:harmonics], variance[harmonics : 2 * harmonics]), 0.0)).T
     total = np.maximum(np.var(voltages, axis=1) * count, 1e-300)
     return HarmonicFit(
         motion, coefficients, offsets, residual, noise, 1.0 - left / total, np.asarray(deviation), step.condition
@@ -376,5 +376,5 @@ def quantisation_error(step: FloatArray, noise: FloatArray) -> FloatArray:
     before rounding. From half a step of noise on it vanishes; without noise it is all that there is.
     """
     before = np.maximum(noise**2 - step**2 / 12.0, 0.0)
-    ratio = before / np.maximum(step, 1e-150) ** 2
-    return np.asarray(step / np.pi * np.exp(-2.0 * np.pi**2 * np.minimum(ratio, 30.0)))
+    ratio = before / np.maximum(step**2, before / 30.0 + 1e-300)
+    return np.asarray(step / np.pi * np.exp(-2.0 * np.pi**2 * ratio))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 DeviceKind = Literal["mosfet", "igbt"]
-Topology = Literal["three-wire"]
+Topology = Literal["three-wire", "four-leg", "split-capacitor", "diode-neutral", "six-leg"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ import pytest
 from numpy.typing import NDArray
 
 from dqforge.machines.bemf_capture import BemfCapture, analyse, analyse_period, capture_from_table
+from dqforge.machines.bemf_checks import Origin, check_certain
 from dqforge.machines.errors import InputError
 from dqforge.machines.synchronous import FloatArray
+from dqforge.machines.text_table import TextTable, read_table
 
 AnyArray = NDArray[Any]
 
@@ -25,18 +28,11 @@ PHASORS: AnyArray = AMPLITUDES * np.exp(1j * np.array([0.0, 1.0, 0.3, 2.0, 3.0, 
 PHASES = np.arange(3) * (2.0 * np.pi / 3.0)
 
 
-@dataclass(frozen=True)
-class Columns:
-    """Columns of a file in the shape that the import expects."""
-
-    names: Sequence[str]
-    values: FloatArray
-    units: Sequence[str | None] = ()
-    source: str = "scope.csv"
-
-    @property
-    def lines(self) -> NDArray[np.intp]:
-        return np.arange(2, self.values.shape[0] + 2)
+def written(headings: str, values: FloatArray) -> TextTable:
+    """Table of a comma-separated file with these headings (parted by blanks) and numbers."""
+    content = io.BytesIO()
+    np.savetxt(content, values, fmt="%.17g", delimiter=",", header=headings.replace(" ", ","), comments="")
+    return read_table(content.getvalue(), "scope.csv")
 
 
 def emf(theta: AnyArray, phasors: AnyArray = PHASORS) -> FloatArray:
@@ -168,8 +164,7 @@ def test_line_to_line_voltages_give_phases_without_zero_sequence(channels: int) 
     time, theta, omega = turning(4000)
     phases = omega * emf(theta)
     lines = (phases - np.roll(phases, -1, axis=0))[:channels]
-    names = ["t_s", "ab_mV", "bc_mV", "ca_mV"][: channels + 1]
-    table = Columns(names, np.vstack([time, 1e3 * lines]).T)
+    table = written("t_s ab_mV bc_mV ca_mV"[: 3 + 6 * channels], np.vstack([time, 1e3 * lines]).T)
     result = analyse(capture_from_table(table, connection="line-to-line"), harmonics=15)
     known = np.arange(1, 16) % 3 != 0
     np.testing.assert_allclose(result.amplitudes[:, known], np.tile(expected_amplitudes(15)[known], (3, 1)), atol=1e-8)
@@ -180,6 +175,18 @@ def test_line_to_line_voltages_give_phases_without_zero_sequence(channels: int) 
     np.testing.assert_allclose(result.phases[:, 0], [0.0, PHASES[1], -PHASES[1]], atol=1e-6)
     as_phases = analyse(replace(capture(phases, time), connection="line-to-line"))
     assert any("are they phase voltages" in finding for finding in as_phases.findings)
+
+
+def test_two_line_to_line_voltages_must_fit_each_other() -> None:
+    time, theta, omega = turning(4000)
+    lines = omega * (emf(theta) - np.roll(emf(theta), -1, axis=0))
+    for factor, message in (
+        (0.1, "fundamentals are as 1, 0.1; check"),
+        (-1.0, "is 300 degrees behind .*wrong way round"),
+    ):
+        table = written("t_s ab_V bc_V", np.vstack([time, lines[0], factor * lines[1]]).T)
+        with pytest.raises(InputError, match=message):
+            analyse(capture_from_table(table, connection="line-to-line"))
 
 
 def test_uneven_sampling_needs_no_resampling() -> None:
@@ -301,8 +308,8 @@ REFUSED: dict[str, tuple[Callable[[BemfCapture, np.random.Generator], BemfCaptur
         "channel 2 is (0|360) degrees .*channels 1 and 2 show",
         2,
     ),
-    "reversed": (lambda c, _: with_channel(c, 2, -c.voltages[1]), "is 300 degrees behind .*the wrong way round", 2),
-    "quadrature": (quadrature, "channel 3 90 degrees; .*check what", 2),
+    "reversed": (lambda c, _: with_channel(c, 2, -c.voltages[1]), "channel 2 is 300 degrees .*the wrong way round", 2),
+    "quadrature": (quadrature, "channel 3 is 90 degrees behind .*check what", 2),
     "burst": (burst, "channel 1 is dead or comes loose: only [0-9]+% of it has", None),
     "drop-out": (
         lambda c, _: with_channel(c, 2, np.where(np.abs(np.arange(4000) - 2500) < 250, 0.0, c.voltages[1])),
@@ -382,6 +389,21 @@ def test_speed_must_agree_with_the_frequency() -> None:
         analyse(good, pole_pairs=8, speed=0.0)
 
 
+def test_fundamental_must_exceed_its_uncertainty() -> None:
+    origin = Origin("scope.csv", np.arange(2, 9))
+    fundamentals = np.ones(3)
+    assert check_certain(fundamentals, np.array([0.1, 0.2, 0.0]), origin) == []
+    assert "uncertain by 30%" in check_certain(fundamentals, np.array([0.1, 0.3, 0.0]), origin)[0]
+    with pytest.raises(InputError, match="less than its uncertainty"):
+        check_certain(fundamentals, np.array([0.1, 1.0, 0.0]), origin)
+
+
+def test_short_captures_say_what_is_assumed() -> None:
+    for periods, text in ((1.3, "assumes white noise and constant speed"), (1.8, "assumes white noise.")):
+        assert any(text in finding for finding in analyse(clean(600, periods=periods, drift=0.0)).findings)
+    assert not any("assumes" in finding for finding in analyse(clean(2000, periods=4.0)).findings)
+
+
 @pytest.mark.parametrize("both_ends", [True, False])
 def test_period_over_the_angle_is_exact_with_and_without_its_end(both_ends: bool) -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=both_ends)
@@ -409,7 +431,7 @@ def test_angles_that_leave_a_gap_are_refused() -> None:
 def test_flux_linkage_over_the_angle_is_differentiated() -> None:
     angle = np.linspace(0.0, 360.0, 180, endpoint=False)
     psi = np.cos(np.radians(angle) + 0.2 - PHASES[:, None]) + 0.1 * np.cos(3.0 * (np.radians(angle) + 0.2))
-    table = Columns(["theta_e_deg", "psi_a", "psi_b", "psi_c"], np.vstack([angle, psi]).T, ["deg", "mWb", "mWb", "mWb"])
+    table = written("theta_e_deg psi_a_mWb psi_b_mWb psi_c_mWb", np.vstack([angle, psi]).T)
     result = analyse(capture_from_table(table))
     np.testing.assert_allclose(result.amplitudes[:, :3], 1e-3 * np.array([[1.0, 0.0, 0.3]] * 3), atol=1e-15)
     assert result.start_angle == pytest.approx(0.2)
@@ -420,15 +442,16 @@ def test_columns_units_and_scale_are_read_from_the_table() -> None:
     assert good.time is not None
     values = np.vstack([1e3 * good.time, good.voltages, np.ones(4000)]).T
     plain = analyse(good)
-    for table, options in (
-        (Columns(["Time (ms)", "CH1 (V)", "CH2 (V)", "CH3 (V)", "I (A)"], values), {}),
-        (Columns(["t", "1", "2", "3", "x"], values, ["ms", "Volt", "Volt", "Volt", ""]), {}),
-        (Columns([""] * 5, values), {"time_unit": "ms", "columns": (1, 2, 3, 4)}),
-        (Columns(["t_ms", "e_A", "e_B", "e_C", "x"], values), {"columns": ("t_ms", "e_A", "e_B", "e_C")}),
-    ):
-        found = analyse(capture_from_table(table, **options))
+    cases: list[tuple[str, dict[str, Any]]] = [
+        ("Time(ms) CH1(V) CH2(V) CH3(V) I(A)", {}),
+        ("t[ms] a[V] b[V] c[V] x", {}),
+        ("q r s t u", {"time_unit": "ms", "columns": (1, 2, 3, 4)}),
+        ("t_ms e_A e_B e_C x", {"columns": ("t", "e_A", "e_B", "e_C"), "voltage_unit": "Volt"}),
+    ]
+    for headings, options in cases:
+        found = analyse(capture_from_table(written(headings, values), **options))
         np.testing.assert_allclose(found.amplitudes, plain.amplitudes, rtol=1e-6, atol=1e-12)
-    table = Columns(["t_ms", "a_V", "b_V", "c_V"], values[:, :4] * np.array([1.0, 1.0, 0.1, -1.0]))
+    table = written("t_ms a_V b_V c_V", values[:, :4] * np.array([1.0, 1.0, 0.1, -1.0]))
     with pytest.raises(InputError, match=r"give scale \(1, 10, 1\)"):
         analyse(capture_from_table(table))
     found = analyse(capture_from_table(table, scale=(1.0, 10.0, -1.0)))
@@ -438,8 +461,8 @@ def test_columns_units_and_scale_are_read_from_the_table() -> None:
 def test_mechanical_angle_needs_pole_pairs() -> None:
     angle = np.linspace(0.0, 90.0, 91)
     values = np.vstack([angle, emf(np.radians(4.0 * angle))]).T
-    table = Columns(["theta_mech_deg", "e_a_V", "e_b_V", "e_c_V"], values)
-    with pytest.raises(InputError, match="theta_mech_deg is a mechanical angle"):
+    table = written("theta_mech_deg e_a_V e_b_V e_c_V", values)
+    with pytest.raises(InputError, match="theta_mech is a mechanical angle"):
         capture_from_table(table)
     assert analyse(capture_from_table(table, pole_pairs=4)).psi_pm == pytest.approx(0.01)
 
@@ -447,31 +470,29 @@ def test_mechanical_angle_needs_pole_pairs() -> None:
 @pytest.mark.parametrize(
     ("names", "options", "message"),
     [
-        ("t_s a_V b_V", {}, r"2 channels \(a_V, b_V\): a third phase is needed"),
+        ("t_s a_V b_V", {}, r"2 channels \(a, b\): a third phase is needed"),
         ("t_s a_V", {"connection": "line-to-line"}, "1 channels .*three phases are needed"),
         ("t a b c d", {}, r"4 columns of voltages \(a, b, c, d\)"),
         ("t a b c", {"columns": ("t", "a", "b", "z")}, "no column 'z'; the file has t, a, b, c"),
         ("t a b c", {"columns": (1, 2, 3, 9)}, "no column 9"),
-        ("t a b c", {"scale": (1.0, 0.0, 1.0)}, "scale must be factors"),
+        ("t a b c", {"scale": (1.0, 0.0, 1.0)}, "scale must be three factors"),
+        ("t a b c", {"scale": (1.0, 10.0)}, "scale must be three factors"),
         ("t a b c", {"time_unit": "V"}, "t has the unit 'V', expected e.g. s or rad"),
         ("t a b c", {"voltage_unit": "furlong"}, "unit 'furlong', expected e.g. V or Wb"),
         ("t_s a_Wb b_Wb c_Wb", {}, "flux linkages are read over an angle"),
         ("theta_rad a_Wb b_V c_V", {"columns": (1, 2, 3, 4)}, "flux linkages are read over an angle, and not beside"),
-        ("t i(A) j(A) k(A)", {}, r"i\(A\) has the unit 'A'"),
+        ("t i(A) j(A) k(A)", {}, "i has the unit 'A'"),
     ],
 )
 def test_tables_that_are_no_capture_are_refused(names: str, options: dict[str, Any], message: str) -> None:
-    headings = names.split()
-    table = Columns(headings, np.random.default_rng(7).standard_normal((50, len(headings))))
+    table = written(names, np.random.default_rng(7).standard_normal((50, len(names.split()))))
     with pytest.raises(InputError, match=message) as caught:
         capture_from_table(table, **options)
     assert caught.value.source == "scope.csv"
 
 
-def measured(path: Path) -> Columns:
-    """A comma-separated file with one line of headings."""
-    headings = path.read_text().split("\n", 1)[0].split(",")
-    return Columns(headings, np.loadtxt(path, delimiter=",", skiprows=1), source=path.name)
+def measured(path: Path) -> TextTable:
+    return read_table(path.read_bytes(), path.name)
 
 
 @pytest.mark.parametrize(
@@ -495,13 +516,15 @@ def test_measured_machine_with_one_probe_set_otherwise(
 
 def test_single_channels_of_a_drill_are_no_three_phase_capture(shared_data: Path) -> None:
     folder = shared_data / "bemf"
-    paths = [folder / "vdyno_drill_YellowA0001CH1.CSV", folder / "vdyno_drill_RedA0001CH2.CSV"]
-    yellow, red = (np.genfromtxt(path, delimiter=",", usecols=(3, 4)) for path in paths)
-    with pytest.raises(InputError, match=r"1 channels .*: three phases are needed"):
-        capture_from_table(Columns(["t_s", "ch1_V"], yellow))
-    both = Columns(["t_s", "ch1_V", "ch2_V"], np.column_stack([yellow, red[:, 1]]))
+    yellow, red = measured(folder / "vdyno_drill_YellowA0001CH1.CSV"), measured(folder / "vdyno_drill_RedA0001CH2.CSV")
+    for single in (yellow, red):
+        with pytest.raises(InputError, match=r"1 channels .*: three phases are needed"):
+            capture_from_table(single)
+    both = written("t_s ch1_V ch2_V", np.column_stack([yellow.values, red.values[:, 1]]))
     with pytest.raises(InputError, match=r"2 channels .*: a third phase is needed"):
         capture_from_table(both)
+    with pytest.raises(InputError, match=r"channel 2 is 177 degrees behind channel 1; .*check what"):
+        analyse(capture_from_table(both, connection="line-to-line"))
 
 
 def test_published_period_that_contains_both_ends(shared_data: Path) -> None:
@@ -525,7 +548,7 @@ def test_finite_element_period_in_volts(shared_data: Path) -> None:
     assert np.all((share[:, 2] > 0.12) & (share[:, 2] < 0.13))
     assert np.all((share[:, 4] > 0.055) & (share[:, 4] < 0.059))
     assert np.all((share[:, 8] > 0.06) & (share[:, 8] < 0.07))
-    linkages = ("theta_mech_deg", "psi_a_Vs", "psi_b_Vs", "psi_c_Vs")
+    linkages = ("theta_mech", "psi_a", "psi_b", "psi_c")
     flux = analyse(capture_from_table(table, pole_pairs=4, columns=linkages))
     assert flux.psi_pm == pytest.approx(result.psi_pm, rel=5e-3)
     assert flux.start_angle == pytest.approx(result.start_angle, abs=1e-3)
