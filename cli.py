@@ -288,6 +288,44 @@ def losses(design: DesignArgument, json: JsonOption = False, plot: PlotOption = 
 
 
 @app.command()
+def dqy(
+    design: DesignArgument,
+    json: JsonOption = False,
+    plot: PlotOption = None,
+    speed: SpeedOption = None,
+    torque: TorqueOption = None,
+    ripple: Annotated[
+        str | None, typer.Option("--ripple", metavar="SHARE", help="Permitted deviation of the torque, e.g. '5 %'.")
+    ] = None,
+    open_phase: Annotated[
+        str | None, typer.Option("--open-phase", metavar="PHASE", help="A phase without current: a, b or c.")
+    ] = None,
+) -> None:
+    """Shape the phase currents of a machine whose back-EMF is not sinusoidal: dq, dqx, dqy, and within all limits."""
+    from dqforge.machines.quantities import parse_option
+    from dqforge.optimizer.waveform_comparison import compare_waveforms, with_point
+    from dqforge.reports.waveform_tables import plain_waveforms, waveform_tables
+
+    loaded = _load_for(design, plot)
+    settings = with_point(
+        loaded.waveform,
+        parse_option(torque, "torque", "--torque"),
+        parse_option(speed, "speed", "--speed"),
+        parse_option(ripple, "number", "--ripple"),
+        open_phase,
+    )
+    comparison = compare_waveforms(loaded, settings)
+    if plot is not None:
+        from dqforge.reports.figures_waveforms import plot_waveforms
+
+        _plot(lambda: plot_waveforms(comparison), plot)
+    if json:
+        _print_json("dqy", loaded.name, {"waveforms": plain_waveforms(comparison)})
+    else:
+        _show(waveform_tables(loaded, comparison))
+
+
+@app.command()
 def bemf(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Text file with time, or angle, and three phases.")],
     json: JsonOption = False,

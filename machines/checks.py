@@ -212,6 +212,21 @@ def _check_breakpoints(breakpoints: tuple[Quantity, ...], segments: int, end: fl
             raise document.error(message, (*path, index))
 
 
+def check_waveform(sections: DesignFile, document: YamlDocument) -> None:
+    """Check that the section on phase currents, and a topology with a neutral, have a machine they are for."""
+    is_waveform = sections.machine.model == "waveform"
+    if sections.waveform.model_fields_set and not is_waveform:
+        message = (
+            "waveform: phase currents are shaped for a machine of model: waveform; write it, or remove the section"
+        )
+        raise document.error(message, ("waveform",), key=True)
+    if sections.inverter.topology != "three-wire" and not is_waveform:
+        raise document.error(
+            f"inverter.topology: {sections.inverter.topology} serves machines of model: waveform; write three-wire",
+            ("inverter", "topology"),
+        )
+
+
 def check_comparison(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
     """Check the loss comparison: no alternative twice, no point beyond the largest speed."""
     if sections.losses is None:

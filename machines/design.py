@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_loss import MachineLoss
+from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.settings import (
     ControlSettings,
     ExportSettings,
@@ -13,6 +14,7 @@ from dqforge.machines.settings import (
     LossSettings,
     OperationSettings,
     Strategy,
+    WaveformSettings,
 )
 from dqforge.machines.synchronous import Machine
 
@@ -38,7 +40,9 @@ class InputValue:
 class Design:
     """Everything one design file says, in SI units.
 
-    ``values`` lists each quantity with its origin, ``assumptions`` the sentences on what the file leaves open,
+    ``machine`` is the drive in dq coordinates, of a machine with another than sinusoidal back-EMF its fundamental;
+    ``phase_machine`` holds that back-EMF, None for all others. ``values`` lists each quantity with its origin,
+    ``assumptions`` the sentences on what the file leaves open,
     ``digest`` is the SHA-256 of the file's bytes in hexadecimal.
     """
 
@@ -46,11 +50,13 @@ class Design:
     about: str
     machine: Machine
     machine_loss: MachineLoss
+    phase_machine: PhaseMachine | None
     inverter: Inverter
     control: ControlSettings
     operation: OperationSettings
     fit: FitSettings
     losses: LossSettings | None
+    waveform: WaveformSettings
     export: ExportSettings
     values: tuple[InputValue, ...]
     assumptions: tuple[str, ...]

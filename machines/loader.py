@@ -23,6 +23,7 @@ from dqforge.machines.schema import (
     InverterSection,
     OperationSection,
     SpeedLoopSection,
+    WaveformSection,
 )
 from dqforge.machines.settings import (
     ControlSettings,
@@ -35,6 +36,7 @@ from dqforge.machines.settings import (
     OperationSettings,
     PerUnitBases,
     SpeedLoopSettings,
+    WaveformSettings,
 )
 from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.machines.validation import read_sections
@@ -42,6 +44,7 @@ from dqforge.machines.yaml_source import YamlDocument, parse_yaml, read_bytes
 
 _DEFAULT_MARGIN = CurrentLoopSettings().phase_margin_min
 _DEFAULT_COOLANT = 25.0
+_WAVEFORM = WaveformSettings()
 _DEFAULT_JUNCTION = 175.0  # degC, usual for the power modules of today
 
 
@@ -93,13 +96,15 @@ class _Build:
     def design(self) -> Design:
         """Build all parts in an order in which each check has what it needs."""
         sections, document = self.sections, self.document
-        machine = read_machine(sections.machine, self.reading)
+        found = read_machine(sections.machine, self.reading)
+        machine = found.machine
         checks.check_machine(sections.machine, machine, document)
         checks.check_inverter(sections, document)
         checks.check_loops(sections, machine, document)
         inverter = self.inverter(sections.inverter)
         i_max = machine.i_max if inverter.i_max is None else min(machine.i_max, inverter.i_max)
         checks.check_fit(sections, machine, i_max, document)
+        checks.check_waveform(sections, document)
         checks.check_comparison(sections, machine, document)
         control = self.control(sections.control, machine, inverter, i_max)
         self.general_remarks(machine, inverter, control)
@@ -108,11 +113,13 @@ class _Build:
             about=sections.about,
             machine=machine,
             machine_loss=read_machine_loss(sections.machine, document),
+            phase_machine=found.phases,
             inverter=inverter,
             control=control,
             operation=_operation(sections.operation),
             fit=self.fit(sections.fit, machine),
             losses=_losses(sections),
+            waveform=_waveform(sections.waveform),
             export=ExportSettings(prefix=sections.export.prefix, vectors=sections.export.vectors),
             values=(*input_values(sections, self.reading.converted), *self.reading.derived),
             assumptions=(*kind_assumptions(sections), *self.remarks),
@@ -275,6 +282,20 @@ def _speed_loop(section: SpeedLoopSection) -> SpeedLoopSettings:
 def _operation(section: OperationSection) -> OperationSettings:
     return OperationSettings(
         section.strategy, si_of(section.speed), section.modulation, si_of(section.voltage_margin) or 0.0
+    )
+
+
+def _waveform(section: WaveformSection) -> WaveformSettings:
+    error = si_of(section.error)
+    return WaveformSettings(
+        torque=si_of(section.torque),
+        omega_m=si_of(section.speed),
+        ripple=si_of(section.ripple) or 0.0,
+        neutral=si_of(section.neutral_current),
+        open_phase=section.open_phase,
+        slew=si_of(section.slew_rate),
+        form=section.form,
+        error=_WAVEFORM.error if error is None else error,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.machine_loss import MachineLoss
+from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.phase_machine_reader import read_phase_machine
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.saturation import SaturationModel
@@ -32,16 +35,28 @@ _NEEDED: dict[MachineModel, tuple[tuple[str, str], ...]] = {
     "linear": (("inductance_d", "1.61 mH"), ("inductance_q", "1.74 mH")),
     "flux-map": (("flux_map", "{file: map.csv}"),),
     "saturation": (("saturation", "{a_d0: ...}"),),
+    "waveform": (("self_inductance", "8 mH"), ("back_emf", "{harmonics: [{order: 1, amplitude: 0.2 Wb}]}")),
 }
 _OWN: dict[str, MachineModel] = {
     "inductance_d": "linear",
     "inductance_q": "linear",
     "flux_map": "flux-map",
     "saturation": "saturation",
+    "self_inductance": "waveform",
+    "mutual_inductance": "waveform",
+    "back_emf": "waveform",
 }
 
 
-def read_machine(section: MachineSection, reading: Reading) -> Machine:
+@dataclass(frozen=True, slots=True)
+class MachineReading:
+    """The machine in dq coordinates; ``phases`` holds its back-EMF where that is not sinusoidal."""
+
+    machine: Machine
+    phases: PhaseMachine | None = None
+
+
+def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
     """Machine per phase and peak, at its operating temperatures.
 
     Raises
@@ -65,13 +80,18 @@ def read_machine(section: MachineSection, reading: Reading) -> Machine:
     }
     if section.rated.current is not None:
         reading.peak(section.rated.current, "machine.rated.current")
+    if section.back_emf is not None:
+        phases = read_phase_machine(section, common, reading)
+        inductance = phases.l_s - phases.m_s
+        return MachineReading(LinearMachine(l_d=inductance, l_q=inductance, psi_pm=phases.psi_pm, **common), phases)
     if section.inductance_d is not None and section.inductance_q is not None:
-        return LinearMachine(
+        linear = LinearMachine(
             l_d=reading.per_phase(section.inductance_d, "machine.inductance_d"),
             l_q=reading.per_phase(section.inductance_q, "machine.inductance_q"),
             psi_pm=_at_temperature(_magnet_flux(section, pole_pairs, reading), section, reading),
             **common,
         )
+        return MachineReading(linear)
     _refuse_magnet_coefficient(section, reading)
     if section.saturation is not None:
         _refuse_constants(section, reading)
@@ -82,7 +102,7 @@ def read_machine(section: MachineSection, reading: Reading) -> Machine:
         flux_map = _flux_map(section, reading, expected)
     machine = SaturatedMachine(flux_map=flux_map, **common)
     _check_range(machine, reading)
-    return machine
+    return MachineReading(machine)
 
 
 def read_machine_loss(section: MachineSection, document: YamlDocument) -> MachineLoss:

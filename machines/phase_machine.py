@@ -100,8 +100,8 @@ class PhaseMachine:
     ) -> PhaseMachine:
         """A machine from the harmonics of its back-EMF, e_k / omega_e = - sum A_kh sin(h theta - phi_kh).
 
-        ``orders`` has the shape (H,); ``amplitudes`` in V s/rad and ``phases`` in rad have the shape (3, H), or (H,) for
-        three equal phases, of which b and c lag by 120 and 240 degrees.
+        ``orders`` has the shape (H,); ``amplitudes`` in V s/rad and ``phases`` in rad have the shape (3, H), or (H,)
+        for three equal phases, of which b and c lag by 120 and 240 degrees.
         """
         order = np.asarray(orders, dtype=np.float64)
         size, lag = np.asarray(amplitudes, dtype=np.float64), np.asarray(phases, dtype=np.float64)
@@ -152,7 +152,8 @@ class PhaseMachine:
 
     def torque(self, currents: FloatArray) -> FloatArray:
         """Torque p sum flux_k i_k in N m, shape (..., N), of phase currents in A, shape (..., 3, N)."""
-        return self.pole_pairs * np.sum(self.flux * currents, axis=-2)
+        made: FloatArray = self.pole_pairs * np.sum(self.flux * currents, axis=-2)
+        return made
 
     def voltage(self, currents: FloatArray, omega_e: ArrayLike) -> FloatArray:
         """Phase voltages R i + omega_e (L di/dtheta + flux) in V, shape (..., 3, N); speeds in rad/s, shape (...)."""
@@ -161,4 +162,5 @@ class PhaseMachine:
 
     def copper_loss(self, currents: FloatArray) -> FloatArray:
         """Mean copper loss R sum i_k^2 in W, shape (...)."""
-        return self.r_s * np.mean(np.sum(currents**2, axis=-2), axis=-1)
+        loss: FloatArray = self.r_s * np.mean(np.sum(currents**2, axis=-2), axis=-1)
+        return loss

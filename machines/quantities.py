@@ -88,6 +88,22 @@ def parse_quantity(value: str | float, dimension: str) -> float:
     return read_quantity(value, dimension).si
 
 
+def parse_option(text: str | None, dimension: str, option: str) -> float | None:
+    """SI value of an option of the command line, None where it was not given.
+
+    Raises
+    ------
+    InputError
+        The text is no quantity of the dimension; names the option.
+    """
+    if text is None:
+        return None
+    try:
+        return parse_quantity(text, dimension)
+    except InputError as error:
+        raise InputError(f"{option}: {error.message}") from None
+
+
 def read_quantity(value: str | float, dimension: str) -> Reading:
     """Like `parse_quantity`, with the text and how it was read."""
     wanted = DIMENSIONS[dimension]

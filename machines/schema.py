@@ -26,10 +26,13 @@ from dqforge.machines.settings import (
     LossSettings,
     MachineModel,
     ModulationName,
+    OpenPhase,
     OperationSettings,
     SpeedLoopMethod,
     SpeedLoopSettings,
     Strategy,
+    WaveformForm,
+    WaveformSettings,
 )
 
 FORMAT_VERSION = 1
@@ -40,6 +43,7 @@ _OPERATION = OperationSettings()
 _FIT = FitSettings()
 _CURRENT = CurrentLoopSettings()
 _SPEED = SpeedLoopSettings()
+_WAVEFORM = WaveformSettings()
 _LOSSES = LossSettings(points=())
 _EXPORT = ExportSettings(prefix="motor")
 
@@ -90,6 +94,11 @@ CurrentIntegralGain = Annotated[Quantity, QuantityRule("current-integral-gain", 
 SpeedGain = Annotated[Quantity, QuantityRule("speed-gain", 1e-12, 1e9)]
 SpeedIntegralGain = Annotated[Quantity, QuantityRule("speed-integral-gain", 0.0, 1e12)]
 Ratio = Annotated[Quantity, QuantityRule("number", 1.0, 100.0)]
+HarmonicShare = Annotated[Quantity, QuantityRule("number", 0.0, 10.0)]
+SmallShare = Annotated[Quantity, QuantityRule("number", 1e-5, 0.2)]
+MutualInductance = Annotated[Quantity, QuantityRule("inductance", -10.0, 10.0)]
+Angle = Annotated[Quantity, QuantityRule("angle", -6.2831853071795865, 6.2831853071795865)]
+SlewRate = Annotated[Quantity, QuantityRule("current-slew", 1.0, 1e12)]
 Share = Annotated[Quantity, QuantityRule("number", 0.0, 0.9)]
 Nonnegative = Annotated[float, Field(ge=0.0, le=1e9, strict=False), BeforeValidator(not_truth)]
 Positive = Annotated[float, Field(gt=0.0, le=1e9, strict=False), BeforeValidator(not_truth)]
@@ -215,6 +224,32 @@ class AcResistanceSection(Section):
     frequency: Frequency = Field(description="electrical frequency of the ratio (Hz)")
 
 
+class HarmonicSection(Section):
+    """One harmonic of the back-EMF, e / omega_e = - sum A sin(h theta - phase); b and c lag by 120 and 240 deg."""
+
+    order: int = Field(ge=1, le=200, description="order h")
+    amplitude: Flux | None = Field(default=None, description="A (Wb = V s/rad electrical); kind peak (default) or rms")
+    share: HarmonicShare | None = Field(default=None, description="A over that of order 1 (write 18 %), in place of it")
+    phase: Angle | None = Field(default=None, description="phase (rad; write deg); default 0")
+
+
+class BackEmfSection(Section):
+    """Back-EMF of the three phases: harmonics, or a capture in a text file."""
+
+    harmonics: Annotated[Listing[HarmonicSection], Field(min_length=1, max_length=100)] | None = Field(
+        default=None, description="list of {order: 1, amplitude: 0.2 Wb}, {order: 3, share: 18 %, phase: 0 deg}"
+    )
+    file: FileName | None = Field(default=None, description="capture beside the design file, in place of harmonics")
+    connection: Literal["phase", "line-to-line"] = Field(default="phase", description="what the channels measured")
+    scale: Annotated[tuple[float, float, float], Field(strict=False)] = Field(
+        default=(1.0, 1.0, 1.0), description="factors of the channels (probes)"
+    )
+    highest_order: int = Field(default=13, ge=1, le=100, description="highest harmonic taken from the file")
+    symmetric: bool = Field(
+        default=True, description="take the mean of the phases and half waves of the file; false keeps them as measured"
+    )
+
+
 class MachineSection(Section):
     """The machine.
 
@@ -224,7 +259,8 @@ class MachineSection(Section):
 
     model: MachineModel = Field(
         default="linear",
-        description="linear: constant inductances; flux-map: data in a file; saturation: published coefficients",
+        description="linear: constant inductances; flux-map: data in a file; saturation: published coefficients; "
+        "waveform: any back-EMF shape",
     )
     pole_pairs: PolePairs | None = Field(default=None, description="number of pole pairs p; or give poles")
     poles: Poles | None = Field(default=None, description="number of poles, 2 p; or give pole_pairs")
@@ -246,6 +282,11 @@ class MachineSection(Section):
     torque_constant: TorqueConstant | None = Field(
         default=None, description="torque per ampere of phase current (N m/A), kind required: per ampere peak or rms"
     )
+    self_inductance: Inductance | None = Field(default=None, description="for model waveform: L_s of a phase (H)")
+    mutual_inductance: MutualInductance | None = Field(
+        default=None, description="for model waveform: M_s between two phases, usually negative (H); default 0"
+    )
+    back_emf: BackEmfSection | None = Field(default=None, description="for model waveform: its shape")
     flux_map: FluxMapSection | None = Field(default=None, description="for model flux-map: the data")
     saturation: SaturationSection | None = Field(default=None, description="for model saturation: the coefficients")
     iron_loss: IronLossSection | None = Field(default=None, description="iron loss, if it is known")
@@ -430,6 +471,21 @@ class LossSection(Section):
     )
 
 
+class WaveformSection(Section):
+    """Phase currents of a machine whose back-EMF is not sinusoidal."""
+
+    torque: Torque | None = Field(default=None, description="torque of the comparison (N m); default: most of dq")
+    speed: Speed | None = Field(
+        default=None, description="its mechanical speed (rad/s; write rpm); default: base speed"
+    )
+    ripple: Share | None = Field(default=None, description="permitted deviation of the torque (write 5 %); default 0")
+    neutral_current: Current | None = Field(default=None, description="largest neutral current (A); default: none")
+    open_phase: OpenPhase | None = Field(default=None, description="a phase that carries no current: a, b or c")
+    slew_rate: SlewRate | None = Field(default=None, description="largest rate of change of a current (A/s)")
+    form: WaveformForm = Field(default=_WAVEFORM.form, description="what the firmware evaluates")
+    error: SmallShare | None = Field(default=None, description="largest error of it over the peak; default 0.5 %")
+
+
 class ExportSection(Section):
     """The header."""
 
@@ -449,6 +505,9 @@ class DesignFile(Section):
     operation: OperationSection = OperationSection()
     fit: FitSection = FitSection()
     losses: LossSection | None = Field(default=None, description="loss comparison, if one is wanted")
+    waveform: WaveformSection = Field(
+        default=WaveformSection(), description="phase currents, for machine.model waveform"
+    )
     export: ExportSection = ExportSection()
 
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 Strategy = Literal["mtpa", "id0"]
-MachineModel = Literal["linear", "flux-map", "saturation"]
+MachineModel = Literal["linear", "flux-map", "saturation", "waveform"]
+OpenPhase = Literal["a", "b", "c"]
+WaveformForm = Literal["cheapest", "table", "harmonics"]
 FluxAxes = Literal["magnet-d", "reluctance"]
 FluxScaling = Literal["peak", "rms", "power-invariant"]
 FitMethod = Literal["lagrange", "least-squares", "minimax"]
@@ -116,6 +118,26 @@ class ControlSettings:
     speed_loop: SpeedLoopSettings | None
     observer: ObserverSettings | None
     bases: PerUnitBases
+
+
+@dataclass(frozen=True, slots=True)
+class WaveformSettings:
+    """Phase currents of a machine whose back-EMF is not sinusoidal.
+
+    ``torque`` in N m and ``omega_m`` in rad/s are the operating point of the comparison, None for the largest torque of
+    the closed forms and the base speed. ``ripple`` is the permitted deviation of the torque from its mean, relative;
+    ``neutral`` in A and ``slew`` in A/s limit the neutral current and the rate of change. ``form`` and ``error``, the
+    largest error of a current over the peak, are for the firmware.
+    """
+
+    torque: float | None = None
+    omega_m: float | None = None
+    ripple: float = 0.0
+    neutral: float | None = None
+    open_phase: OpenPhase | None = None
+    slew: float | None = None
+    form: WaveformForm = "cheapest"
+    error: float = 0.005
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,6 +137,7 @@ DIMENSIONS: dict[str, Dimension] = {
     "current-integral-gain": Dimension("an integral gain", "V/(A s)", "volt/ampere/second", "32 V/(A s)"),
     "speed-gain": Dimension("a speed-controller gain", "N m s/rad", "newton*meter*second/radian", "0.1 N m s/rad"),
     "speed-integral-gain": Dimension("an integral gain", "N m/rad", "newton*meter/radian", "6 N m/rad"),
+    "current-slew": Dimension("a rate of change of a current", "A/s", "ampere/second", "5 kA/s"),
     "angle": Dimension("an angle", "rad", "radian", "30 deg", RELATIVE, "an angle is written in deg or rad"),
     "number": Dimension("a plain number", "", "dimensionless", "0.7", ANGULAR, "this is a number without a unit"),
 }

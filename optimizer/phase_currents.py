@@ -64,7 +64,8 @@ def unit_currents(machine: PhaseMachine, rule: CurrentRule) -> FloatArray:
             f"{rule}: at {360.0 * weakest / machine.angles:.0f} degrees no phase makes torque, so that it cannot be"
             " constant; permit a torque ripple"
         )
-    return part / (machine.pole_pairs * square)
+    currents: FloatArray = part / (machine.pole_pairs * square)
+    return currents
 
 
 def bus_demand(voltages: FloatArray, topology: Topology) -> FloatArray:
@@ -79,7 +80,7 @@ def bus_demand(voltages: FloatArray, topology: Topology) -> FloatArray:
         case "three-wire" | "diode-neutral":
             return np.asarray(between)
         case "four-leg":
-            return np.maximum(size, between)
+            return np.asarray(np.maximum(size, between))
         case "split-capacitor":
             return np.asarray(2.0 * size)
         case "six-leg":

@@ -10,7 +10,7 @@ import numpy as np
 
 from dqforge.machines.bemf_capture import BemfCapture, BemfResult, Connection, analyse, capture_from_table
 from dqforge.machines.errors import InputError
-from dqforge.machines.quantities import format_quantity, parse_quantity
+from dqforge.machines.quantities import format_quantity, parse_option
 from dqforge.machines.text_table import read_table
 from dqforge.machines.yaml_source import read_bytes
 from dqforge.reports.reference_ir import PlainData
@@ -69,10 +69,7 @@ def read_capture(path: Path, request: CaptureRequest) -> CaptureReading:
         The file is not what it claims to be, with the line where that begins, or an option is not understood.
     """
     connection: Connection = "line-to-line" if request.line_to_line else "phase"
-    try:
-        speed = None if request.speed is None else parse_quantity(request.speed, "speed")
-    except InputError as error:
-        raise InputError(f"--speed: {error.message}") from None
+    speed = parse_option(request.speed, "speed", "--speed")
     if request.pole_pairs is not None and request.pole_pairs < 1:
         raise InputError(f"--pole-pairs: expected a whole number above 0, got {request.pole_pairs}")
     if not 1 <= request.harmonics <= 200:

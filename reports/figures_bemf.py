@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.reports.bemf import CaptureReading
-from dqforge.reports.figures_style import BLUE, ORANGE, TEAL, label_in_unit, new_figure, prefixed, style
+from dqforge.reports.figures_style import BLUE, ORANGE, TEAL, new_figure, prefixed, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,17 +29,14 @@ def _draw_record(axes: Axes, reading: CaptureReading) -> None:
         argument, end, label, unit = np.degrees(capture.angle), np.inf, "Electrical angle", "deg"
     shown = np.flatnonzero(argument <= end)
     shown = shown[:: max(1, shown.size // _MOST_SAMPLES)]
-    factor, _ = prefixed(float(np.max(argument[shown])), unit) if unit == "s" else (1.0, unit)
+    factor, unit = prefixed(float(np.max(argument[shown])), unit) if unit == "s" else (1.0, unit)
     volts = "Wb" if capture.quantity == "flux" else "V"
     names = ("ab", "bc", "ca") if capture.connection == "line-to-line" else ("a", "b", "c")
     for colour, name, values in zip(PHASE_COLOURS.values(), names, capture.voltages, strict=True):
         axes.plot(argument[shown] * factor, values[shown], color=colour, linewidth=0.7, label=name)
-    if unit == "s":
-        label_in_unit(axes.xaxis, label, float(np.max(argument[shown])), unit)
-    else:
-        axes.set_xlabel(f"{label} in {unit}")
-    axes.set(ylabel=f"{'Flux linkage' if volts == 'Wb' else 'Voltage'} in {volts}", title="As recorded")
-    axes.legend(frameon=False, loc="upper right", ncols=3)
+    quantity = "Flux linkage" if volts == "Wb" else "Voltage"
+    axes.set(xlabel=f"{label} in {unit}", ylabel=f"{quantity} in {volts}", title="As recorded")
+    axes.legend(frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.0)
 
 
 def plot_capture(reading: CaptureReading) -> Figure:

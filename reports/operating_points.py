@@ -11,7 +11,7 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.quantities import parse_quantity
+from dqforge.machines.quantities import parse_option
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.characteristics import (
@@ -61,13 +61,6 @@ class Reply:
     tables: list[Table]
     plain: PlainData
     figure: Callable[[], Any]
-
-
-def _quantity(text: str, dimension: str, option: str) -> float:
-    try:
-        return parse_quantity(text, dimension)
-    except InputError as error:
-        raise InputError(f"{option}: {error.message}") from error
 
 
 def _limit(design: Design, request: Request) -> VoltageLimit:
@@ -136,9 +129,9 @@ def _most_torque(design: Design, limit: VoltageLimit, omega: float, sign: float)
 
 
 def _points(design: Design, limit: VoltageLimit, request: Request) -> Reply:
-    omega = 0.0 if request.speed is None else _quantity(request.speed, "speed", "--speed")
+    omega = parse_option(request.speed, "speed", "--speed") or 0.0
     machine, i_max = design.machine, design.i_max
-    asked = None if request.torque is None else _quantity(request.torque, "torque", "--torque")
+    asked = parse_option(request.torque, "torque", "--torque")
     most = _most_torque(design, limit, omega, -1.0 if asked is not None and asked < 0.0 else 1.0)
     end = float(most.torque[0])
     shown = np.linspace(0.0, end, _CURVE_ROWS) if asked is None else np.array([asked])

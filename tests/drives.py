@@ -17,6 +17,7 @@ from dqforge.machines.settings import (
     PerUnitBases,
     SpeedLoopSettings,
     Strategy,
+    WaveformSettings,
 )
 from dqforge.machines.synchronous import LinearMachine
 
@@ -53,11 +54,13 @@ def make_design(
         about="made by the tests",
         machine=machine,
         machine_loss=NO_EXTRA_LOSS,
+        phase_machine=None,
         inverter=Inverter(500.0, 100e3, MOSFET, 64.0),
         control=control,
         operation=OperationSettings(strategy),
         fit=fit if fit is not None else FitSettings(),
         losses=losses,
+        waveform=WaveformSettings(),
         export=ExportSettings(prefix, vectors),
         values=(),
         assumptions=(),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import cvxpy as cp
@@ -68,7 +69,7 @@ def test_sweep_of_operating_points(*, symmetric: bool, capsys: pytest.CaptureFix
     assert binding > 0.9 * POINTS
     theirs = 0.0
     for k in range(BY_CVXPY):
-        spent, copper = timed(lambda k=k: built_anew(drive, float(torque[k]), float(omega[k])))
+        spent, copper = timed(partial(built_anew, drive, float(torque[k]), float(omega[k])))
         theirs += spent / BY_CVXPY
         assert found.copper[k] == pytest.approx(copper, rel=1e-5)
     with capsys.disabled():

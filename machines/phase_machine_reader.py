@@ -1,0 +1,109 @@
+"""The back-EMF of a design file: harmonics as written, or those of a capture beside the design."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dqforge.machines import datasheet
+from dqforge.machines.checks import si_of
+from dqforge.machines.errors import InputError
+from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.quantities import format_quantity
+from dqforge.machines.reading import Reading
+from dqforge.machines.schema import BackEmfSection, HarmonicSection, MachineSection
+from dqforge.machines.synchronous import FloatArray
+from dqforge.machines.yaml_source import KeyPath
+
+_PATH: KeyPath = ("machine", "back_emf")
+
+
+def read_phase_machine(section: MachineSection, common: Mapping[str, Any], reading: Reading) -> PhaseMachine:
+    """Machine in phase quantities; ``common`` holds what all models share.
+
+    Raises
+    ------
+    InputError
+        The back-EMF is given twice or not at all, contradicts itself, or its capture is not sound.
+    """
+    given = section.back_emf
+    if given is None or section.self_inductance is None or (given.harmonics is None) == (given.file is None):
+        raise reading.document.error("machine.back_emf: write either harmonics or file", _PATH, key=True)
+    if section.temperature.magnet is not None:
+        raise reading.document.error(
+            "machine.temperature.magnet: a back-EMF holds for the magnets as they were; write it for the temperature",
+            ("machine", "temperature", "magnet"),
+            key=True,
+        )
+    l_s = reading.per_phase(section.self_inductance, "machine.self_inductance")
+    m_s = si_of(section.mutual_inductance) or 0.0
+    orders, amplitudes, phases = _written(given, reading) if given.harmonics is not None else _captured(given, reading)
+    with reading.document.at(_PATH, key=True):
+        machine = PhaseMachine.from_harmonics(
+            orders,
+            amplitudes,
+            phases,
+            pole_pairs=common["pole_pairs"],
+            r_s=common["r_s"],
+            l_s=l_s,
+            m_s=m_s,
+            i_max=common["i_max"],
+        )
+        if given.file is not None and given.symmetric:
+            machine = machine.symmetrised()
+            reading.remarks.append("machine.back_emf is the mean of the three phases and of both half waves")
+    reading.remarks.append(
+        f"the dq values of the machine are those of the fundamental: psi_pm {format_quantity(machine.psi_pm, 'Wb')}, "
+        f"l_d = l_q = {format_quantity(l_s - m_s, 'H')}"
+    )
+    return machine
+
+
+def _written(given: BackEmfSection, reading: Reading) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Orders, amplitudes in V s/rad and phases in rad of the harmonics as written, shapes (H,)."""
+    harmonics = given.harmonics or ()
+    path: KeyPath = (*_PATH, "harmonics")
+    orders = [harmonic.order for harmonic in harmonics]
+    for index, order in enumerate(orders):
+        if order in orders[:index]:
+            raise reading.document.error(f"machine.back_emf: order {order} is listed twice", (*path, index, "order"))
+    if 1 not in orders or harmonics[orders.index(1)].amplitude is None:
+        raise reading.document.error(
+            "machine.back_emf.harmonics needs order 1 with its amplitude; write {order: 1, amplitude: 0.2 Wb}", path
+        )
+    base = _amplitude(harmonics[orders.index(1)])
+    amplitudes = []
+    for index, harmonic in enumerate(harmonics):
+        if (harmonic.amplitude is None) == (harmonic.share is None):
+            message = "machine.back_emf: write either amplitude or share of each harmonic"
+            raise reading.document.error(message, (*path, index))
+        amplitudes.append(_amplitude(harmonic) if harmonic.share is None else harmonic.share.si * base)
+    phases = [si_of(harmonic.phase) or 0.0 for harmonic in harmonics]
+    return np.array(orders, dtype=np.float64), np.array(amplitudes), np.array(phases)
+
+
+def _amplitude(harmonic: HarmonicSection) -> float:
+    entry = harmonic.amplitude
+    return 0.0 if entry is None else datasheet.peak_flux(entry.si, entry.kind or "peak")
+
+
+def _captured(given: BackEmfSection, reading: Reading) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Orders (H,), amplitudes in V s/rad and phases in rad, shapes (3, H), of a capture."""
+    # Reading captures needs much that other designs do not.
+    from dqforge.machines.bemf_capture import analyse, capture_from_table
+    from dqforge.machines.text_table import read_table
+
+    name, path = given.file or "", (*_PATH, "file")
+    try:
+        table = read_table(reading.read_beside(name, path), name)
+        capture = capture_from_table(table, connection=given.connection, scale=given.scale)
+        result = analyse(capture, harmonics=given.highest_order)
+    except InputError as error:
+        if error.line is not None:
+            raise
+        about = error.message if name in error.message else f"{name}: {error.message}"
+        raise reading.document.error(f"machine.back_emf: {about}", path) from None
+    reading.remarks.extend(f"{name}: {finding}" for finding in result.findings)
+    return result.orders.astype(np.float64), result.amplitudes, result.phases

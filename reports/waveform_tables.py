@@ -1,0 +1,116 @@
+"""Tables and plain data of phase currents."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dqforge.machines.design import Design
+from dqforge.optimizer.phase_currents import spectrum
+from dqforge.optimizer.waveform_comparison import RuleCurrents, WaveformComparison
+from dqforge.reports.reference_ir import PlainData
+from dqforge.reports.tables import Table
+
+RULE_TEXT = {
+    "dq": "dq: sinusoidal",
+    "dqx": "dqx: constant torque, no neutral",
+    "dqy": "dqy: constant torque, least loss",
+    "limited": "within all limits",
+}
+_MOST_ORDERS = 50
+_LISTED = 2e-3
+
+
+def _row(found: RuleCurrents, base: float) -> tuple[str, ...]:
+    values = found.figures
+    copper, torque = float(values.copper[0]), float(values.torque[0])
+    return (
+        RULE_TEXT[found.rule],
+        f"{copper:.4g}",
+        f"{100.0 * (copper / base - 1.0):+.2f}",
+        f"{100.0 * float(values.ripple[0]) / abs(torque):.3g}" if values.ripple[0] > 1e-9 * abs(torque) else "0",
+        f"{float(values.rms[0]):.4g}",
+        f"{float(values.peak[0]):.4g}",
+        f"{float(values.neutral_rms[0]):.3g}" if values.neutral_rms[0] > 1e-9 * values.rms[0] else "0",
+        f"{float(values.bus[0]):.4g}",
+        ", ".join(found.obstacles) or "nothing",
+    )
+
+
+def _harmonic_rows(comparison: WaveformComparison) -> tuple[tuple[str, ...], ...]:
+    """Harmonics of phase a by rule, in % of the fundamental."""
+    lines = [spectrum(found.currents)[0][0] for found in comparison.rules]
+    orders = [
+        order
+        for order in range(2, _MOST_ORDERS)
+        if any(order < line.size and line[order] > _LISTED * line[1] for line in lines)
+    ]
+    return tuple((f"{order}", *(f"{100.0 * line[order] / line[1]:.2f}" for line in lines)) for order in orders)
+
+
+def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Table]:
+    """One row per rule: loss, ripple, currents, demand on the bus, and what it breaks; then the harmonics of phase a."""
+    limits = comparison.limits
+    base = float(comparison.rules[0].figures.copper[0])
+    columns = (
+        "",
+        "copper W",
+        "against the first %",
+        "ripple p-p %",
+        "rms A",
+        "peak A",
+        "neutral rms A",
+        "bus V",
+        "breaks",
+    )
+    held = f"held by {', '.join(comparison.binding)}" if comparison.binding else "nothing binds"
+    where = f"{comparison.torque:.4g} N m at {comparison.omega_m * 30.0 / math.pi:.4g} rpm"
+    notes = [
+        f"{where}; dc link {limits.v_dc:.4g} V, {limits.topology}, {limits.i_max:.4g} A (peak)",
+        f"within all limits: {held}",
+        *(f"{rule}: {reason}" for rule, reason in comparison.impossible),
+    ]
+    rows = tuple(_row(found, base) for found in comparison.rules)
+    tables = [Table(f"{design.name}: phase currents", columns, rows, tuple(notes))]
+    harmonics = _harmonic_rows(comparison)
+    if harmonics:
+        names = ("order", *(f"{found.rule} %" for found in comparison.rules))
+        tables.append(Table("Harmonics of the current of phase a, in % of its fundamental", names, harmonics))
+    return tables
+
+
+def plain_waveforms(comparison: WaveformComparison) -> PlainData:
+    """Operating point, limits and, per rule, currents and torque over the angle with their figures."""
+    limits = comparison.limits
+    return {
+        "torque_Nm": comparison.torque,
+        "omega_m_rad_per_s": comparison.omega_m,
+        "limits": {
+            "v_dc_V": limits.v_dc,
+            "topology": limits.topology,
+            "i_max_A": limits.i_max,
+            "ripple_Nm": limits.ripple,
+            "neutral_A": limits.neutral,
+            "open_phase": limits.open_phase,
+            "slew_A_per_s": limits.slew,
+        },
+        "binding": list(comparison.binding),
+        "impossible": [{"rule": rule, "reason": reason} for rule, reason in comparison.impossible],
+        "theta_rad": 2.0 * np.pi * np.arange(comparison.machine.angles) / comparison.machine.angles,
+        "emf_over_omega_Wb": comparison.machine.flux,
+        "rules": {
+            found.rule: {
+                "currents_A": found.currents,
+                "torque_Nm": found.torque,
+                "copper_W": found.figures.copper[0],
+                "ripple_Nm": found.figures.ripple[0],
+                "rms_A": found.figures.rms[0],
+                "peak_A": found.figures.peak[0],
+                "neutral_rms_A": found.figures.neutral_rms[0],
+                "bus_V": found.figures.bus[0],
+                "breaks": list(found.obstacles),
+            }
+            for found in comparison.rules
+        },
+    }
