@@ -16,7 +16,9 @@ from dqforge.optimizer.loss_budget import LossComparison, compare
 from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
+from dqforge.optimizer.phase_reference import PhaseFit, fit_phases
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit, alternatives, domain_end, fit_reference
+from dqforge.optimizer.waveform_comparison import WaveformComparison, compare_waveforms, limits_of, require_phases
 
 _CURVE_POINTS = 201
 
@@ -46,7 +48,11 @@ class GainSet:
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Everything that a design asks for; ``losses`` is None where it asks for no comparison."""
+    """Everything that a design asks for.
+
+    ``losses`` is None where it asks for no comparison; ``waveforms`` and ``phases`` are None for machines with a
+    sinusoidal back-EMF.
+    """
 
     design: Design
     curves: Curves
@@ -54,6 +60,8 @@ class Solution:
     alternatives: tuple[Alternative, ...]
     gains: GainSet
     losses: LossComparison | None
+    waveforms: WaveformComparison | None = None
+    phases: PhaseFit | None = None
 
 
 def current_choice(design: Design) -> CurrentChoice:
@@ -130,6 +138,12 @@ def solve_losses(design: Design) -> LossComparison | None:
     return compare(design.machine, design.inverter, losses, currents)
 
 
+def solve_phases(design: Design) -> PhaseFit:
+    """Phase currents per torque of a design whose machine has a non-sinusoidal back-EMF."""
+    machine = require_phases(design)
+    return fit_phases(machine, limits_of(design, design.waveform, 0.0), design.waveform)
+
+
 def solve(design: Design) -> Solution:
     """Solve everything that the design asks for.
 
@@ -146,4 +160,6 @@ def solve(design: Design) -> Solution:
         alternatives=alternatives(current_choice(design), fit),
         gains=solve_gains(design),
         losses=solve_losses(design),
+        waveforms=None if design.phase_machine is None else compare_waveforms(design),
+        phases=None if design.phase_machine is None else solve_phases(design),
     )

@@ -85,7 +85,7 @@ def limits_of(design: Design, settings: WaveformSettings, torque: float) -> Wave
 
 
 def operating_point(design: Design, settings: WaveformSettings) -> tuple[float, float]:
-    """Torque in N m and mechanical speed in rad/s: as set, or what dq makes at the current limit, and the base speed."""
+    """Torque in N m and mechanical speed in rad/s: as set, or that of dq at the current limit, and the base speed."""
     torque, omega_m = settings.torque, settings.omega_m
     if torque is None:
         torque = design.machine.torque_per_ampere * design.i_max

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.inverter import Topology
@@ -49,7 +49,7 @@ class WaveformLimits:
         ``three-wire``: no neutral current, phase voltages differ by at most v_dc. ``four-leg``: that, and each at most
         v_dc. ``split-capacitor``: each at most v_dc/2, no mean neutral current. ``six-leg``: each at most v_dc.
         ``diode-neutral``: a neutral current flows only where all three back-EMFs have its sign, which is an inner
-        approximation; elsewhere as three-wire.
+        approximation and may cost more than three-wire; elsewhere as three-wire.
     i_max:
         Largest phase current in A, peak.
     ripple:
@@ -126,6 +126,14 @@ class WaveformProblem:
         """Number of unknowns n."""
         return int(self.basis.shape[1])
 
+    def bounds(self, omega_e: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds of the rows at electrical speeds in rad/s, shapes (..., m).
+
+        In reverse rotation the back-EMFs, and with them the rails that the diodes of a neutral tie it to, change signs.
+        """
+        back = np.asarray(omega_e, dtype=np.float64)[..., np.newaxis] < 0.0
+        return np.where(back, -self.upper, self.lower), np.where(back, -self.lower, self.upper)
+
     def offset(self, torque: float, omega_e: float) -> FloatArray:
         """Rows at z = 0, for a torque in N m and an electrical speed in rad/s, shape (m,)."""
         return torque * self.by_torque(omega_e) + omega_e * self.emf
@@ -138,7 +146,8 @@ class WaveformProblem:
         """The quadratic programme of one operating point."""
         offset = self.offset(torque, omega_e)
         gradient = torque / self.scale * (self.basis.T @ self.unit)
-        return PointProblem(self.still + omega_e * self.moving, gradient, self.lower - offset, self.upper - offset)
+        lower, upper = self.bounds(omega_e)
+        return PointProblem(self.still + omega_e * self.moving, gradient, lower - offset, upper - offset)
 
     def currents(self, torque: FloatArray, z: FloatArray) -> FloatArray:
         """Phase currents of the whole period in A, shape (K, 3, N), for torques (K,) and unknowns (K, n)."""

@@ -40,8 +40,8 @@ class WaveformSolutions:
 
     ``torque`` in N m and ``omega_m`` in rad/s, shape (K,); ``currents`` in A, shape (K, 3, N), NaN where infeasible;
     ``copper`` in W, shape (K,). ``status`` says how each was found; ``binding`` tells for each of `LIMITS` whether it
-    binds, shape (K, 5). ``violation`` is the largest violation of a limit, relative to that limit, and
-    ``stationarity`` the largest component of the Lagrangian's gradient over the current limit; both shape (K,).
+    binds, shape (K, 5). ``violation`` is the largest violation of a limit in its own
+    scale (dc link, current limit, the torque of the current limit, slew rate), and ``stationarity`` the largest component of the Lagrangian's gradient over the current limit; both shape (K,).
     """
 
     torque: FloatArray
@@ -126,7 +126,8 @@ def solve_waveforms(
     currents = problem.currents(torque, z)
     rows = _rows(problem, z, torque, omega_e)
     infeasible = np.array([name == "infeasible" for name in status], dtype=np.bool_)
-    over = np.maximum(rows - problem.upper, problem.lower - rows)
+    lower, upper = problem.bounds(omega_e)
+    over = np.maximum(rows - upper, lower - rows)
     currents[infeasible] = np.nan
     return WaveformSolutions(
         torque=torque,
@@ -151,7 +152,8 @@ def _rows(problem: WaveformProblem, z: FloatArray, torque: FloatArray, omega_e: 
 def _keeps_all(problem: WaveformProblem, torque: FloatArray, omega_e: FloatArray) -> BoolArray:
     """Whether the currents of least size keep every limit, shape (K,)."""
     rows = _rows(problem, np.zeros((torque.size, problem.unknowns)), torque, omega_e)
-    return np.asarray(np.all((rows <= problem.upper) & (rows >= problem.lower), axis=1))
+    lower, upper = problem.bounds(omega_e)
+    return np.asarray(np.all((rows <= upper) & (rows >= lower), axis=1))
 
 
 def _binding(problem: WaveformProblem, over: FloatArray) -> BoolArray:
@@ -266,8 +268,9 @@ def _with_extra(
 
     matrix = csr_matrix(problem.still + omega_e * problem.moving)
     kept = 1.0 - chosen
-    above, below = problem.upper < UNBOUNDED, problem.lower > -UNBOUNDED
-    high, low = np.where(above, problem.upper, 0.0), np.where(below, problem.lower, 0.0)
+    lower, upper = problem.bounds(omega_e)
+    above, below = upper < UNBOUNDED, lower > -UNBOUNDED
+    high, low = np.where(above, upper, 0.0), np.where(below, lower, 0.0)
     rows = vstack(
         [
             hstack([matrix, csr_matrix((column - high * chosen)[:, np.newaxis])]).tocsr()[above],

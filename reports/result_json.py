@@ -19,6 +19,8 @@ from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.reports.reference_ir import PlainData, to_plain
+from dqforge.reports.waveform_header import plain_phase_reference
+from dqforge.reports.waveform_tables import plain_waveforms
 
 FORMAT = 1
 """Version of the layout; it rises when a key is renamed or removed."""
@@ -184,4 +186,6 @@ def plain_solution(solution: Solution) -> PlainData:
         "fit": plain_fit(solution.fit, solution.alternatives),
         "gains": plain_gains(design, solution.gains),
         "losses": plain_losses(solution.losses),
+        "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),
+        "waveform_header": None if solution.phases is None else plain_phase_reference(solution.phases.reference),
     }

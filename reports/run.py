@@ -10,6 +10,7 @@ from dqforge.reports.header import header_files
 from dqforge.reports.html_report import render_report
 from dqforge.reports.result_json import plain_solution, to_text
 from dqforge.reports.verify import Verification, verify_files
+from dqforge.reports.waveform_header import waveform_files
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +24,8 @@ class RunOutput:
 
 def _verified(solution: Solution, files: dict[str, bytes]) -> Verification:
     export = solution.design.export
-    return verify_files(files, export.prefix, solution.fit.reference, export.vectors)
+    phases = None if solution.phases is None else solution.phases.reference
+    return verify_files(files, export.prefix, solution.fit.reference, export.vectors, phases)
 
 
 def export_design(design: Design, *, verify: bool) -> RunOutput:
@@ -36,6 +38,8 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
     """
     solution = solve(design)
     files = header_files(solution)
+    if solution.phases is not None:
+        files |= waveform_files(design, solution.phases)
     verification = _verified(solution, files) if verify else None
     files["result.json"] = to_text("run", design.name, plain_solution(solution)).encode("ascii")
     return RunOutput(solution, verification, files)

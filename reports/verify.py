@@ -18,10 +18,12 @@ from dqforge.machines.entries import EntryError
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.identifiers import check_prefix
 from dqforge.optimizer.current_reference import CurrentReference
+from dqforge.optimizer.phase_reference import PhaseReference
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.reports.header import vector_torques
 from dqforge.reports.reference_ir import from_plain
 from dqforge.reports.templating import render
+from dqforge.reports.waveform_header import model_currents, phase_reference_from, waveform_inputs
 
 WARNINGS = (
     "-Wall",
@@ -124,40 +126,57 @@ def _compile(compiler: Compiler, program: str, folder: Path) -> Path:
     return target
 
 
-def _run(program: Path, torque: SingleArray, standard: str) -> SingleArray:
-    """Currents of the compiled evaluator, shape (N, 2)."""
-    done = _execute([str(program)], f"the compiled {standard} program", content=torque.tobytes())
-    if done.returncode not in (0, 1) or len(done.stdout) != 8 * torque.size:
+def _run(program: Path, inputs: SingleArray, width: int, standard: str) -> SingleArray:
+    """Results of the compiled evaluator for inputs of shape (N,) or (N, M), shape (N, width)."""
+    done = _execute([str(program)], f"the compiled {standard} program", content=inputs.tobytes())
+    if done.returncode not in (0, 1) or len(done.stdout) != 4 * width * inputs.shape[0]:
         raise VerificationError(f"the compiled {standard} program stopped with exit code {done.returncode}")
     if done.returncode == 1:
         raise VerificationError(f"compiled as {standard}, the header does not give the results of its test vectors")
-    return np.frombuffer(done.stdout, dtype=np.float32).reshape(-1, 2)
+    return np.frombuffer(done.stdout, dtype=np.float32).reshape(-1, width)
 
 
-def _compare(compiled: SingleArray, torque: SingleArray, reference: CurrentReference, standard: str) -> None:
-    model = np.stack(reference.currents(torque), axis=1)
+def _compare(compiled: SingleArray, inputs: SingleArray, model: SingleArray, standard: str) -> None:
     differing = np.any(compiled.view(np.uint32) != np.ascontiguousarray(model).view(np.uint32), axis=1)
     if differing.any():
         first = int(np.argmax(differing))
         raise VerificationError(
-            f"compiled as {standard}, {int(differing.sum())} of {torque.size} results differ from the float32 model; "
-            f"first at torque {torque[first]!s} N m: C gives {compiled[first].tolist()}, model {model[first].tolist()}"
+            f"compiled as {standard}, {int(differing.sum())} of {inputs.shape[0]} results differ from the float32"
+            f" model; first at torque {inputs[first]!s} N m: C gives {compiled[first].tolist()},"
+            f" model {model[first].tolist()}"
         )
 
 
-def verify_files(files: Mapping[str, bytes], prefix: str, reference: CurrentReference, vectors: int) -> Verification:
+@dataclass(frozen=True, slots=True)
+class _Programme:
+    """A harness with its inputs, shape (N,) or (N, M), and what it must return, shape (N, width)."""
+
+    template: str
+    inputs: SingleArray
+    model: SingleArray
+
+
+def verify_files(
+    files: Mapping[str, bytes],
+    prefix: str,
+    reference: CurrentReference,
+    vectors: int,
+    phases: PhaseReference | None = None,
+) -> Verification:
     """Compile a header and its vectors as C99 and as C++11, run both, and compare every bit with the float32 model.
 
     Parameters
     ----------
     files:
-        Contents of ``<prefix>.h`` and ``<prefix>_vectors.h``.
+        Contents of the headers and of their vectors by name.
     prefix:
         Checked C identifier.
     reference:
         The model.
     vectors:
         Number of test vectors that were asked for.
+    phases:
+        The model of the phase currents, where such a header was made.
 
     Raises
     ------
@@ -165,23 +184,31 @@ def verify_files(files: Mapping[str, bytes], prefix: str, reference: CurrentRefe
         No C compiler is there, the header does not compile, or a result differs.
     """
     torque = np.concatenate([vector_torques(reference, vectors), sweep_torques(reference)])
+    programmes = [_Programme("harness.c.j2", torque, np.stack(reference.currents(torque), axis=1))]
+    if phases is not None:
+        inputs = waveform_inputs(phases, _SWEEP_POINTS, _SWEEP_SEED)
+        programmes.append(_Programme("waveform_harness.c.j2", inputs, model_currents(phases, inputs)))
     checks = []
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         folder = Path(name)
         for file_name, content in files.items():
             (folder / file_name).write_bytes(content)
-        (folder / "harness.c").write_text(render("harness.c.j2", {"prefix": prefix}), encoding="ascii")
         for compiler in COMPILERS:
             program = shutil.which(compiler.program)
             if program is None:
                 checks.append(Check(compiler.standard, 0, compiler.package))
                 continue
-            compiled = _run(_compile(compiler, program, folder), torque, compiler.standard)
-            _compare(compiled, torque, reference, compiler.standard)
-            checks.append(Check(compiler.standard, torque.size))
+            for part in programmes:
+                harness = render(part.template, {"prefix": prefix, "macro": prefix.upper()})
+                (folder / "harness.c").write_text(harness, encoding="ascii")
+                built = _compile(compiler, program, folder)
+                compiled = _run(built, part.inputs, part.model.shape[1], compiler.standard)
+                _compare(compiled, part.inputs, part.model, compiler.standard)
+            checks.append(Check(compiler.standard, sum(part.inputs.shape[0] for part in programmes)))
     if checks[0].missing:
         raise VerificationError("no C compiler found: install the Debian package gcc, or give --no-verify")
-    return Verification(torque.size - _SWEEP_POINTS, _SWEEP_POINTS, tuple(checks))
+    waveform = sum(part.inputs.shape[0] for part in programmes[1:])
+    return Verification(torque.size - _SWEEP_POINTS, _SWEEP_POINTS + waveform, tuple(checks))
 
 
 def _read(path: Path) -> bytes:
@@ -196,7 +223,8 @@ def _read(path: Path) -> bytes:
         ) from error
 
 
-def _load_result(path: Path) -> dict[str, Any]:
+def _load_result(path: Path) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """What a result says of the header and, where there is one, of the phase currents."""
     content = _read(path)
     try:
         loaded = json.loads(content)
@@ -204,7 +232,10 @@ def _load_result(path: Path) -> dict[str, Any]:
         raise InputError("is not JSON; run the design again", source=str(path)) from error
     if not isinstance(loaded, dict) or not isinstance(loaded.get("header"), dict):
         raise InputError("holds no header; run the design again", source=str(path))
-    return dict(loaded["header"])
+    waveform = loaded.get("waveform_header")
+    if waveform is not None and not isinstance(waveform, dict):
+        raise InputError("waveform_header is not what dqforge writes; run the design again", source=str(path))
+    return dict(loaded["header"]), waveform
 
 
 def verify_folder(folder: Path) -> Verification:
@@ -218,7 +249,7 @@ def verify_folder(folder: Path) -> Verification:
         As `verify_files`.
     """
     path = folder / "result.json"
-    header = _load_result(path)
+    header, waveform = _load_result(path)
     vectors = header.get("vectors")
     try:
         prefix = check_prefix(str(header.get("prefix", "")))
@@ -228,7 +259,9 @@ def verify_folder(folder: Path) -> Verification:
         raise InputError("header.vectors or header.reference is missing; run the design again", source=str(path))
     try:
         reference = from_plain(header["reference"])
+        phases = None if waveform is None else phase_reference_from(waveform)
     except InputError as error:
         raise InputError(error.message, source=str(path)) from error
-    files = {name: _read(folder / name) for name in (f"{prefix}.h", f"{prefix}_vectors.h")}
-    return verify_files(files, prefix, reference, vectors)
+    names = [f"{prefix}.h", f"{prefix}_vectors.h"]
+    names += [] if phases is None else [f"{prefix}_waveform.h", f"{prefix}_waveform_vectors.h"]
+    return verify_files({name: _read(folder / name) for name in names}, prefix, reference, vectors, phases)

@@ -50,7 +50,7 @@ def _harmonic_rows(comparison: WaveformComparison) -> tuple[tuple[str, ...], ...
 
 
 def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Table]:
-    """One row per rule: loss, ripple, currents, demand on the bus, and what it breaks; then the harmonics of phase a."""
+    """One row per rule: loss, ripple, currents, demand on the bus, and what it breaks; then harmonics of phase a."""
     limits = comparison.limits
     base = float(comparison.rules[0].figures.copper[0])
     columns = (

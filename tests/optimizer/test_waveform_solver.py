@@ -207,6 +207,8 @@ def test_diode_neutral_carries_current_only_with_the_sign_of_all_phases() -> Non
     assert np.max(np.abs(neutral[~(below | above)])) < 1e-9
     assert np.all(neutral[below] >= -1e-9)
     assert np.all(neutral[above] <= 1e-9)
+    backwards = solve_waveforms(machine, -3.0, -50.0, limits)
+    assert backwards.copper[0] == pytest.approx(found.copper[0], rel=1e-9)
 
 
 @pytest.mark.parametrize("limits", [STAR, replace(STAR, topology="four-leg"), replace(STAR, ripple=0.3)])

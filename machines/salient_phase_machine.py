@@ -1,0 +1,91 @@
+"""Phase machines with saliency: the inductances, like the back-EMF, are waveforms over the electrical angle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dqforge.machines.errors import InputError
+from dqforge.machines.phase_machine import SHIFT_SIXTH, SHIFT_THIRD, PhaseMachine, Symmetry, derivative
+from dqforge.machines.synchronous import FloatArray
+
+_SAME = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SalientPhaseMachine:
+    """A three-phase machine whose back-EMF and inductances vary with the angle in any way; no saturation.
+
+    Parameters
+    ----------
+    phases:
+        Pole pairs, resistance, back-EMF and current limit; its constant inductances play no part.
+    inductance:
+        Inductance matrices L(theta_j) of the phases in H, shape (N, 3, 3), on the angles of the back-EMF.
+
+    Raises
+    ------
+    InputError
+        The shape does not fit, a value is not finite, or a matrix is not symmetric and positive definite.
+    """
+
+    phases: PhaseMachine
+    inductance: FloatArray
+
+    def __post_init__(self) -> None:
+        """Own the waveform and check what would make no machine."""
+        owned = np.array(self.inductance, dtype=np.float64)
+        owned.flags.writeable = False
+        object.__setattr__(self, "inductance", owned)
+        if owned.shape != (self.phases.angles, 3, 3):
+            raise InputError(f"the inductances need the shape ({self.phases.angles}, 3, 3), got {owned.shape}")
+        if not np.all(np.isfinite(owned)):
+            raise InputError("the inductances must be finite")
+        if np.max(np.abs(owned - np.swapaxes(owned, 1, 2))) > _SAME * np.max(np.abs(owned)):
+            raise InputError("the inductance matrices must be symmetric: L_ab = L_ba at every angle")
+        least = np.linalg.eigvalsh(owned)[:, 0]
+        if np.min(least) <= 0.0:
+            where = 360.0 * int(np.argmin(least)) / self.phases.angles
+            raise InputError(f"the inductances store no energy in some current at {where:.0f} degrees")
+
+    @classmethod
+    def with_second_harmonic(cls, phases: PhaseMachine, l_2: float) -> SalientPhaseMachine:
+        """The machine with L_jk(theta) = L_jk + l_2 cos(2 theta - 120 deg (j + k)), j, k = 0, 1, 2, ``l_2`` in H.
+
+        In dq coordinates l_d = l_s - m_s + 3/2 l_2 and l_q = l_s - m_s - 3/2 l_2, without any ripple.
+        """
+        theta = 2.0 * np.pi * np.arange(phases.angles) / phases.angles
+        lag = 2.0 * np.pi / 3.0 * np.add.outer(np.arange(3), np.arange(3))
+        return cls(phases, phases.inductances + l_2 * np.cos(2.0 * theta[:, np.newaxis, np.newaxis] - lag))
+
+    @property
+    def slope(self) -> FloatArray:
+        """Derivative of the inductances by the angle in H/rad, shape (N, 3, 3)."""
+        return np.moveaxis(derivative(np.moveaxis(self.inductance, 0, -1)), -1, 0)
+
+    @property
+    def symmetry(self) -> Symmetry:
+        """How much of the period must be known: what both the back-EMF and the inductances permit."""
+        of_flux = self.phases.symmetry
+        if of_flux == "sixth" and self._repeats(6, SHIFT_SIXTH):
+            return "sixth"
+        return "third" if of_flux != "none" and self._repeats(3, SHIFT_THIRD) else "none"
+
+    def _repeats(self, part: int, shift: FloatArray) -> bool:
+        moved = np.roll(self.inductance, -(self.phases.angles // part), axis=0)
+        away = np.max(np.abs(moved - shift @ self.inductance @ shift.T))
+        return bool(away <= _SAME * np.max(np.abs(self.inductance)))
+
+    def torque(self, currents: FloatArray) -> FloatArray:
+        """Torque p (flux i + i' dL/dtheta i / 2) in N m, shape (..., N), of phase currents in A, shape (..., 3, N)."""
+        reluctance = 0.5 * np.einsum("...kj,jkl,...lj->...j", currents, self.slope, currents)
+        made: FloatArray = self.phases.torque(currents) + self.phases.pole_pairs * reluctance
+        return made
+
+    def voltage(self, currents: FloatArray, omega_e: ArrayLike) -> FloatArray:
+        """Phase voltages R i + omega_e (d(L i)/dtheta + flux) in V, shape (..., 3, N); speeds in rad/s, shape (...)."""
+        omega = np.asarray(omega_e, dtype=np.float64)[..., np.newaxis, np.newaxis]
+        linked = np.einsum("jkl,...lj->...kj", self.inductance, currents)
+        return np.asarray(self.phases.r_s * currents + omega * (derivative(linked) + self.phases.flux))
