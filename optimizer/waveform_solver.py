@@ -40,8 +40,9 @@ class WaveformSolutions:
 
     ``torque`` in N m and ``omega_m`` in rad/s, shape (K,); ``currents`` in A, shape (K, 3, N), NaN where infeasible;
     ``copper`` in W, shape (K,). ``status`` says how each was found; ``binding`` tells for each of `LIMITS` whether it
-    binds, shape (K, 5). ``violation`` is the largest violation of a limit in its own
-    scale (dc link, current limit, the torque of the current limit, slew rate), and ``stationarity`` the largest component of the Lagrangian's gradient over the current limit; both shape (K,).
+    binds, shape (K, 5). ``violation`` is the largest violation of a limit in its own scale (dc link, current limit, the
+    torque of the current limit, slew rate), and ``stationarity`` the largest component of the Lagrangian's gradient
+    over the current limit; both shape (K,).
     """
 
     torque: FloatArray

@@ -34,6 +34,7 @@ from dqforge.reports.html_tables import (
     value_rows,
 )
 from dqforge.reports.html_text import count, degrees, number, quantity, share, symbols
+from dqforge.reports.html_waveforms import candidates_table, comparison_text, rules_table
 from dqforge.reports.labels import MODULATION_LABELS, operation_text, point_text, watts
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.templating import render
@@ -220,7 +221,22 @@ def _figures(solution: Solution) -> dict[str, Markup]:
     losses = solution.losses
     if losses is not None:
         drawn["losses"] = lambda: figures.plot_losses(design, losses)
+    waveforms = solution.waveforms
+    if waveforms is not None:
+        from dqforge.reports.figures_waveforms import plot_waveforms
+
+        drawn["waveforms"] = lambda: plot_waveforms(waveforms)
     return {name: Markup(figures.to_svg(draw())) for name, draw in drawn.items()}
+
+
+def _waveform_part(solution: Solution) -> PlainData | None:
+    if solution.waveforms is None or solution.phases is None:
+        return None
+    return {
+        "text": comparison_text(solution.waveforms),
+        "tables": [rules_table(solution.waveforms), candidates_table(solution.phases)],
+        "file": f"{solution.design.export.prefix}_waveform.h",
+    }
 
 
 def _reference_part(solution: Solution) -> PlainData:
@@ -247,7 +263,7 @@ def _reference_part(solution: Solution) -> PlainData:
     }
 
 
-def _sections(design: Design, *, losses: bool) -> list[tuple[str, str | Markup]]:
+def _sections(design: Design, *, losses: bool, waveforms: bool) -> list[tuple[str, str | Markup]]:
     sections: list[tuple[str, str | Markup]] = [
         ("summary", "Summary"),
         ("machine", "Machine and assumptions"),
@@ -257,6 +273,8 @@ def _sections(design: Design, *, losses: bool) -> list[tuple[str, str | Markup]]
     ]
     if losses:
         sections.append(("losses", "Loss comparison"))
+    if waveforms:
+        sections.append(("waveforms", "Phase currents"))
     return [*sections, ("header", f"{design.export.prefix}.h"), ("conventions", "Conventions")]
 
 
@@ -268,7 +286,7 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         "about": design.about,
         "version": __version__,
         "digest": design.digest,
-        "sections": _sections(design, losses=solution.losses is not None),
+        "sections": _sections(design, losses=solution.losses is not None, waveforms=solution.waveforms is not None),
         "summary": summary(solution, verification),
         "tiles": tiles(solution, verification),
         "facts": fact_rows(design),
@@ -290,6 +308,7 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         ],
         "losses": [] if solution.losses is None else loss_tables(solution.losses),
         "points_left_out": 0 if solution.losses is None else max(0, len(solution.losses.points) - POINTS_SHOWN),
+        "waveforms": _waveform_part(solution),
         "header": header_context(solution),
         "verification": {
             "done": verification is not None,

@@ -1,0 +1,63 @@
+"""Phase currents in the report: what the rules cost, and what the firmware evaluates."""
+
+from __future__ import annotations
+
+from dqforge.optimizer.phase_reference import PhaseCandidate, PhaseFit
+from dqforge.optimizer.waveform_comparison import RuleCurrents, WaveformComparison
+from dqforge.reports.html_tables import HtmlTable, Row, ceiling
+from dqforge.reports.html_text import quantity, share, symbols
+from dqforge.reports.waveform_tables import RULE_TEXT
+
+_ROUNDING = 1e-9
+
+
+def comparison_text(comparison: WaveformComparison) -> str:
+    """The operating point, and what holds the currents there."""
+    limits = comparison.limits
+    held = f"held by the limits of {', '.join(comparison.binding)}" if comparison.binding else "held by no limit"
+    return (
+        f"{quantity(comparison.torque, 'N m')} at {quantity(comparison.omega_m, 'rpm')} from {quantity(limits.v_dc, 'V')}"
+        f" ({limits.topology}), at most {quantity(limits.i_max, 'A')} (peak); the last row is {held}."
+    )
+
+
+def _cells(found: RuleCurrents) -> tuple[str, ...]:
+    values, torque = found.figures, abs(float(found.figures.torque[0]))
+    ripple, neutral = float(values.ripple[0]) / torque, float(values.neutral_rms[0])
+    return (
+        RULE_TEXT[found.rule],
+        quantity(float(values.copper[0]), "W"),
+        share(ripple, 3) if ripple > _ROUNDING else "0",
+        quantity(float(values.rms[0]), "A"),
+        quantity(float(values.peak[0]), "A"),
+        quantity(neutral, "A", 3) if neutral > _ROUNDING * float(values.rms[0]) else "0",
+        quantity(float(values.bus[0]), "V"),
+        ", ".join(found.obstacles) or "nothing",
+    )
+
+
+def rules_table(comparison: WaveformComparison) -> HtmlTable:
+    """One row per rule."""
+    columns = ("", "copper loss", "torque ripple p-p", "r.m.s.", "peak", "neutral r.m.s.", "dc link needed", "breaks")
+    rows = tuple(
+        Row(_cells(found), "chosen" if found.rule == "limited" else "muted" if found.obstacles else "")
+        for found in comparison.rules
+    )
+    return HtmlTable("Phase currents by rule", tuple(symbols(text) for text in columns), rows)
+
+
+def _candidate_cells(entry: PhaseCandidate) -> tuple[str, ...]:
+    return (
+        entry.name,
+        share(ceiling(entry.errors.current), 3),
+        share(ceiling(entry.errors.torque), 3),
+        f"{entry.flash} B",
+        f"{entry.operations}",
+    )
+
+
+def candidates_table(fit: PhaseFit) -> HtmlTable:
+    """The forms for the firmware, the emitted one first."""
+    columns = ("", "current error of peak", "torque error", "constants", "operations")
+    rows = tuple(Row(_candidate_cells(entry), "chosen" if entry is fit.chosen else "") for entry in fit.candidates)
+    return HtmlTable("Forms for the firmware: largest errors found", tuple(symbols(text) for text in columns), rows)
