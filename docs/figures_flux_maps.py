@@ -32,8 +32,8 @@ def flux_map(path: Path) -> None:
         right.plot(current, at_rest.l_qq * 1e3, color=INK, linestyle="dashed", label="$L_{qq}$, $i_d$ = 0")
         for axes in (left, middle):
             axes.axhline(0.0, color=FAINT, linewidth=0.8, zorder=0)
-        left.set(xlabel="$i_d$ in A", ylabel="$\\psi_d$ in Wb", title="d axis")
-        middle.set(xlabel="$i_q$ in A", ylabel="$\\psi_q$ in Wb", title="q axis")
+        left.set(xlabel="$i_d$ in A", ylabel="$\u03c8_d$ in Wb", title="d axis")
+        middle.set(xlabel="$i_q$ in A", ylabel="$\u03c8_q$ in Wb", title="q axis")
         right.set(
             xlabel="$-i_d$ for $L_{dd}$, $i_q$ for $L_{qq}$, in A",
             ylabel="in mH",

@@ -53,7 +53,7 @@ def plot_capture(reading: CaptureReading) -> Figure:
             left.plot(theta, values * factor, color=colour, label=phase)
         left.set(
             xlabel="Electrical angle in deg",
-            ylabel=f"e / $\\omega_e$ in {unit}",
+            ylabel=f"e / $\u03c9_e$ in {unit}",
             title="Averaged period",
             xlim=(0.0, 360.0),
             xticks=np.arange(0, 361, 60),

@@ -18,7 +18,7 @@ _COLOURS = (BLUE, ORANGE, TEAL)
 _POINTS = 720
 _ROWS: tuple[tuple[str, Frame | None, tuple[str, str, str]], ...] = (
     ("2.3", None, ("a", "b", "c")),
-    ("2.4", "alphabeta0", ("$\\alpha$", "$\\beta$", "0")),
+    ("2.4", "alphabeta0", ("$\u03b1$", "$\u03b2$", "0")),
     ("2.5", "dq0", ("d", "q", "0")),
     ("2.6", "dqx", ("dx", "qx", "0")),
     ("3.2", "dqy", ("dy", "qy", "0y")),
@@ -63,8 +63,8 @@ def plot_drive(drive: DriveCurves) -> Figure:
         figure = new_figure("paper-002-drive", 4.6, "Angles, factors, currents and harmonics of the shipped drive")
         places = ((0.08, 0.58), (0.57, 0.58), (0.08, 0.1), (0.57, 0.1))
         first, second, third, fourth = (figure.add_axes((x, y, 0.4, 0.33)) for x, y in places)
-        first.plot(degrees, np.degrees(np.unwrap(angles.theta_x)), color=ORANGE, label="$\\theta_x$")
-        first.plot(degrees, np.degrees(np.unwrap(angles.theta_y)), color=BLUE, label="$\\theta_y$")
+        first.plot(degrees, np.degrees(np.unwrap(angles.theta_x)), color=ORANGE, label="$\u03b8_x$")
+        first.plot(degrees, np.degrees(np.unwrap(angles.theta_y)), color=BLUE, label="$\u03b8_y$")
         first.set(title="Figure 6.4: angles of the frames", ylabel="deg")
         second.plot(degrees, angles.a_x, color=ORANGE, label="$a_x$")
         second.plot(degrees, angles.a_y, color=BLUE, label="$a_y$")

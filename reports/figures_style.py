@@ -171,7 +171,7 @@ def _plain_labels(figure: Figure) -> Iterator[None]:
 def _subscripts(match: re.Match[str]) -> str:
     """One text element with its subscripts as shifted spans, and the line restored behind each."""
     head, body = match.groups()
-    parts = re.split(r"(?<!\w)([A-Za-z])_(\w+)", body)
+    parts = re.split("(?<!\\w)([A-Za-z\u03b1-\u03c9])_(\\w+)", body)
     if len(parts) == 1:
         return match.group()
     spans = [parts[0]]

@@ -76,7 +76,7 @@ def plot_waveforms(comparison: WaveformComparison) -> Figure:
         largest = max(float(np.max(np.abs(found.currents))) for found in rules)
         factor, unit = prefixed(float(np.max(np.abs(comparison.machine.flux))), "Wb")
         emf = figure.add_axes((0.07, 0.59, width - 0.035, 0.31))
-        _draw_phases(emf, comparison.machine.flux * factor, f"e / $\\omega_e$ in {unit}", neutral=False)
+        _draw_phases(emf, comparison.machine.flux * factor, f"e / $\u03c9_e$ in {unit}", neutral=False)
         for place, found in enumerate(rules, start=1):
             axes = figure.add_axes((0.085 + place * width, 0.59, width - 0.035, 0.31))
             _draw_phases(axes, found.currents, f"{_TITLES[found.rule]}: A", neutral=True)

@@ -14,11 +14,10 @@ _ROUNDING = 1e-9
 def comparison_text(comparison: WaveformComparison) -> str:
     """The operating point, and what holds the currents there."""
     limits = comparison.limits
+    where = f"{quantity(comparison.torque, 'N m')} at {quantity(comparison.omega_m, 'rpm')}"
     held = f"held by the limits of {', '.join(comparison.binding)}" if comparison.binding else "held by no limit"
-    return (
-        f"{quantity(comparison.torque, 'N m')} at {quantity(comparison.omega_m, 'rpm')} from {quantity(limits.v_dc, 'V')}"
-        f" ({limits.topology}), at most {quantity(limits.i_max, 'A')} (peak); the last row is {held}."
-    )
+    source = f"{quantity(limits.v_dc, 'V')} ({limits.topology}), at most {quantity(limits.i_max, 'A')} (peak)"
+    return f"{where} from {source}; the last row is {held}."
 
 
 def _cells(found: RuleCurrents) -> tuple[str, ...]:
@@ -38,12 +37,13 @@ def _cells(found: RuleCurrents) -> tuple[str, ...]:
 
 def rules_table(comparison: WaveformComparison) -> HtmlTable:
     """One row per rule."""
-    columns = ("", "copper loss", "torque ripple p-p", "r.m.s.", "peak", "neutral r.m.s.", "dc link needed", "breaks")
+    columns = ("", "copper", "ripple p-p", "r.m.s.", "peak", "neutral", "dc link", "breaks")
     rows = tuple(
         Row(_cells(found), "chosen" if found.rule == "limited" else "muted" if found.obstacles else "")
         for found in comparison.rules
     )
-    return HtmlTable("Phase currents by rule", tuple(symbols(text) for text in columns), rows)
+    caption = "Phase currents by rule: copper loss, torque ripple, currents, dc link needed"
+    return HtmlTable(caption, tuple(symbols(text) for text in columns), rows)
 
 
 def _candidate_cells(entry: PhaseCandidate) -> tuple[str, ...]:
