@@ -17,11 +17,14 @@ from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.characteristics import limit_speed
 from dqforge.optimizer.phase_currents import CurrentRule, WaveformFigures, figures, unit_currents
 from dqforge.optimizer.waveform_problem import LIMITS, WaveformLimits
-from dqforge.optimizer.waveform_solver import require_solution, solve_waveforms
+from dqforge.optimizer.waveform_solver import require_solution, ripple_front, solve_waveforms
 
 Rule = Literal["dq", "dqx", "dqy", "limited"]
 
 _EXACT = 1e-6
+
+FRONT_RIPPLES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)
+"""Permitted deviations of the torque from its mean, relative, at which the price of smoothness is shown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +47,8 @@ class WaveformComparison:
     """Rules at one operating point; ``limited`` is the last, with the least copper loss that all limits permit.
 
     ``binding`` names the limits that hold it; ``impossible`` lists rules without currents, each with the reason.
+    ``front`` are pairs of a permitted deviation of the torque, relative, and the least copper loss with it in W, NaN
+    where there is none.
     """
 
     machine: PhaseMachine
@@ -53,6 +58,7 @@ class WaveformComparison:
     rules: tuple[RuleCurrents, ...]
     binding: tuple[str, ...]
     impossible: tuple[tuple[CurrentRule, str], ...]
+    front: tuple[tuple[float, float], ...]
 
 
 def require_phases(design: Design) -> PhaseMachine:
@@ -122,7 +128,20 @@ def compare_waveforms(design: Design, settings: WaveformSettings | None = None) 
     require_solution(machine, found, limits)
     rules.append(_judged(machine, "limited", found.currents[0], omega_m, limits))
     binding = tuple(name for name, binds in zip(LIMITS, found.binding[0], strict=True) if binds)
-    return WaveformComparison(machine, torque, omega_m, limits, tuple(rules), binding, tuple(impossible))
+    losses = _front(machine, torque, omega_m, limits)
+    front = tuple(zip(FRONT_RIPPLES, losses.tolist(), strict=True))
+    return WaveformComparison(machine, torque, omega_m, limits, tuple(rules), binding, tuple(impossible), front)
+
+
+def _front(machine: PhaseMachine, torque: float, omega_m: float, limits: WaveformLimits) -> FloatArray:
+    """Least copper loss in W over `FRONT_RIPPLES`; NaN where no currents keep the limits, or none make it constant."""
+    ripples = np.array(FRONT_RIPPLES) * abs(torque)
+    constant = ripples == 0.0
+    try:
+        first = ripple_front(machine, torque, omega_m, limits, ripples[constant])
+    except NoSolutionError:
+        first = np.full(np.count_nonzero(constant), np.nan)
+    return np.concatenate([first, ripple_front(machine, torque, omega_m, limits, ripples[~constant])])
 
 
 def _judged(

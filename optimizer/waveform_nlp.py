@@ -126,7 +126,7 @@ def _casadi() -> Any:
         return importlib.import_module("casadi")
     except ImportError as error:
         raise InputError(
-            "phase currents of salient machines need CasADi; install it with: pip install casadi"
+            "phase currents of salient machines need CasADi; install it with: pip install dqforge[nlp]"
         ) from error
 
 

@@ -49,6 +49,21 @@ def _harmonic_rows(comparison: WaveformComparison) -> tuple[tuple[str, ...], ...
     return tuple((f"{order}", *(f"{100.0 * line[order] / line[1]:.2f}" for line in lines)) for order in orders)
 
 
+def _front_table(comparison: WaveformComparison) -> Table:
+    """What smooth torque costs."""
+    cheapest = min((loss for _, loss in comparison.front if math.isfinite(loss)), default=math.nan)
+    rows = tuple(
+        (
+            f"{100.0 * ripple:g}",
+            f"{loss:.4g}" if math.isfinite(loss) else "none",
+            f"{100.0 * (loss / cheapest - 1.0):.2f}" if math.isfinite(loss) else "",
+        )
+        for ripple, loss in comparison.front
+    )
+    columns = ("permitted deviation of the torque %", "least copper loss W", "above the last %")
+    return Table("The price of smooth torque within all limits", columns, rows)
+
+
 def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Table]:
     """One row per rule: loss, ripple, currents, demand on the bus, and what it breaks; then harmonics of phase a."""
     limits = comparison.limits
@@ -73,6 +88,7 @@ def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Tabl
     ]
     rows = tuple(_row(found, base) for found in comparison.rules)
     tables = [Table(f"{design.name}: phase currents", columns, rows, tuple(notes))]
+    tables.append(_front_table(comparison))
     harmonics = _harmonic_rows(comparison)
     if harmonics:
         names = ("order", *(f"{found.rule} %" for found in comparison.rules))
@@ -96,6 +112,7 @@ def plain_waveforms(comparison: WaveformComparison) -> PlainData:
             "slew_A_per_s": limits.slew,
         },
         "binding": list(comparison.binding),
+        "ripple_front": [{"deviation": ripple, "copper_W": loss} for ripple, loss in comparison.front],
         "impossible": [{"rule": rule, "reason": reason} for rule, reason in comparison.impossible],
         "theta_rad": 2.0 * np.pi * np.arange(comparison.machine.angles) / comparison.machine.angles,
         "emf_over_omega_Wb": comparison.machine.flux,
