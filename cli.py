@@ -234,16 +234,17 @@ def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = Non
 
     loaded = _load_for(design, plot)
     with status("fitting"):
-        found = solve_fit(loaded)
+        chosen = solve_fit(loaded)
+        found = chosen.fit
         rows = alternatives(current_choice(loaded), found)
     if plot is not None:
         from dqforge.reports.figures import plot_fit
 
         _plot(lambda: plot_fit(loaded, found), plot)
     if json:
-        _print_json("fit", loaded.name, {"fit": plain_fit(found, rows)})
+        _print_json("fit", loaded.name, {"fit": plain_fit(found, rows, chosen.trials)})
     else:
-        _show(fit_tables(loaded, found, rows))
+        _show(fit_tables(loaded, found, rows, chosen.trials))
 
 
 @app.command()

@@ -23,7 +23,7 @@ def main() -> None:
     folder.mkdir(exist_ok=True)
     design = catalogue.load("paper000-ipmsm-100kw")
     save(plot_mtpa(design, solve_curves(design)), folder / "mtpa.svg")
-    save(plot_fit(design, solve_fit(design)), folder / "fit.svg")
+    save(plot_fit(design, solve_fit(design).fit), folder / "fit.svg")
     figures_flux_maps.flux_map(folder / "flux-map.svg")
     figures_gains.current_loop_step(folder / "current-loop-step.svg")
     figures_gains.observer_error(folder / "observer-error.svg")

@@ -138,6 +138,7 @@ def check_fit(sections: DesignFile, machine: Machine, i_max: float, document: Ya
         raise document.error(message, ("operation", "strategy"))
     _check_form(sections, machine, document)
     _check_speed(sections, machine, document)
+    _check_budget(sections, document)
     largest = _largest_torque(machine, i_max, strategy)
     end = largest if fit.torque_max is None else fit.torque_max.si
     if fit.breakpoints is not None:
@@ -156,6 +157,8 @@ def _largest_torque(machine: Machine, i_max: float, strategy: Strategy = "mtpa")
 def _check_form(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
     """Check that the machine and the strategy have the form that is asked for."""
     form, path = sections.fit.form, ("fit", "form")
+    if sections.fit.torque_error is not None or sections.fit.loss_penalty is not None:
+        return  # it is searched for
     if not isinstance(machine, LinearMachine):
         if form != "polynomial" and "form" in sections.fit.model_fields_set:
             message = f"fit.form: {form} needs constant inductances, the machine saturates; write form: polynomial"
@@ -172,6 +175,19 @@ def _check_form(sections: DesignFile, machine: Machine, document: YamlDocument) 
         other = "closed-form" if sections.operation.speed is None else "polynomial"
         message = f"fit.form: torque-exact divides by the magnet torque, the machine has none; write form: {other}"
         raise document.error(message, path)
+
+
+def _check_budget(sections: DesignFile, document: YamlDocument) -> None:
+    """Check that what a budget searches for is not given as well."""
+    fit = sections.fit
+    budget = [key for key in ("torque_error", "loss_penalty", "flash") if getattr(fit, key) is not None]
+    for key in ("form", "degree", "segments", "breakpoints", "breakpoint_mode"):
+        if budget and key in fit.model_fields_set:
+            message = f"fit.{key} is chosen by the budget fit.{budget[0]}; remove one of the two"
+            raise document.error(message, ("fit", key), key=True)
+    if budget == ["flash"]:
+        message = "fit.flash alone says nothing about errors; write torque_error: 0.2 % or loss_penalty: 0.1 %, too"
+        raise document.error(message, ("fit", "flash"), key=True)
 
 
 def _check_speed(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:

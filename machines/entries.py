@@ -7,6 +7,7 @@ An entry is a number, a text with a unit, or a mapping with the keys ``value``, 
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
@@ -294,6 +295,15 @@ def not_truth(value: object) -> object:
     if isinstance(value, bool):
         raise EntryError(f"expected a number, got {spoken(value)}")
     return value
+
+
+def byte_count(value: object) -> object:
+    """A number of bytes from a text such as "256 B" or "2 KiB"; other values as they are."""
+    match = re.fullmatch(r"\s*(\d{1,6})\s*(B|bytes?|KiB|kB)\s*", value) if isinstance(value, str) else None
+    if match is None:
+        return not_truth(value)
+    factor = {"K": 1024, "k": 1000}.get(match[2][0], 1)
+    return factor * int(match[1])
 
 
 def spoken(value: object) -> str:

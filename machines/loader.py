@@ -29,6 +29,7 @@ from dqforge.machines.settings import (
     ControlSettings,
     CurrentLoopSettings,
     ExportSettings,
+    FitBudget,
     FitSettings,
     LoadPoint,
     LossSettings,
@@ -205,6 +206,7 @@ class _Build:
             continuous=section.continuous,
             torque_max=si_of(section.torque_max),
             breakpoints=None if section.breakpoints is None else tuple(point.si for point in section.breakpoints),
+            budget=_budget(section),
         )
 
     def general_remarks(self, machine: Machine, inverter: Inverter, control: ControlSettings) -> None:
@@ -277,6 +279,11 @@ def _speed_loop(section: SpeedLoopSection) -> SpeedLoopSettings:
         phase_margin_min=_DEFAULT_MARGIN if margin is None else margin,
         q_formats=section.q_formats,
     )
+
+
+def _budget(section: FitSection) -> FitBudget | None:
+    found = FitBudget(si_of(section.torque_error), si_of(section.loss_penalty), section.flash)
+    return None if found == FitBudget() else found
 
 
 def _operation(section: OperationSection) -> OperationSettings:

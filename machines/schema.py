@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from dqforge.machines.entries import CountRule, Quantity, QuantityRule, not_truth, plain_text
+from dqforge.machines.entries import CountRule, Quantity, QuantityRule, byte_count, not_truth, plain_text
 from dqforge.machines.identifiers import check_prefix
 from dqforge.machines.inverter import DeviceKind, Topology
 from dqforge.machines.settings import (
@@ -55,6 +55,7 @@ About = Annotated[str, AfterValidator(partial(plain_text, limit=2000))]
 Prefix = Annotated[str, AfterValidator(check_prefix)]
 FileName = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text, limit=200))]
 ColumnName = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text, limit=80))]
+ByteCount = Annotated[int, BeforeValidator(byte_count)]
 Bits = Annotated[int, Field(ge=0, le=31)]
 
 Resistance = Annotated[Quantity, QuantityRule("resistance", 1e-6, 1e3, _PHASE, "phase")]
@@ -95,7 +96,7 @@ SpeedGain = Annotated[Quantity, QuantityRule("speed-gain", 1e-12, 1e9)]
 SpeedIntegralGain = Annotated[Quantity, QuantityRule("speed-integral-gain", 0.0, 1e12)]
 Ratio = Annotated[Quantity, QuantityRule("number", 1.0, 100.0)]
 HarmonicShare = Annotated[Quantity, QuantityRule("number", 0.0, 10.0)]
-SmallShare = Annotated[Quantity, QuantityRule("number", 1e-5, 0.2)]
+SmallShare = Annotated[Quantity, QuantityRule("number", 1e-6, 0.2)]
 MutualInductance = Annotated[Quantity, QuantityRule("inductance", -10.0, 10.0)]
 Angle = Annotated[Quantity, QuantityRule("angle", -6.2831853071795865, 6.2831853071795865)]
 SlewRate = Annotated[Quantity, QuantityRule("current-slew", 1.0, 1e12)]
@@ -448,6 +449,13 @@ class FitSection(Section):
     breakpoints: Listing[Torque] | None = Field(
         default=None, description="segments - 1 ascending torques (N m); default: searched for"
     )
+    torque_error: SmallShare | None = Field(
+        default=None, description="budget: largest torque error over the largest torque (write 0.2 %)"
+    )
+    loss_penalty: SmallShare | None = Field(
+        default=None, description="budget: largest copper loss above the least, from 5 % torque up (write 0.1 %)"
+    )
+    flash: ByteCount | None = Field(default=None, ge=8, le=100_000, description="budget: bytes of constants (256 B)")
 
 
 class PointSection(Section):

@@ -35,11 +35,25 @@ class OperationSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class FitBudget:
+    """What a current reference must keep, for the cheapest form that does; None where that is free.
+
+    ``torque_error`` and ``loss_penalty`` are the largest relative errors (`ReferenceErrors`), ``flash`` the bytes of
+    constants.
+    """
+
+    torque_error: float | None = None
+    loss_penalty: float | None = None
+    flash: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class FitSettings:
     """How the current references become polynomials.
 
     ``torque_max`` in N m is the end of the domain, or None for the largest torque that the current limit allows.
-    ``breakpoints`` in N m are searched for when None; a given tuple has ``segments - 1`` ascending entries.
+    ``breakpoints`` in N m are searched for when None; a given tuple has ``segments - 1`` ascending entries. With a
+    ``budget`` form, degree, segments and breakpoints are searched for.
     """
 
     form: FitForm = "torque-exact"
@@ -51,6 +65,7 @@ class FitSettings:
     continuous: bool = True
     torque_max: float | None = None
     breakpoints: tuple[float, ...] | None = None
+    budget: FitBudget | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from dqforge.machines.settings import Strategy
 from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.current_choice import CurrentChoice, OperatingPoints, SpeedPoint
+from dqforge.optimizer.fit_choice import FitChoice, Trial, choose_fit
 from dqforge.optimizer.gains import LoopGains, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loss_budget import LossComparison, compare
 from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
@@ -51,7 +52,7 @@ class Solution:
     """Everything that a design asks for.
 
     ``losses`` is None where it asks for no comparison; ``waveforms`` and ``phases`` are None for machines with a
-    sinusoidal back-EMF.
+    sinusoidal back-EMF. ``trials`` are the forms that were tried for a budget.
     """
 
     design: Design
@@ -62,6 +63,7 @@ class Solution:
     losses: LossComparison | None
     waveforms: WaveformComparison | None = None
     phases: PhaseFit | None = None
+    trials: tuple[Trial, ...] = ()
 
 
 def current_choice(design: Design) -> CurrentChoice:
@@ -86,9 +88,12 @@ def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     return Curves(choice.points(torque), id0, per_unit_base(linear) if linear is not None and has_base else None)
 
 
-def solve_fit(design: Design) -> ReferenceFit:
-    """Current reference of the design."""
-    return fit_reference(current_choice(design), design.fit)
+def solve_fit(design: Design) -> FitChoice:
+    """Current reference of the design: as set, or the cheapest that keeps its budget."""
+    choice, budget = current_choice(design), design.fit.budget
+    if budget is None:
+        return FitChoice(fit_reference(choice, design.fit), ())
+    return choose_fit(choice, design.fit, budget)
 
 
 def tuning_inductances(machine: Machine, i_max: float) -> tuple[float, float]:
@@ -152,11 +157,13 @@ def solve(design: Design) -> Solution:
     InputError, NoSolutionError
         As the single steps do; the message names the section of the design.
     """
-    fit = solve_fit(design)
+    chosen = solve_fit(design)
+    fit = chosen.fit
     return Solution(
         design=design,
         curves=solve_curves(design),
         fit=fit,
+        trials=chosen.trials,
         alternatives=alternatives(current_choice(design), fit),
         gains=solve_gains(design),
         losses=solve_losses(design),

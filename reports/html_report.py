@@ -31,6 +31,7 @@ from dqforge.reports.html_tables import (
     observer_tables,
     operating_table,
     other_assumptions,
+    trials_table,
     value_rows,
 )
 from dqforge.reports.html_text import count, degrees, number, quantity, share, symbols
@@ -260,6 +261,7 @@ def _reference_part(solution: Solution) -> PlainData:
         "coefficients": coefficient_table(plain),
         "constants": constant_rows(plain),
         "alternatives": alternatives_table(fit, solution.alternatives) if solution.alternatives else None,
+        "trials": trials_table(solution.trials) if solution.trials else None,
     }
 
 

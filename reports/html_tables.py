@@ -13,6 +13,7 @@ from dqforge.machines.design import Design
 from dqforge.machines.synchronous import FloatArray, LinearMachine, copper_loss
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
+from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_point import to_q
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
@@ -202,6 +203,27 @@ def alternatives_table(fit: ReferenceFit, alternatives: Sequence[Alternative]) -
     rows = tuple(Row((row.label, *_error_cells(row.errors))) for row in alternatives)
     columns = ("", "torque error", "of largest", "i_d error", "i_q error", "extra loss", "extra loss", "step at zero")
     return HtmlTable("The price of each option: largest errors found", _headings(*columns), (chosen, *rows))
+
+
+def trials_table(trials: Sequence[Trial]) -> HtmlTable:
+    """The forms tried for a budget in order of cost; the last is the chosen one."""
+    columns = ("", "degree", "segments", "cycles", "constants", "torque error", "extra loss")
+    rows = tuple(
+        Row(
+            (
+                trial.form + (" (interpolated)" if trial.quick else ""),
+                f"{trial.degree}",
+                f"{trial.segments}",
+                f"{trial.cycles:.0f}",
+                f"{trial.flash} B",
+                share(ceiling(trial.errors.torque_relative), 3),
+                share(ceiling(trial.errors.loss_relative), 3),
+            ),
+            "chosen" if trial is trials[-1] else "",
+        )
+        for trial in trials
+    )
+    return HtmlTable("Forms tried for the budget, by estimated cycles on a Cortex-M4F", _headings(*columns), rows)
 
 
 def _loop_cells(gains: LoopGains, bases: tuple[float, float], q_formats: tuple[int, int] | None) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.optimizer.current_choice import OperatingPoints
+from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_point import to_q
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
@@ -88,7 +89,7 @@ def _plain_polynomial(polynomial: PiecewisePolynomial | None) -> PlainData | Non
     return {"edges_Nm": polynomial.edges, "coefficients_local": polynomial.coefficients}
 
 
-def plain_fit(fit: ReferenceFit, rows: tuple[Alternative, ...]) -> PlainData:
+def plain_fit(fit: ReferenceFit, rows: tuple[Alternative, ...], trials: tuple[Trial, ...] = ()) -> PlainData:
     """The fit in double, its float32 constants, its errors, and the alternatives with theirs."""
     return {
         "form": fit.form,
@@ -100,6 +101,7 @@ def plain_fit(fit: ReferenceFit, rows: tuple[Alternative, ...]) -> PlainData:
         "q": _plain_polynomial(fit.q),
         "reference": to_plain(fit.reference),
         "errors": asdict(fit.errors),
+        "trials": [asdict(trial) for trial in trials],
         "alternatives": [{"label": row.label, "errors": asdict(row.errors)} for row in rows],
     }
 
@@ -183,7 +185,7 @@ def plain_solution(solution: Solution) -> PlainData:
             "reference": to_plain(solution.fit.reference),
         },
         "mtpa": plain_curves(solution.curves),
-        "fit": plain_fit(solution.fit, solution.alternatives),
+        "fit": plain_fit(solution.fit, solution.alternatives, solution.trials),
         "gains": plain_gains(design, solution.gains),
         "losses": plain_losses(solution.losses),
         "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),

@@ -12,6 +12,7 @@ from dqforge.machines.quantities import format_quantity
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
+from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_point import to_q
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
@@ -125,7 +126,28 @@ def _voltage_notes(design: Design, fit: ReferenceFit) -> tuple[str, ...]:
     return (f"for {where}; the fit takes at most {rounded_up(100.0 * excess)} % more voltage",)
 
 
-def fit_tables(design: Design, fit: ReferenceFit, rows: tuple[Alternative, ...]) -> list[Table]:
+def trial_table(trials: tuple[Trial, ...]) -> Table:
+    """What was tried for a budget, in order of cost."""
+    columns = ("form", "degree", "segments", "cycles", "constants B", "torque error %", "loss penalty %")
+    rows = tuple(
+        (
+            trial.form + (" (interpolated)" if trial.quick else ""),
+            f"{trial.degree}",
+            f"{trial.segments}",
+            f"{trial.cycles:.0f}",
+            f"{trial.flash}",
+            rounded_up(100.0 * trial.errors.torque_relative),
+            rounded_up(100.0 * trial.errors.loss_relative),
+        )
+        for trial in trials
+    )
+    note = "tried in order of the cycles estimated for a Cortex-M4F; the last keeps the budget at least cost"
+    return Table("Forms tried for the budget", columns, rows, (note,))
+
+
+def fit_tables(
+    design: Design, fit: ReferenceFit, rows: tuple[Alternative, ...], trials: tuple[Trial, ...] = ()
+) -> list[Table]:
     """Errors of the fit beside its alternatives, and its coefficients."""
     columns = ("", "i_d error A", "i_q error A", "torque error %", "loss penalty %", "step at zero A")
     chosen = (f"chosen: {fit.form}", *_error_cells(fit.errors))
@@ -136,6 +158,8 @@ def fit_tables(design: Design, fit: ReferenceFit, rows: tuple[Alternative, ...])
     )
     notes = (note, *_voltage_notes(design, fit), *_poor_fit_notes(design, fit))
     tables = [Table(f"{design.name}: current reference, {fit.settings.method}", columns, (chosen, *others), notes)]
+    if trials:
+        tables.append(trial_table(trials))
     coefficients = [*_coefficient_rows("i_d", fit.d), *_coefficient_rows("i_q", fit.q)]
     if coefficients:
         headings = ("axis", "from N m", "to N m", "coefficients of T - from, highest power first, A/(N m)^k")

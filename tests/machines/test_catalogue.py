@@ -25,6 +25,7 @@ def test_names() -> None:
         "baldor-pmsyrm-5k6",
         "paper000-ipmsm-100kw",
         "paper001-pmsm-bench",
+        "paper002-phase-waveforms",
         "paper002-pmsm-nonsinusoidal",
         "thor-pmsyrm-5k",
     ]

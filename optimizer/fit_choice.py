@@ -1,0 +1,142 @@
+"""The cheapest current reference that keeps a budget of errors: forms, degrees and segments tried in order of cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.settings import FitBudget, FitForm, FitSettings
+from dqforge.optimizer.current_choice import CurrentChoice
+from dqforge.optimizer.current_reference import ClosedForm, CurrentReference, ReferenceErrors
+from dqforge.optimizer.reference_fit import AXES, ReferenceFit, fit_reference, possible_forms
+from dqforge.optimizer.single_precision import SinglePolynomial
+
+_DEGREES = (1, 2, 3, 4, 5, 6)
+_SEGMENTS = (1, 2, 3, 4)
+_HOPELESS = 4.0
+"""Errors of the quick interpolation over the budget from which on the minimax fit is not tried: it gains less."""
+
+_FLOAT_BYTES = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One form that was tried.
+
+    ``cycles`` are estimated for a Cortex-M4F, ``flash`` in bytes counts the constants. ``errors`` are those of the
+    float32 arithmetic; ``quick`` says that they belong to an interpolation, because the fit could not keep the budget.
+    """
+
+    form: FitForm
+    degree: int
+    segments: int
+    cycles: float
+    flash: int
+    errors: ReferenceErrors
+    quick: bool
+
+
+@dataclass(frozen=True, slots=True)
+class FitChoice:
+    """The chosen reference, and what was tried on the way to it, in order of cost."""
+
+    fit: ReferenceFit
+    trials: tuple[Trial, ...]
+
+
+def estimated_cycles(form: FitForm, degree: int, segments: int) -> float:
+    """Cycles of both currents on a Cortex-M4F, an estimate to rank forms by.
+
+    Fitted to compiled instances: two polynomials of degree 2, 3, 4 that share one breakpoint take 28, 35, 42 cycles;
+    one of degree 4 with a division 50; a square root costs what a division does.
+    """
+    branches = 2.0 * (segments - 2) - (2.0 if segments == 1 else 0.0)
+    base = {"polynomial": 14.0 + 7.0 * degree, "torque-exact": 36.0 + 3.5 * degree, "closed-form": 38.0 + 3.5 * degree}
+    return base[form] + branches
+
+
+def constant_bytes(form: FitForm, degree: int, segments: int) -> int:
+    """Bytes of the constants of a form whose axes share their breakpoints."""
+    polynomials = len(AXES[form])
+    extra = {"polynomial": 0, "torque-exact": 2, "closed-form": 2}[form]
+    # The first segment of each polynomial has no constant, the first start is zero.
+    floats = polynomials * (segments * (degree + 1) - 1) + (segments - 1) + extra
+    return _FLOAT_BYTES * (floats + 1)
+
+
+def reference_bytes(reference: CurrentReference) -> int:
+    """Bytes of the different constants of a reference that is emitted, the end of its domain included."""
+    constants = {float(reference.torque_max)}
+    for name in reference.form.__dataclass_fields__:
+        value = getattr(reference.form, name)
+        if isinstance(value, SinglePolynomial):
+            constants.update(float(constant) for constant in (*value.coefficients.flat, *value.starts))
+        elif name != "sign":
+            constants.add(float(value))
+    if isinstance(reference.form, ClosedForm):
+        constants.add(float(reference.form.base_squared))
+    return _FLOAT_BYTES * len(constants - {0.0})
+
+
+def _keeps(errors: ReferenceErrors, budget: FitBudget, factor: float = 1.0) -> bool:
+    torque = budget.torque_error is None or errors.torque_relative <= factor * budget.torque_error
+    return torque and (budget.loss_penalty is None or errors.loss_relative <= factor * budget.loss_penalty)
+
+
+def choose_fit(choice: CurrentChoice, settings: FitSettings, budget: FitBudget) -> FitChoice:
+    """The cheapest form that keeps a budget.
+
+    Candidates are tried in the order of their estimated cycles. Each is first interpolated, which is quick; where that
+    errs by no more than four times the budget it is fitted by the method of the settings.
+
+    Parameters
+    ----------
+    choice:
+        What is to be approximated.
+    settings:
+        Method and side conditions; form, degree, segments and breakpoints are searched for.
+    budget:
+        What must be kept.
+
+    Raises
+    ------
+    NoSolutionError
+        No candidate keeps the budget; says which came closest.
+    """
+    candidates = sorted(
+        (estimated_cycles(form, degree, segments), constant_bytes(form, degree, segments), form, degree, segments)
+        for form in possible_forms(choice)
+        for degree in _DEGREES
+        for segments in _SEGMENTS
+    )
+    trials: list[Trial] = []
+    for cycles, flash, form, degree, segments in candidates:
+        if budget.flash is not None and flash > budget.flash:
+            continue
+        wanted = replace(settings, form=form, degree=degree, segments=segments, breakpoints=None)
+        fit = fit_reference(choice, replace(wanted, method="lagrange"))
+        if fit.d is None and fit.q is None:
+            trials.append(
+                Trial(form, degree, segments, cycles, reference_bytes(fit.reference), fit.errors, quick=False)
+            )
+            return FitChoice(fit, tuple(trials))  # exact without any polynomial
+        quick = not _keeps(fit.errors, budget, _HOPELESS)
+        if not quick:
+            fit = fit_reference(choice, wanted)
+        trials.append(Trial(form, degree, segments, cycles, flash, fit.errors, quick=quick))
+        if not quick and _keeps(fit.errors, budget):
+            return FitChoice(fit, tuple(trials))
+    if not trials:
+        raise NoSolutionError(f"fit.flash: no form has its constants in {budget.flash} bytes; permit more")
+    best = min(trials, key=lambda trial: _excess(trial.errors, budget))
+    raise NoSolutionError(
+        f"fit: no form of degree up to {_DEGREES[-1]} with up to {_SEGMENTS[-1]} segments keeps the budget;"
+        f" {best.form} of degree {best.degree} with {best.segments} segments comes closest, with a torque error of"
+        f" {100.0 * best.errors.torque_relative:.2g} % and a loss penalty of {100.0 * best.errors.loss_relative:.2g} %"
+    )
+
+
+def _excess(errors: ReferenceErrors, budget: FitBudget) -> float:
+    """Largest error over its budget."""
+    pairs = ((errors.torque_relative, budget.torque_error), (errors.loss_relative, budget.loss_penalty))
+    return max((error / limit for error, limit in pairs if limit is not None), default=0.0)
