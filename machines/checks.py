@@ -9,7 +9,8 @@ import numpy as np
 from dqforge.machines import datasheet
 from dqforge.machines.entries import Quantity
 from dqforge.machines.quantities import format_quantity
-from dqforge.machines.schema import CurrentLoopSection, DesignFile, MachineSection, SpeedLoopSection
+from dqforge.machines.schema import CurrentLoopSection, DesignFile, SpeedLoopSection
+from dqforge.machines.schema_machine import MachineSection
 from dqforge.machines.settings import Strategy
 from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.machines.yaml_source import KeyPath, YamlDocument

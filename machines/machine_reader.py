@@ -21,7 +21,7 @@ from dqforge.machines.phase_machine_reader import read_phase_machine
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.saturation import SaturationModel
-from dqforge.machines.schema import FluxMapSection, MachineSection, SaturationSection
+from dqforge.machines.schema_machine import FluxMapSection, MachineSection, SaturationSection
 from dqforge.machines.settings import MachineModel
 from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.machines.yaml_source import KeyPath, YamlDocument

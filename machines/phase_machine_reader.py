@@ -13,7 +13,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
-from dqforge.machines.schema import BackEmfSection, HarmonicSection, MachineSection
+from dqforge.machines.schema_machine import BackEmfSection, HarmonicSection, MachineSection
 from dqforge.machines.synchronous import FloatArray
 from dqforge.machines.yaml_source import KeyPath
 

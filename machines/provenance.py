@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 
 from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
-from dqforge.machines.schema import DesignFile, Section
+from dqforge.machines.schema import DesignFile
+from dqforge.machines.schema_entries import Section
 from dqforge.machines.yaml_source import KeyPath, dotted
 
 _ALTERNATIVE = {

@@ -12,7 +12,8 @@ import pytest
 from dqforge.machines.entries import CountRule, EntryError, QuantityRule, plain_text
 from dqforge.machines.identifiers import KEYWORDS, check_prefix
 from dqforge.machines.inverter import SwitchDevice
-from dqforge.machines.schema import DesignFile, Section, json_schema
+from dqforge.machines.schema import DesignFile, json_schema
+from dqforge.machines.schema_entries import Section
 from dqforge.machines.settings import CurrentLoopSettings, ExportSettings, FitSettings, PerUnitBases, SpeedLoopSettings
 
 

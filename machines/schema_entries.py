@@ -1,0 +1,79 @@
+"""What single entries of a design file may be: quantities with plausible ranges, names, counts."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+
+from dqforge.machines.entries import CountRule, Quantity, QuantityRule, byte_count, not_truth, plain_text
+from dqforge.machines.identifiers import check_prefix
+
+_PHASE = ("phase", "line-to-line")
+_PEAK = ("peak", "rms")
+
+_T = TypeVar("_T")
+Listing = Annotated[tuple[_T, ...], Field(strict=False)]  # YAML has lists, the models hold tuples
+Version = Annotated[Literal[1], BeforeValidator(not_truth)]
+Name = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text, limit=80))]
+About = Annotated[str, AfterValidator(partial(plain_text, limit=2000))]
+Prefix = Annotated[str, AfterValidator(check_prefix)]
+FileName = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text, limit=200))]
+ColumnName = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text, limit=80))]
+ByteCount = Annotated[int, BeforeValidator(byte_count)]
+Bits = Annotated[int, Field(ge=0, le=31)]
+
+Resistance = Annotated[Quantity, QuantityRule("resistance", 1e-6, 1e3, _PHASE, "phase")]
+Inductance = Annotated[Quantity, QuantityRule("inductance", 1e-9, 10.0, _PHASE, "phase")]
+Flux = Annotated[Quantity, QuantityRule("flux", 1e-6, 20.0, ("peak", "rms", "power-invariant"), "peak", zero=True)]
+BackEmfConstant = Annotated[
+    Quantity,
+    QuantityRule(
+        "back-emf", 1e-6, 1e3, ("phase peak", "phase rms", "line-to-line peak", "line-to-line rms"), zero=True
+    ),
+]
+TorqueConstant = Annotated[Quantity, QuantityRule("torque-constant", 1e-6, 1e4, _PEAK, zero=True)]
+PhaseCurrent = Annotated[Quantity, QuantityRule("current", 1e-3, 1e5, _PEAK, "peak")]
+Current = Annotated[Quantity, QuantityRule("current", 1e-3, 1e5)]
+Voltage = Annotated[Quantity, QuantityRule("voltage", 1.0, 2e4)]
+Drop = Annotated[Quantity, QuantityRule("voltage", 0.0, 10.0)]
+Speed = Annotated[Quantity, QuantityRule("speed", 0.1, 1e5)]
+PointSpeed = Annotated[Quantity, QuantityRule("speed", -1e5, 1e5)]
+Torque = Annotated[Quantity, QuantityRule("torque", 1e-6, 1e7)]
+PointTorque = Annotated[Quantity, QuantityRule("torque", -1e7, 1e7)]
+Power = Annotated[Quantity, QuantityRule("power", 1e-2, 1e8)]
+Frequency = Annotated[Quantity, QuantityRule("frequency", 0.1, 1e5)]
+Rate = Annotated[Quantity, QuantityRule("frequency", 100.0, 1e7)]
+DeadTime = Annotated[Quantity, QuantityRule("time", 0.0, 1e-4)]
+FilterTime = Annotated[Quantity, QuantityRule("time", 0.0, 10.0)]
+Inertia = Annotated[Quantity, QuantityRule("inertia", 1e-10, 1e5)]
+Friction = Annotated[Quantity, QuantityRule("friction", 0.0, 1e4)]
+Temperature = Annotated[Quantity, QuantityRule("temperature", -60.0, 200.0)]
+Coefficient = Annotated[Quantity, QuantityRule("temperature-coefficient", -0.02, 0.05)]
+OnResistance = Annotated[Quantity, QuantityRule("resistance", 1e-6, 100.0, zero=True)]
+Energy = Annotated[Quantity, QuantityRule("energy", 1e-10, 100.0, zero=True)]
+ThermalResistance = Annotated[Quantity, QuantityRule("thermal-resistance", 1e-4, 1e3)]
+Bandwidth = Annotated[Quantity, QuantityRule("bandwidth", 0.01, 1e7)]
+PhaseMargin = Annotated[Quantity, QuantityRule("angle", 0.0, 1.5707963267948966)]
+CurrentGain = Annotated[Quantity, QuantityRule("current-gain", 1e-9, 1e9)]
+CurrentIntegralGain = Annotated[Quantity, QuantityRule("current-integral-gain", 0.0, 1e12)]
+SpeedGain = Annotated[Quantity, QuantityRule("speed-gain", 1e-12, 1e9)]
+SpeedIntegralGain = Annotated[Quantity, QuantityRule("speed-integral-gain", 0.0, 1e12)]
+Ratio = Annotated[Quantity, QuantityRule("number", 1.0, 100.0)]
+HarmonicShare = Annotated[Quantity, QuantityRule("number", 0.0, 10.0)]
+SmallShare = Annotated[Quantity, QuantityRule("number", 1e-6, 0.2)]
+MutualInductance = Annotated[Quantity, QuantityRule("inductance", -10.0, 10.0)]
+Angle = Annotated[Quantity, QuantityRule("angle", -6.2831853071795865, 6.2831853071795865)]
+SlewRate = Annotated[Quantity, QuantityRule("current-slew", 1.0, 1e12)]
+Share = Annotated[Quantity, QuantityRule("number", 0.0, 0.9)]
+Nonnegative = Annotated[float, Field(ge=0.0, le=1e9, strict=False), BeforeValidator(not_truth)]
+Positive = Annotated[float, Field(gt=0.0, le=1e9, strict=False), BeforeValidator(not_truth)]
+PolePairs = Annotated[Quantity, CountRule(1, 200, 4)]
+Poles = Annotated[Quantity, CountRule(2, 400, 8)]
+
+
+class Section(BaseModel):
+    """A part of the design file: immutable, without unknown keys and without silent conversions."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, arbitrary_types_allowed=True)
