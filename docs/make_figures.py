@@ -11,6 +11,7 @@ import figures_flux_maps
 import figures_gains
 import figures_losses
 import figures_operating_points
+import figures_waveforms
 
 from dqforge.machines import catalogue
 from dqforge.optimizer.solution import solve_curves, solve_fit
@@ -30,6 +31,8 @@ def main() -> None:
     figures_operating_points.operating_points_map(folder / "operating-map.svg")
     figures_losses.modulation_waveforms(folder / "modulation-waveforms.svg")
     figures_losses.loss_comparison(folder / "loss-comparison.svg")
+    figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
+    figures_waveforms.capture(folder / "back-emf.svg")
 
 
 if __name__ == "__main__":

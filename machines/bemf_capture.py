@@ -246,7 +246,7 @@ def _check_count(others: list[int], connection: Connection, table: TextTable, or
         raise origin.error(f"there are {len(others)} columns of voltages ({names}); name the time and three of them", 0)
     missing = "a third phase is needed" if len(others) == 2 else "three phases are needed"
     raise origin.error(
-        f"there are {len(others)} channels ({names}): {missing}; capture them together, or give line-to-line voltages",
+        f"there {'is 1 channel' if len(others) == 1 else f'are {len(others)} channels'} ({names}): {missing}; capture them together, or give line-to-line voltages",
         0,
     )
 

@@ -173,10 +173,12 @@ def with_point(
     Raises
     ------
     InputError
-        The open phase is none of a, b and c.
+        The open phase is none of a, b and c, or the ripple is no share.
     """
     if phase is not None and phase not in ("a", "b", "c"):
         raise InputError(f"--open-phase: expected a, b or c, got '{phase}'")
+    if ripple is not None and not 0.0 <= ripple < 1.0:
+        raise InputError(f"--ripple: expected a share below 100 % such as '5 %', got {100.0 * ripple:g} %")
     given = {"torque": torque, "omega_m": omega_m, "ripple": ripple, "open_phase": phase}
     changes = {key: value for key, value in given.items() if value is not None}
     return replace(settings, **changes)  # type: ignore[arg-type]

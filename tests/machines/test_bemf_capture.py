@@ -471,7 +471,7 @@ def test_mechanical_angle_needs_pole_pairs() -> None:
     ("names", "options", "message"),
     [
         ("t_s a_V b_V", {}, r"2 channels \(a, b\): a third phase is needed"),
-        ("t_s a_V", {"connection": "line-to-line"}, "1 channels .*three phases are needed"),
+        ("t_s a_V", {"connection": "line-to-line"}, "1 channel .*three phases are needed"),
         ("t a b c d", {}, r"4 columns of voltages \(a, b, c, d\)"),
         ("t a b c", {"columns": ("t", "a", "b", "z")}, "no column 'z'; the file has t, a, b, c"),
         ("t a b c", {"columns": (1, 2, 3, 9)}, "no column 9"),
@@ -518,7 +518,7 @@ def test_single_channels_of_a_drill_are_no_three_phase_capture(shared_data: Path
     folder = shared_data / "bemf"
     yellow, red = measured(folder / "vdyno_drill_YellowA0001CH1.CSV"), measured(folder / "vdyno_drill_RedA0001CH2.CSV")
     for single in (yellow, red):
-        with pytest.raises(InputError, match=r"1 channels .*: three phases are needed"):
+        with pytest.raises(InputError, match=r"1 channel .*: three phases are needed"):
             capture_from_table(single)
     both = written("t_s ch1_V ch2_V", np.column_stack([yellow.values, red.values[:, 1]]))
     with pytest.raises(InputError, match=r"2 channels .*: a third phase is needed"):

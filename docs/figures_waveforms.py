@@ -1,0 +1,58 @@
+"""The documentation's figures of machines whose back-EMF is not sinusoidal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from dqforge.machines import catalogue
+from dqforge.machines.bemf_capture import BemfCapture, analyse
+from dqforge.optimizer.waveform_comparison import compare_waveforms
+from dqforge.reports.bemf import CaptureReading
+from dqforge.reports.figures import save
+from dqforge.reports.figures_bemf import plot_capture
+from dqforge.reports.figures_waveforms import plot_waveforms
+
+_DC_LINK_V, _TORQUE_NM, _SPEED_RPM = 150.0, 3.5, 1800.0
+
+_POLE_PAIRS = 2
+_SAMPLING_HZ = 4000.0
+_SAMPLES = 1600
+_FREQUENCY_HZ, _DRIFT = 25.0, -0.04
+_NOISE = 0.02
+_BITS = 10
+_RANGE_V = 50.0
+# Order, amplitude in Wb, phase in rad.
+_HARMONICS = ((1, 0.2233, 0.0), (3, 0.0268, 0.0), (5, 0.0067, 0.3), (7, 0.0022, -0.5))
+
+
+def phase_waveforms(path: Path) -> None:
+    """Currents of the machine of paper 002 by every rule, their torque and their harmonics, at a dc link that binds."""
+    design = catalogue.load("paper002-phase-waveforms")
+    design = replace(design, inverter=replace(design.inverter, v_dc=_DC_LINK_V))
+    settings = replace(design.waveform, torque=_TORQUE_NM, omega_m=_SPEED_RPM * np.pi / 30.0)
+    save(plot_waveforms(compare_waveforms(design, settings)), path)
+
+
+def capture(path: Path) -> None:
+    """A capture with noise, drift and the steps of a converter, and the harmonics that are found in it."""
+    synthetic = _synthetic()
+    reading = CaptureReading("capture.csv", synthetic, analyse(synthetic, pole_pairs=_POLE_PAIRS), _POLE_PAIRS)
+    save(plot_capture(reading), path)
+
+
+def _synthetic() -> BemfCapture:
+    """Three phases of a machine that slows down evenly, as an oscilloscope records them."""
+    time = np.arange(_SAMPLES) / _SAMPLING_HZ
+    slowing = _DRIFT / time[-1]
+    omega = 2.0 * np.pi * _FREQUENCY_HZ * (1.0 + slowing * (time - 0.5 * time[-1]))
+    theta = 0.7 + 2.0 * np.pi * _FREQUENCY_HZ * (time + 0.5 * slowing * time * (time - time[-1]))
+    turns = theta - 2.0 * np.pi / 3.0 * np.arange(3)[:, np.newaxis]
+    shape = -sum(size * np.sin(order * turns - lag) for order, size, lag in _HARMONICS)
+    peak = _HARMONICS[0][1] * 2.0 * np.pi * _FREQUENCY_HZ
+    noise = np.random.default_rng(2).normal(0.0, _NOISE * peak, shape.shape)
+    step = 2.0 * _RANGE_V / 2**_BITS
+    voltages = step * np.round((omega * shape + noise) / step)
+    return BemfCapture("capture.csv", time, None, voltages, np.arange(2, _SAMPLES + 2))
