@@ -245,8 +245,9 @@ def _check_count(others: list[int], connection: Connection, table: TextTable, or
     if len(others) > 3:
         raise origin.error(f"there are {len(others)} columns of voltages ({names}); name the time and three of them", 0)
     missing = "a third phase is needed" if len(others) == 2 else "three phases are needed"
+    count = "is 1 channel" if len(others) == 1 else f"are {len(others)} channels"
     raise origin.error(
-        f"there {'is 1 channel' if len(others) == 1 else f'are {len(others)} channels'} ({names}): {missing}; capture them together, or give line-to-line voltages",
+        f"there {count} ({names}): {missing}; capture them together, or give line-to-line voltages",
         0,
     )
 
