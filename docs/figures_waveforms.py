@@ -15,7 +15,7 @@ from dqforge.reports.figures import save
 from dqforge.reports.figures_bemf import plot_capture
 from dqforge.reports.figures_waveforms import plot_waveforms
 
-_DC_LINK_V, _TORQUE_NM, _SPEED_RPM = 150.0, 3.5, 1800.0
+_TORQUE_NM, _NEUTRAL_A = 3.5, 1.0
 
 _POLE_PAIRS = 2
 _SAMPLING_HZ = 4000.0
@@ -29,10 +29,9 @@ _HARMONICS = ((1, 0.2233, 0.0), (3, 0.0268, 0.0), (5, 0.0067, 0.3), (7, 0.0022, 
 
 
 def phase_waveforms(path: Path) -> None:
-    """Currents of the machine of paper 002 by every rule, their torque and their harmonics, at a dc link that binds."""
+    """Currents of the machine of paper 002 by every rule, their torque and harmonics; a limit on the neutral binds."""
     design = catalogue.load("paper002-phase-waveforms")
-    design = replace(design, inverter=replace(design.inverter, v_dc=_DC_LINK_V))
-    settings = replace(design.waveform, torque=_TORQUE_NM, omega_m=_SPEED_RPM * np.pi / 30.0)
+    settings = replace(design.waveform, torque=_TORQUE_NM, neutral=_NEUTRAL_A)
     save(plot_waveforms(compare_waveforms(design, settings)), path)
 
 
