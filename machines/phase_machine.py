@@ -20,6 +20,11 @@ Symmetry = Literal["sixth", "third", "none"]
 STENCIL = (3.0 / 4.0, -3.0 / 20.0, 1.0 / 60.0)
 """Weights of the central difference of sixth order at distances 1, 2 and 3."""
 
+OFFSETS = (-1, 0, 1, 2)
+MIDDLE = (-1.0 / 16.0, 9.0 / 16.0, 9.0 / 16.0, -1.0 / 16.0)
+SLOPE = (1.0 / 24.0, -27.0 / 24.0, 27.0 / 24.0, -1.0 / 24.0)
+"""Weights of value and slope in the middle between two angles, at these offsets from the first of them."""
+
 ANGLES = 360
 _SAME = 1e-9
 _TURN = 2.0 * np.pi / 3.0
@@ -37,6 +42,22 @@ def derivative(waveform: FloatArray) -> FloatArray:
         ahead, behind = np.roll(waveform, -distance, axis=-1), np.roll(waveform, distance, axis=-1)
         found += weight / step * (ahead - behind)
     return found
+
+
+def between(waveform: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Value and slope (per rad) of a periodic waveform in the middle behind each angle, along the last axis.
+
+    Of fourth order over the four angles around. Unlike the slope at an angle this one sees what alternates from one
+    angle to the next, which would otherwise escape every limit on voltage.
+    """
+    step = 2.0 * np.pi / waveform.shape[-1]
+    value: FloatArray = np.zeros_like(waveform)
+    slope: FloatArray = np.zeros_like(waveform)
+    for offset, of_value, of_slope in zip(OFFSETS, MIDDLE, SLOPE, strict=True):
+        moved = np.roll(waveform, -offset, axis=-1)
+        value += of_value * moved
+        slope += of_slope / step * moved
+    return value, slope
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,9 +177,13 @@ class PhaseMachine:
         return made
 
     def voltage(self, currents: FloatArray, omega_e: ArrayLike) -> FloatArray:
-        """Phase voltages R i + omega_e (L di/dtheta + flux) in V, shape (..., 3, N); speeds in rad/s, shape (...)."""
+        """Phase voltages R i + omega_e (L di/dtheta + flux) in V, half a step behind each angle, shape (..., 3, N).
+
+        ``currents`` in A have the same shape, the electrical speeds in rad/s the shape (...).
+        """
         omega = np.asarray(omega_e, dtype=np.float64)[..., np.newaxis, np.newaxis]
-        return self.r_s * currents + omega * (self.inductances @ derivative(currents) + self.flux)
+        value, slope = between(currents)
+        return self.r_s * value + omega * (self.inductances @ slope + between(self.flux)[0])
 
     def copper_loss(self, currents: FloatArray) -> FloatArray:
         """Mean copper loss R sum i_k^2 in W, shape (...)."""

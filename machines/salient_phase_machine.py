@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.phase_machine import SHIFT_SIXTH, SHIFT_THIRD, PhaseMachine, Symmetry, derivative
+from dqforge.machines.phase_machine import SHIFT_SIXTH, SHIFT_THIRD, PhaseMachine, Symmetry, between, derivative
 from dqforge.machines.synchronous import FloatArray
 
 _SAME = 1e-9
@@ -85,7 +85,11 @@ class SalientPhaseMachine:
         return made
 
     def voltage(self, currents: FloatArray, omega_e: ArrayLike) -> FloatArray:
-        """Phase voltages R i + omega_e (d(L i)/dtheta + flux) in V, shape (..., 3, N); speeds in rad/s, shape (...)."""
+        """Phase voltages R i + omega_e (d(L i)/dtheta + flux) in V, half a step behind each angle, shape (..., 3, N).
+
+        ``currents`` in A have the same shape, the electrical speeds in rad/s the shape (...).
+        """
         omega = np.asarray(omega_e, dtype=np.float64)[..., np.newaxis, np.newaxis]
         linked = np.einsum("jkl,...lj->...kj", self.inductance, currents)
-        return np.asarray(self.phases.r_s * currents + omega * (derivative(linked) + self.phases.flux))
+        flux = between(self.phases.flux)[0]
+        return np.asarray(self.phases.r_s * between(currents)[0] + omega * (between(linked)[1] + flux))

@@ -14,13 +14,13 @@ import numpy as np
 
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.inverter import Topology
-from dqforge.machines.phase_machine import SHIFT_SIXTH, SHIFT_THIRD, STENCIL, PhaseMachine
+from dqforge.machines.phase_machine import MIDDLE, OFFSETS, SHIFT_SIXTH, SHIFT_THIRD, SLOPE, PhaseMachine, between
 from dqforge.machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.phase_currents import unit_currents
 from dqforge.optimizer.waveform_problem import WaveformLimits
 
-_REACH = len(STENCIL)
+_REACH = max(OFFSETS)
 _TOLERANCE = 1e-10
 _MOST_ITERATIONS = 500
 # Share of v_dc that each phase voltage, and each difference between two, may reach.
@@ -166,16 +166,17 @@ def _start(phases: PhaseMachine, torque: float, limits: WaveformLimits) -> Float
         return torque * unit_currents(phases, "dq")
 
 
-def _slope(casadi: Any, waveform: Any, shift: FloatArray, angles: int) -> Any:
-    """Derivative by the angle of a part of a waveform, shape (3, part), with the stencil of the phase model."""
+def _between(casadi: Any, waveform: Any, shift: FloatArray, angles: int) -> tuple[Any, Any]:
+    """Value and slope of a part of a waveform, shape (3, part), half a step behind each angle, as the phase model's."""
     part = waveform.shape[1]
     # What follows the part, and what comes before it, are its own ends in other phases.
     around = casadi.horzcat(shift.T @ waveform[:, part - _REACH :], waveform, shift @ waveform[:, :_REACH])
-    slope = 0
-    for distance, weight in enumerate(STENCIL, start=1):
-        ahead = around[:, _REACH + distance : _REACH + distance + part]
-        slope += weight * angles / (2.0 * np.pi) * (ahead - around[:, _REACH - distance : _REACH - distance + part])
-    return slope
+    value, slope = 0, 0
+    for offset, of_value, of_slope in zip(OFFSETS, MIDDLE, SLOPE, strict=True):
+        moved = around[:, _REACH + offset : _REACH + offset + part]
+        value += of_value * moved
+        slope += of_slope * angles / (2.0 * np.pi) * moved
+    return value, slope
 
 
 def _constraints(
@@ -194,13 +195,15 @@ def _constraints(
     reluctance = casadi.horzcat(*[casadi.bilin(slopes[j], currents[:, j], currents[:, j]) / 2.0 for j in range(part)])
     flux = phases.flux[:, :part]
     made = phases.pole_pairs * (casadi.sum1(flux * currents) + reluctance)
-    volts = phases.r_s * currents + omega_e * (_slope(casadi, linked, shift, phases.angles) + flux)
+    value, slope = _between(casadi, currents, shift, phases.angles)
+    emf = between(phases.flux)[0][:, :part] + _between(casadi, linked, shift, phases.angles)[1]
+    volts = phases.r_s * value + omega_e * emf
     rows = _Rows(casadi)
     _add_torque(rows, casadi, made, torque, limits.ripple, phases.pole_pairs * np.max(np.abs(flux)) * limits.i_max)
     _add_bus(rows, casadi, volts / limits.v_dc, limits.topology)
     _add_neutral(rows, casadi, casadi.sum1(currents) / limits.i_max, limits, phases.angles // part)
     if limits.slew is not None:
-        rows.add(omega_e * _slope(casadi, currents, shift, phases.angles) / limits.slew, -1.0, 1.0)
+        rows.add(omega_e * slope / limits.slew, -1.0, 1.0)
     return rows
 
 

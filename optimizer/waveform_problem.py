@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.inverter import Topology
-from dqforge.machines.phase_machine import SHIFT_SIXTH, SHIFT_THIRD, STENCIL, PhaseMachine
+from dqforge.machines.phase_machine import MIDDLE, OFFSETS, SHIFT_SIXTH, SHIFT_THIRD, SLOPE, PhaseMachine
 from dqforge.machines.synchronous import FloatArray
 
 OpenPhase = Literal["a", "b", "c"]
@@ -165,24 +165,27 @@ def _part_and_shift(machine: PhaseMachine, limits: WaveformLimits) -> tuple[int,
     return {"sixth": (6, SHIFT_SIXTH), "third": (3, SHIFT_THIRD), "none": (1, np.eye(3))}[symmetry]
 
 
-def _difference(part: int, angles: int, shift: FloatArray) -> Any:
-    """Sparse derivative by the angle of currents of the part, shape (3 part, 3 part), phases side by side."""
+def _between(part: int, angles: int, shift: FloatArray) -> tuple[Any, Any]:
+    """Sparse matrices of value and slope half a step behind each angle, shape (3 part, 3 part), phases side by side."""
+    step = 2.0 * np.pi / angles
+    return _stencil(part, shift, MIDDLE), _stencil(part, shift, SLOPE) / step
+
+
+def _stencil(part: int, shift: FloatArray, weights: tuple[float, ...]) -> Any:
+    """Sparse matrix of one stencil on the part; what lies beyond it are its own ends in other phases."""
     from scipy.sparse import coo_matrix
 
     rows, columns, values = [], [], []
     back = np.linalg.inv(shift)
     here = np.arange(part)
-    for distance, weight in enumerate(STENCIL, start=1):
-        for sign in (1, -1):
-            there = here + sign * distance
-            turn = np.where(
-                (there >= part)[:, None, None], shift, np.where((there < 0)[:, None, None], back, np.eye(3))
-            )
-            for phase in range(3):
-                for source in range(3):
-                    rows.append(3 * here + phase)
-                    columns.append(3 * (there % part) + source)
-                    values.append(sign * weight * angles / (2.0 * np.pi) * turn[:, phase, source])
+    for offset, weight in zip(OFFSETS, weights, strict=True):
+        there = here + offset
+        turn = np.where((there >= part)[:, None, None], shift, np.where((there < 0)[:, None, None], back, np.eye(3)))
+        for phase in range(3):
+            for source in range(3):
+                rows.append(3 * here + phase)
+                columns.append(3 * (there % part) + source)
+                values.append(weight * turn[:, phase, source])
     size = 3 * part
     matrix = coo_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (size, size)).tocsr()
     matrix.eliminate_zeros()
@@ -286,15 +289,16 @@ def _symmetric(kind: int, still: Any, moving: Any, torque_share: float = 0.0, bo
     return _Rows(kind, still, moving, -limit, limit, torque_share)
 
 
-def _all_rows(machine: PhaseMachine, limits: WaveformLimits, flux: FloatArray, change: Any) -> list[_Rows]:
-    """Rows of every kind that the limits ask for, each of order one."""
+def _all_rows(machine: PhaseMachine, limits: WaveformLimits, flux: FloatArray, middle: tuple[Any, Any]) -> list[_Rows]:
+    """Rows of every kind that the limits ask for, each of order one; voltages and slew lie between the angles."""
     from scipy.sparse import block_diag, csr_matrix, identity, kron
 
     part, size, torque_max = flux.shape[0], flux.size, machine.pole_pairs * np.max(np.abs(flux)) * limits.i_max
+    value, slope = middle
     turned = kron(identity(part), csr_matrix(_VOLTAGE_ROWS)).tocsr() / limits.v_dc
-    inductive = turned @ kron(identity(part), csr_matrix(machine.inductances)) @ change
-    low, high = _voltage_shapes(limits.topology, flux)
-    rows = [_Rows(0, machine.r_s * turned, inductive, low.ravel(), high.ravel())]
+    inductive = turned @ kron(identity(part), csr_matrix(machine.inductances)) @ slope
+    low, high = _voltage_shapes(limits.topology, (value @ flux.ravel()).reshape(-1, 3))
+    rows = [_Rows(0, machine.r_s * turned @ value, inductive, low.ravel(), high.ravel())]
     rows.append(_symmetric(1, identity(size, format="csr") / limits.i_max, csr_matrix((size, size))))
     torque = block_diag(machine.pole_pairs * flux[:, np.newaxis, :]).tocsr() / torque_max
     neutral = kron(identity(part), np.ones((1, 3))).tocsr() / limits.i_max
@@ -314,7 +318,7 @@ def _all_rows(machine: PhaseMachine, limits: WaveformLimits, flux: FloatArray, c
     elif limits.neutral is not None:
         rows.append(_symmetric(3, neutral, still, 0.0, most))
     if limits.slew is not None:
-        rows.append(_symmetric(4, csr_matrix((size, size)), change / limits.slew))
+        rows.append(_symmetric(4, csr_matrix((size, size)), slope / limits.slew))
     return rows
 
 
@@ -332,12 +336,13 @@ def make_problem(machine: PhaseMachine, limits: WaveformLimits) -> WaveformProbl
     part = machine.angles // parts
     flux = np.ascontiguousarray(machine.flux[:, :part].T)
     unit, basis = _per_angle(machine, limits, flux)
-    rows = _all_rows(machine, limits, flux, _difference(part, machine.angles, shift))
+    middle = _between(part, machine.angles, shift)
+    rows = _all_rows(machine, limits, flux, middle)
     still, moving = (vstack([getattr(row, name) for row in rows]).tocsr() for name in ("still", "moving"))
     lower, upper = (np.concatenate([getattr(row, name) for row in rows]) for name in ("lower", "upper"))
     counts = [row.lower.size for row in rows]
     emf = np.zeros(lower.size)
-    emf[: counts[0]] = (_VOLTAGE_ROWS @ flux.T).T.ravel() / limits.v_dc
+    emf[: counts[0]] = ((middle[0] @ flux.ravel()).reshape(-1, 3) @ _VOLTAGE_ROWS.T).ravel() / limits.v_dc
     kinds = np.repeat(np.array([row.kind for row in rows], dtype=np.int8), counts)
     # Rows without any bound, such as phase voltages of a three-wire bridge, are left out.
     kept = np.flatnonzero((lower > -UNBOUNDED) | (upper < UNBOUNDED))

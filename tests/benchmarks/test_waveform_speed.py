@@ -35,11 +35,14 @@ def machine(*, symmetric: bool) -> PhaseMachine:
 def built_anew(drive: PhaseMachine, torque: float, omega_m: float) -> float:
     """The problem as it is written on paper, over 360 angles and 3 phases."""
     count, omega = drive.angles, drive.pole_pairs * omega_m
-    step, matrix = 2.0 * np.pi / count, np.zeros((count, count))
-    for distance, weight in enumerate((3 / 4, -3 / 20, 1 / 60), start=1):
-        matrix += weight / step * (np.roll(np.eye(count), distance, axis=0) - np.roll(np.eye(count), -distance, axis=0))
+    shifts = (-1, 0, 1, 2)
+    mean, change = (
+        sum(weight * np.roll(np.eye(count), offset, axis=0) for offset, weight in zip(shifts, weights, strict=True))
+        for weights in ((-1 / 16, 9 / 16, 9 / 16, -1 / 16), (1 / 24, -27 / 24, 27 / 24, -1 / 24))
+    )
     i: Any = cp.Variable((3, count))
-    v = drive.r_s * i + omega * (drive.inductances @ (i @ matrix) + drive.flux)
+    slope = i @ (change * (count / (2.0 * np.pi)))
+    v = drive.r_s * (i @ mean) + omega * (drive.inductances @ slope + drive.flux @ mean)
     pairs = cp.vstack([v[0] - v[1], v[1] - v[2], v[2] - v[0]])
     keeps = [
         drive.pole_pairs * cp.sum(cp.multiply(drive.flux, i), axis=0) == torque,

@@ -9,13 +9,14 @@ import os
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, make_design
 
 from dqforge.machines import catalogue
-from dqforge.machines.settings import FitSettings, WaveformSettings
+from dqforge.machines.settings import FitSettings, WaveformForm, WaveformSettings
 from dqforge.optimizer.solution import solve, solve_phases
 from dqforge.reports.header import header_files
 from dqforge.reports.verify import WARNINGS
@@ -43,12 +44,11 @@ def headers() -> dict[str, dict[str, bytes]]:
         "reluctance": (RELUCTANCE, FitSettings(form="closed-form")),
     }
     found = {name: header_files(solve(make_design(machine, fit=fit))) for name, (machine, fit) in fits.items()}
-    from dataclasses import replace
-
     design = catalogue.load("paper002-phase-waveforms")
     design = replace(design, export=replace(design.export, prefix="drive"))
-    for form in ("table", "harmonics"):
-        shaped = replace(design, waveform=WaveformSettings(form=form))  # type: ignore[arg-type]
+    forms: tuple[WaveformForm, ...] = ("table", "harmonics")
+    for form in forms:
+        shaped = replace(design, waveform=WaveformSettings(form=form))
         found[f"waveform {form}"] = waveform_files(shaped, solve_phases(shaped))
     return found
 
