@@ -72,13 +72,13 @@ def plot_waveforms(comparison: WaveformComparison) -> Figure:
     rules = comparison.rules
     with style():
         figure = new_figure("waveforms", 5.0, "Back-EMF, phase currents by rule, torque and harmonics")
-        width = 0.88 / (len(rules) + 1)
+        width = 0.87 / (len(rules) + 1)
         largest = max(float(np.max(np.abs(found.currents))) for found in rules)
         factor, unit = prefixed(float(np.max(np.abs(comparison.machine.flux))), "Wb")
-        emf = figure.add_axes((0.07, 0.59, width - 0.035, 0.31))
+        emf = figure.add_axes((0.085, 0.59, width - 0.035, 0.31))
         _draw_phases(emf, comparison.machine.flux * factor, f"e / $\u03c9_e$ in {unit}", neutral=False)
         for place, found in enumerate(rules, start=1):
-            axes = figure.add_axes((0.085 + place * width, 0.59, width - 0.035, 0.31))
+            axes = figure.add_axes((0.11 + place * width, 0.59, width - 0.035, 0.31))
             _draw_phases(axes, found.currents, f"{_TITLES[found.rule]}: A", neutral=True)
             axes.set_ylim(-1.15 * largest, 1.15 * largest)
             if place > 1:
@@ -86,7 +86,7 @@ def plot_waveforms(comparison: WaveformComparison) -> Figure:
             if place == len(rules):
                 handles, labels = axes.get_legend_handles_labels()
                 figure.legend(handles, labels, frameon=False, loc="upper center", ncols=4, bbox_to_anchor=(0.5, 1.0))
-        left, right = figure.add_axes((0.07, 0.1, 0.4, 0.34)), figure.add_axes((0.57, 0.1, 0.4, 0.34))
+        left, right = figure.add_axes((0.085, 0.1, 0.385, 0.34)), figure.add_axes((0.57, 0.1, 0.4, 0.34))
         _draw_torque(left, rules)
         _draw_spectra(right, rules)
     return figure
