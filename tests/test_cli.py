@@ -439,3 +439,114 @@ def test_generating_speeds_are_points_of_comparison(run: Run, tmp_path: Path) ->
     for row, other in zip(ours, theirs, strict=True):
         assert row["conduction_W"] == other["conduction_W"]
         assert row["voltage_V"] < other["voltage_V"]
+
+
+WAVES = "paper002-phase-waveforms"
+
+
+def test_phase_currents_are_emitted_verified_and_a_changed_entry_is_found(run: Run, tmp_path: Path) -> None:
+    assert run("run", WAVES, "-o", "out").code == 0
+    assert "40256 results equal" in run("verify", "out").out
+    header = tmp_path / "out" / "pmsm002w_waveform.h"
+    text = header.read_text(encoding="ascii")
+    table = text.index("waveform_table")
+    entry = re.search(r"-\d\.\d{5,}F", text[table:])
+    assert entry is not None
+    changed = text[:table] + text[table:].replace(entry[0], entry[0][:-2] + str((int(entry[0][-2]) + 1) % 10) + "F", 1)
+    header.write_text(changed, encoding="ascii")
+    assert "does not give the results of its test vectors" in one_line(run("verify", "out"), 1)
+    header.write_text(text, encoding="ascii")
+    result = tmp_path / "out" / "result.json"
+    document = json.loads(result.read_text(encoding="ascii"))
+    for damage in (
+        {"form": "table"},
+        {"form": "table", "torque_max": 1, "table": [[1, 2]]},
+        "x",
+        {"form": "harmonics"},
+    ):
+        result.write_text(json.dumps(document | {"waveform_header": damage}), encoding="ascii")
+        assert "run the design again" in one_line(run("verify", "out"), 2)
+
+
+def test_phase_currents_of_the_command_line(run: Run, tmp_path: Path) -> None:
+    """JSON against the phase model: constant torque at every angle, copper loss R mean(sum i^2)."""
+    import numpy as np
+
+    outcome = run("dqy", WAVES, "--torque", "3.9 N m", "--speed", "2500 rpm", "--json", "--plot", "waves.svg")
+    document = json.loads(outcome.out)["waveforms"]
+    flux = np.array(document["emf_over_omega_Wb"])
+    for rule in ("dqx", "dqy", "limited"):
+        currents = np.array(document["rules"][rule]["currents_A"])
+        np.testing.assert_allclose(2.0 * np.sum(flux * currents, axis=0), 3.9, rtol=1e-8)
+        loss = float(np.mean(np.sum(currents**2, axis=0)))
+        assert document["rules"][rule]["copper_W"] == pytest.approx(loss, rel=1e-7)
+    assert document["binding"] == ["voltage"]
+    assert document["rules"]["dqy"]["breaks"] == ["dc link"]
+    losses = [entry["copper_W"] for entry in document["ripple_front"]]
+    assert losses == sorted(losses, reverse=True)
+    assert (tmp_path / "waves.svg").stat().st_size > 1000
+    assert "held by voltage" in run("dqy", WAVES, "--torque", "3.9 N m", "--speed", "2500 rpm").out
+
+
+def test_phase_currents_that_cannot_be_had_or_asked_for(run: Run) -> None:
+    impossible = one_line(run("dqy", WAVES, "--torque", "5 N m", "--speed", "3300 rpm"), 1)
+    assert "it would take a current limit of" in impossible
+    assert "sinusoidal back-EMF" in one_line(run("dqy", IPM), 2)
+    assert "expected a, b or c" in one_line(run("dqy", WAVES, "--open-phase", "x"), 2)
+    assert "share below 100 %" in one_line(run("dqy", WAVES, "--ripple", "200"), 2)
+    assert "--torque" in one_line(run("dqy", WAVES, "--torque", "3 rpm"), 2)
+
+
+def capture_file(path: Path) -> None:
+    """Three sines of 50 Hz with a fifth of 3 %, four periods, German decimals."""
+    import numpy as np
+
+    time = np.arange(4000) / 50_000.0
+    phases = []
+    for lag in (0.0, 120.0, 240.0):
+        theta = 2.0 * np.pi * 50.0 * time - np.radians(lag)
+        phases.append(-20.0 * (np.sin(theta) + 0.03 * np.sin(5.0 * theta)))
+    rows = [";".join(f"{value:.6f}".replace(".", ",") for value in row) for row in zip(time, *phases, strict=True)]
+    path.write_text("\n".join(["Zeit [s];a [V];b [V];c [V]", *rows]), encoding="utf-8")
+
+
+def test_capture_of_the_back_emf(run: Run, tmp_path: Path) -> None:
+    """psi = 20 V / (2 pi 50 Hz) = 63.66 mWb, by hand; with 2 pole pairs 13.33 V/krpm peak of phase."""
+    capture_file(tmp_path / "scope.csv")
+    shown = run("bemf", "scope.csv", "--pole-pairs", "2", "--plot", "scope.png")
+    assert shown.code == 0, shown.err
+    assert "0.06366 Wb" in shown.out
+    assert "13.33 V/krpm (phase peak)" in shown.out
+    found = json.loads(run("bemf", "scope.csv", "--json").out)["bemf"]
+    assert found["frequency_Hz"] == pytest.approx(50.0, rel=1e-6)
+    assert found["amplitudes_Wb"][1][4] / found["amplitudes_Wb"][1][0] == pytest.approx(0.03, rel=1e-3)
+    assert found["sequence"] == "abc"
+    lines = run("bemf", "scope.csv", "--line-to-line").out
+    assert "do not contain the zero sequence" in lines
+
+
+def test_captures_that_are_none(run: Run, tmp_path: Path) -> None:
+    capture_file(tmp_path / "scope.csv")
+    assert "no such file" in one_line(run("bemf", "nosuch.csv"), 2)
+    assert "three factors" in one_line(run("bemf", "scope.csv", "--scale", "1,x"), 2)
+    assert "above 0" in one_line(run("bemf", "scope.csv", "--pole-pairs", "0"), 2)
+    assert "1 to 200" in one_line(run("bemf", "scope.csv", "--harmonics", "0"), 2)
+    assert "no column 'z'" in one_line(run("bemf", "scope.csv", "--columns", "z,a,b,c"), 2)
+    lines = (tmp_path / "scope.csv").read_text(encoding="utf-8").splitlines()
+    lines[1000] = lines[1000].rsplit(";", 1)[0] + ";overload"
+    (tmp_path / "scope.csv").write_text("\n".join(lines), encoding="utf-8")
+    assert "scope.csv:1001" in one_line(run("bemf", "scope.csv"), 2)
+
+
+def test_budget_of_a_fit_is_shown_with_what_was_tried(run: Run, tmp_path: Path) -> None:
+    text = run("machines", IPM).out
+    start, end = text.index("\nfit:"), text.index("\n\n", text.index("\nfit:"))
+    budget = "\nfit: {torque_error: 0.2 %, loss_penalty: 0.1 %, flash: 256 B, torque_max: 200 N m}"
+    (tmp_path / "budget.yaml").write_text(text[:start] + budget + text[end:], encoding="utf-8")
+    shown = run("fit", "budget.yaml").out
+    assert "Forms tried for the budget" in shown
+    document = json.loads(run("fit", "budget.yaml", "--json").out)["fit"]
+    assert document["errors"]["torque_relative"] <= 2e-3
+    assert document["trials"][-1]["quick"] is False
+    assert run("run", "budget.yaml", "-o", "out").code == 0
+    assert "Forms tried for the budget" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
