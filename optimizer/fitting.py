@@ -22,11 +22,11 @@ Curve = Callable[[FloatArray], FloatArray]
 _DENSE_POINTS = 400
 """Check points per segment between which the error of a fit is searched for; odd extrema are far wider apart."""
 
-_TIE_WEIGHT = 1e-3
+_TIE_WEIGHT = 2e-4
 """Share of the mean segment error in the minimax objective: keeps segments that do not bind small, and costs at most
 this share of the optimum."""
 
-_EXCHANGE_GOAL = 1.0005
+_EXCHANGE_GOAL = 1.0002
 """Attained error over the lower bound of the linear programme at which the exchange stops."""
 
 
@@ -170,7 +170,7 @@ def _minimax(curve: Curve, edges: FloatArray, degree: int, side: SideConditions,
     """Chebyshev series with the least largest error under the side conditions, shape (S, n + 1).
 
     A semi-infinite linear programme: the solution on a few points per segment bounds the optimum from below, its
-    largest error on a dense grid from above; peaks are added until the two meet within 0.05 %. With ``exchange``
+    largest error on a dense grid from above; peaks are added until the two meet within 0.02 %. With ``exchange``
     false the first solution is returned as it is: within 1 % of the optimum, which ranks breakpoints well enough.
     """
     segments = edges.size - 1
