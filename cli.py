@@ -173,12 +173,24 @@ def export(design: DesignArgument, out: OutOption = Path("out"), no_verify: NoVe
 @app.command()
 def verify(
     folder: Annotated[Path, typer.Argument(metavar="OUT", help="Folder that 'dqforge run' or 'export' wrote.")],
+    target: Annotated[
+        str | None,
+        typer.Option("--target", metavar="CORE", help="Emulated core, too: cortex-m0plus, -m3, -m4, -m7 or -m33."),
+    ] = None,
 ) -> None:
     """Compile the emitted C as C99 and C++11, run it, and compare every bit with the float32 model."""
-    from dqforge.reports.tables import verification_text
-    from dqforge.reports.verify import verify_folder
+    from dqforge.reports.tables import target_text, verification_text
+    from dqforge.reports.verify import read_folder, verify_folder
 
+    if target is None:
+        typer.echo(verification_text(verify_folder(folder)))
+        return
+    from dqforge.reports.cross import target_of, verify_on_target
+
+    target_of(target)
+    found = read_folder(folder)
     typer.echo(verification_text(verify_folder(folder)))
+    typer.echo(target_text(verify_on_target(found.files, found.prefix, target)))
 
 
 @app.command()

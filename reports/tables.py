@@ -22,6 +22,7 @@ from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.reports.c_numbers import rounded_up
+from dqforge.reports.cross import TargetVerification
 from dqforge.reports.labels import obstacle, operation_text
 from dqforge.reports.verify import Verification
 
@@ -284,6 +285,14 @@ def verification_text(verification: Verification | None) -> str:
     ]
     count = verification.vectors + verification.sweep
     return f"{count} results equal the float32 model bit for bit, compiled as {done}{''.join(missing)}"
+
+
+def target_text(outcome: TargetVerification) -> str:
+    """One line on a run on an emulated core."""
+    return (
+        f"all test vectors hold bit for bit on an emulated {outcome.target}; both currents of the reference take "
+        f"{outcome.instructions:.1f} instructions (mean of {outcome.vectors} vectors) and {outcome.flash} bytes"
+    )
 
 
 def _errors_text(errors: ReferenceErrors) -> str:

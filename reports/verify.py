@@ -238,15 +238,24 @@ def _load_result(path: Path) -> tuple[dict[str, Any], dict[str, Any] | None]:
     return dict(loaded["header"]), waveform
 
 
-def verify_folder(folder: Path) -> Verification:
-    """Verify what an earlier run wrote into a folder, by the model that its ``result.json`` describes.
+@dataclass(frozen=True, slots=True)
+class WrittenHeaders:
+    """What an earlier run wrote: files by name, prefix, models, and the number of test vectors."""
+
+    files: dict[str, bytes]
+    prefix: str
+    reference: CurrentReference
+    vectors: int
+    phases: PhaseReference | None
+
+
+def read_folder(folder: Path) -> WrittenHeaders:
+    """Headers and models of an earlier run, by what its ``result.json`` describes.
 
     Raises
     ------
     InputError
         A file is missing or is not what dqforge writes.
-    VerificationError
-        As `verify_files`.
     """
     path = folder / "result.json"
     header, waveform = _load_result(path)
@@ -264,4 +273,18 @@ def verify_folder(folder: Path) -> Verification:
         raise InputError(error.message, source=str(path)) from error
     names = [f"{prefix}.h", f"{prefix}_vectors.h"]
     names += [] if phases is None else [f"{prefix}_waveform.h", f"{prefix}_waveform_vectors.h"]
-    return verify_files({name: _read(folder / name) for name in names}, prefix, reference, vectors, phases)
+    return WrittenHeaders({name: _read(folder / name) for name in names}, prefix, reference, vectors, phases)
+
+
+def verify_folder(folder: Path) -> Verification:
+    """Verify what an earlier run wrote into a folder.
+
+    Raises
+    ------
+    InputError
+        As `read_folder`.
+    VerificationError
+        As `verify_files`.
+    """
+    found = read_folder(folder)
+    return verify_files(found.files, found.prefix, found.reference, found.vectors, found.phases)

@@ -1,0 +1,92 @@
+"""The emitted headers on emulated cores: bit for bit their model, sensitive to one unit in the last place, costed."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
+import pytest
+from drives import IPM, RELUCTANCE, make_design
+
+from dqforge.machines import catalogue
+from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.settings import FitSettings, WaveformForm
+from dqforge.optimizer.solution import solve, solve_phases
+from dqforge.reports.cross import TARGETS, verify_on_target
+from dqforge.reports.header import header_files
+from dqforge.reports.waveform_header import waveform_files
+
+
+@pytest.fixture(autouse=True)
+def tools() -> None:
+    for name in ("arm-none-eabi-gcc", "qemu-system-arm"):
+        if shutil.which(name) is None:
+            if os.environ.get("CI"):
+                pytest.fail(f"{name} is missing; CI needs it")
+            pytest.skip(f"{name} is not installed")
+
+
+@cache
+def polynomial(degree: int) -> dict[str, bytes]:
+    return header_files(solve(make_design(IPM, fit=FitSettings(form="polynomial", degree=degree))))
+
+
+@cache
+def with_waveform(form: WaveformForm) -> dict[str, bytes]:
+    design = catalogue.load("paper002-phase-waveforms")
+    design = replace(
+        design,
+        export=replace(design.export, prefix="drive"),
+        waveform=replace(design.waveform, form=form),
+    )
+    return header_files(solve(design)) | waveform_files(design, solve_phases(design))
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_every_core_gives_the_bits_of_the_model(target: str) -> None:
+    square_root = header_files(solve(make_design(RELUCTANCE, fit=FitSettings(form="closed-form"))))
+    exact = header_files(solve(make_design(IPM)))
+    for files in (polynomial(3), square_root, exact, with_waveform("table"), with_waveform("harmonics")):
+        outcome = verify_on_target(files, "drive", target)
+        assert outcome.vectors >= 256
+        assert outcome.flash > 40
+        assert outcome.instructions > 5.0
+
+
+def test_counts_grow_with_the_degree_as_the_operations_do() -> None:
+    """Two multiplications and two additions more per degree: 4 instructions, or 2 where they are one."""
+    counts = [verify_on_target(polynomial(degree), "drive", "cortex-m4").instructions for degree in (2, 3, 4)]
+    for fewer, more in pairwise(counts):
+        assert 2.0 <= more - fewer <= 8.0
+    soft = verify_on_target(polynomial(3), "drive", "cortex-m3").instructions
+    assert soft > 8.0 * counts[1]
+
+
+@pytest.mark.parametrize("part", ["drive.h", "drive_waveform.h"])
+def test_one_unit_in_the_last_place_is_seen(part: str) -> None:
+    files = dict(with_waveform("harmonics") if part == "drive_waveform.h" else polynomial(3))
+    text = files[part].decode("ascii")
+    place = text.index("static inline")
+    literal = re.search(r"\d\.\d{4,}F", text[place:])
+    assert literal is not None
+    changed = literal[0][:-2] + str((int(literal[0][-2]) + 1) % 10) + "F"
+    files[part] = (text[:place] + text[place:].replace(literal[0], changed, 1)).encode("ascii")
+    with pytest.raises(VerificationError, match="do not give the results of their test vectors"):
+        verify_on_target(files, "drive", "cortex-m4")
+
+
+def test_what_is_missing_or_wrong_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=r"--target: expected one of cortex-m0plus, .* got 'cortex-m9'"):
+        verify_on_target(polynomial(3), "drive", "cortex-m9")
+    broken = polynomial(3) | {"drive.h": polynomial(3)["drive.h"].replace(b"float i_d;", b"flote i_d;")}
+    with pytest.raises(VerificationError, match=r"do not compile for cortex-m4: .*error"):
+        verify_on_target(broken, "drive", "cortex-m4")
+    monkeypatch.setattr("shutil.which", lambda name: None if name == "qemu-system-arm" else "/bin/true")
+    with pytest.raises(
+        VerificationError, match="qemu-system-arm is missing; install the Debian package qemu-system-arm"
+    ):
+        verify_on_target(polynomial(3), "drive", "cortex-m4")
