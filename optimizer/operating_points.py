@@ -20,6 +20,7 @@ from dqforge.optimizer.local_terms import LossCoefficients
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.optimality import residual
 from dqforge.optimizer.point_problem import Active, BoolArray, Problem
+from dqforge.optimizer.point_rescue import missed, rescue
 from dqforge.optimizer.point_solver import solve_chunk
 
 __all__ = ["Active", "OptimalPoints", "copper_only", "optimal_points"]
@@ -142,4 +143,8 @@ def _solve(problem: Problem) -> tuple[NDArray[Any], ...]:
     """Columns of one chunk: i_d, i_q, torque, voltage, loss, active, reached, residual."""
     state = solve_chunk(problem)
     residuals, torque, voltage, losses = residual(problem, state)
+    again = missed(state, residuals)
+    if again.size:
+        rescue(problem, state, again, residuals)
+        residuals, torque, voltage, losses = residual(problem, state)
     return state.i_d, state.i_q, torque, voltage, losses, state.active, state.reached, residuals

@@ -14,7 +14,7 @@ from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE
 from saturated import PM_SYRM, ArctanMachine
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.flux_map import FluxMap, SaturatedMachine
+from dqforge.machines.flux_map import FluxMap, SaturatedMachine, complete_by_symmetry
 from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine, torque_from_flux
 from dqforge.optimizer.local_terms import LossCoefficients, loss_terms, torque_terms, voltage_terms
 from dqforge.optimizer.mtpa import mtpa_currents
@@ -178,8 +178,9 @@ def test_casadi_makes_the_same_splines() -> None:
 
 def ipopt_solver(machine: Any) -> Any:
     """The same problem as a nonlinear programme: least |i|^2 for a torque within both limits."""
-    i = ca.MX.sym("i", 2)
-    par = ca.MX.sym("par", 4)  # torque, omega_e, v_max, scale of the torque
+    symbol: Any = ca.MX if isinstance(machine, SaturatedMachine) else ca.SX  # splines need the slower of the two
+    i = symbol.sym("i", 2)
+    par = symbol.sym("par", 4)  # torque, omega_e, v_max, scale of the torque
     if isinstance(machine, LinearMachine):
         psi_d, psi_q = machine.psi_pm + machine.l_d * i[0], machine.l_q * i[1]
     elif isinstance(machine, SaturatedMachine):
@@ -342,3 +343,22 @@ def test_scalars_broadcast_and_wrong_input_is_refused() -> None:
     with pytest.raises(InputError, match="must be positive"):
         optimal_points(IPM, 1.0, 0.0, v_max=0.0)
     assert copper_only(LinearMachine(1, 0.0, 1.0, 1.0, 1.0, 1.0)).square == 1.0
+
+
+@pytest.mark.parametrize("i_max", [12.45, 19.5, 20.0])
+def test_every_random_point_of_a_measured_map_is_an_optimum(shared_data: Path, i_max: float) -> None:
+    """30,000 points of a map that is bumpy; at 20 A one of them has two valleys, one of them beyond the limit."""
+    with np.load(shared_data / "fluxmaps" / "baldor_400rpm_map.npz") as data:
+        current, flux = data["i_s_dq"], data["psi_s_dq"]
+    i_q, psi_d, psi_q = complete_by_symmetry(current.imag[0], flux.real, flux.imag)
+    machine = SaturatedMachine(2, 0.63, FluxMap(current.real[:, 0].copy(), i_q, psi_d, psi_q), i_max)
+    generator, v_max = np.random.default_rng(3), 460.0 * np.sqrt(2.0 / 3.0)
+    torque, omega = generator.uniform(-60.0, 60.0, 30_000), generator.uniform(-800.0, 800.0, 30_000)
+    points = optimal_points(machine, torque, omega, v_max=v_max)
+    assert np.max(points.kkt_residual[points.reached]) < 1e-8
+    # Of a scan of the current plane nothing within the limits makes the torque of the doubtful point with less current.
+    chosen = int(np.argmin(np.abs(torque - 4.8759780037670595) + np.abs(omega - 372.6054870471962)))
+    plane = Plane.of(machine, 601, 1201)
+    allowed = plane.feasible(machine, float(omega[chosen]), v_max) & (np.abs(plane.torque - torque[chosen]) < 0.02)
+    least = np.min(np.hypot(plane.i_d, plane.i_q)[allowed])
+    assert np.hypot(points.i_d[chosen], points.i_q[chosen]) <= least + 0.01
