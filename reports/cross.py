@@ -5,6 +5,7 @@ The vectors hold the bits of the float32 model; the emulated core must give them
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import tempfile
@@ -25,6 +26,8 @@ _PACKAGES = {
 }
 _TIMEOUT_S = 60
 _CALIBRATION = 400
+_DIFFERS = {101: "current reference", 102: "phase currents"}
+"""Exit codes of the program on the target; the emulator's own failures end with 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +86,7 @@ def _execute(command: list[str], what: str, folder: Path) -> subprocess.Complete
         return subprocess.run(
             command,
             cwd=folder,
+            env=os.environ | {"LC_ALL": "C"},  # whose messages are searched for "error"
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
@@ -94,6 +98,15 @@ def _execute(command: list[str], what: str, folder: Path) -> subprocess.Complete
         raise VerificationError(f"{what} did not end within {_TIMEOUT_S} s") from error
     except OSError as error:
         raise VerificationError(f"{what} cannot be started ({error.strerror})") from error
+
+
+def _require_library(target: str, folder: Path) -> None:
+    command = [_program(_COMPILER), *TARGETS[target].flags, "-mthumb", "-print-file-name=libnosys.a"]
+    found = _execute(command, f"the compiler for {target}", folder).stdout.strip()
+    if not Path(found).is_absolute():  # the bare name comes back for what is nowhere
+        raise VerificationError(
+            f"the C library of {_COMPILER} is missing; install the Debian package libnewlib-arm-none-eabi"
+        )
 
 
 def _compile(arguments: list[str], target: str, folder: Path) -> None:
@@ -134,10 +147,13 @@ def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> Ta
         "ram": board.ram,
         "ram_size": board.ram_size,
         "calibration": _CALIBRATION,
+        "reference_differs": min(_DIFFERS),
+        "phases_differ": max(_DIFFERS),
     }
     emulator, sizer = _program(_EMULATOR), _program("arm-none-eabi-size")
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         folder = Path(name)
+        _require_library(target, folder)
         for file_name, content in files.items():
             (folder / file_name).write_bytes(content)
         for template in ("target_start.c", "target_main.c", "target_cost.c", "target.ld"):
@@ -149,21 +165,22 @@ def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> Ta
         _compile([*linked, "-lm", "-lc", "-lgcc", "-lnosys", "-o", "target.elf"], target, folder)
         ticks = _run(emulator, target, folder)
         sizes = _execute([sizer, "target_cost.o"], "arm-none-eabi-size", folder).stdout.splitlines()
-    calibration, empty, full, count = ticks
-    instructions = (full - empty) * _CALIBRATION / (calibration * count)
+    known, empty, full, count = ticks
+    instructions = (full - empty) * _CALIBRATION / (known - empty)
     return TargetVerification(target, count, instructions, int(sizes[1].split()[0]))
 
 
 def _run(emulator: str, target: str, folder: Path) -> list[int]:
-    """Numbers that the program on the target prints: ticks of the calibration, of both loops, and the vectors."""
+    """Ticks over the vectors of known instructions, of nothing and of the evaluator, and the number of vectors."""
     # With this shift every instruction takes the same virtual time, which the core's timer counts.
     command = [emulator, "-M", TARGETS[target].machine, "-nographic", "-monitor", "none", "-serial", "none"]
     command += ["-icount", "shift=10", "-semihosting-config", "enable=on,target=native", "-kernel", "target.elf"]
     done = _execute(command, f"the emulated {target}", folder)
-    if done.returncode in (1, 2):
-        which = "current reference" if done.returncode == 1 else "phase currents"
+    if done.returncode in _DIFFERS:
+        which = _DIFFERS[done.returncode]
         raise VerificationError(f"on {target} the {which} do not give the results of their test vectors")
     numbers = [int(line) for line in (done.stdout + done.stderr).split() if line.isdigit()]
-    if done.returncode != 0 or len(numbers) != 4 or numbers[0] == 0:
-        raise VerificationError(f"the program on the emulated {target} stopped with exit code {done.returncode}")
+    if done.returncode != 0 or len(numbers) != 4 or numbers[0] <= numbers[1]:
+        said = next((f": {line}" for line in done.stderr.splitlines() if not line.isdigit()), "")
+        raise VerificationError(f"the emulated {target} stopped with exit code {done.returncode}{said}")
     return numbers

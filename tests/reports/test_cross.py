@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 from drives import IPM, RELUCTANCE, make_design
@@ -16,6 +17,7 @@ from dqforge.machines import catalogue
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.settings import FitSettings, WaveformForm
 from dqforge.optimizer.solution import solve, solve_phases
+from dqforge.reports import cross
 from dqforge.reports.cross import TARGETS, verify_on_target
 from dqforge.reports.header import header_files
 from dqforge.reports.waveform_header import waveform_files
@@ -89,4 +91,40 @@ def test_what_is_missing_or_wrong_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(
         VerificationError, match="qemu-system-arm is missing; install the Debian package qemu-system-arm"
     ):
+        verify_on_target(polynomial(3), "drive", "cortex-m4")
+
+
+def test_the_count_is_that_of_the_vectors_alone_however_many_there_are() -> None:
+    """The timer's 24 bits wrap after some 600 000 instructions."""
+    few, many = (
+        verify_on_target(
+            header_files(solve(make_design(IPM, vectors=count, fit=FitSettings(form="polynomial", degree=3)))),
+            "drive",
+            "cortex-m3",
+        )
+        for count in (256, 4096)
+    )
+    assert many.vectors >= 4096
+    assert many.instructions == pytest.approx(few.instructions, rel=0.05)  # rarer end points cost less
+
+
+def test_the_count_is_a_whole_number_of_instructions() -> None:
+    """A mean over whole counts; single steps of the emulator gave the same to the resolution of the timer."""
+    outcome = verify_on_target(polynomial(3), "drive", "cortex-m4")
+    total = outcome.instructions * outcome.vectors
+    assert total == pytest.approx(round(total), abs=0.1)
+
+
+def test_a_failing_emulator_is_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(cross.TARGETS, "cortex-m4", replace(TARGETS["cortex-m4"], machine="nonsense"))
+    with pytest.raises(VerificationError, match=r"stopped with exit code 1: .*unsupported machine type"):
+        verify_on_target(polynomial(3), "drive", "cortex-m4")
+
+
+def test_a_compiler_without_its_library_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    compiler = tmp_path / "arm-none-eabi-gcc"
+    compiler.write_text("#!/bin/sh\necho libnosys.a\n", encoding="ascii")
+    compiler.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    with pytest.raises(VerificationError, match=r"install the Debian package libnewlib-arm-none-eabi$"):
         verify_on_target(polynomial(3), "drive", "cortex-m4")
