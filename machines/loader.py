@@ -118,7 +118,7 @@ class _Build:
             inverter=inverter,
             control=control,
             operation=_operation(sections.operation),
-            fit=self.fit(sections.fit, machine),
+            fit=self.fit(sections.fit, machine, control.bases),
             losses=_losses(sections),
             waveform=_waveform(sections.waveform),
             export=ExportSettings(prefix=sections.export.prefix, vectors=sections.export.vectors),
@@ -190,12 +190,16 @@ class _Build:
         omega_m = inverter.v_dc / math.sqrt(3.0) / (machine.pole_pairs * machine.psi_pm)
         return omega_m, "where the back-EMF reaches v_dc/sqrt(3)"
 
-    def fit(self, section: FitSection, machine: Machine) -> FitSettings:
-        """Settings of the fit; what the machine cannot have is no default."""
-        form = section.form
-        if "form" not in section.model_fields_set and not isinstance(machine, LinearMachine):
+    def fit(self, section: FitSection, machine: Machine, bases: PerUnitBases) -> FitSettings:
+        """Settings of the fit; what the machine or the number format cannot have is no default."""
+        form, budget = section.form, _budget(section)
+        open_form = "form" not in section.model_fields_set
+        if open_form and not isinstance(machine, LinearMachine):
             form = "polynomial"
             self.remarks.append("fit.form is polynomial: the machine saturates, so that no other form holds")
+        elif open_form and section.format in ("q15", "q31"):
+            form = "polynomial"
+            self.remarks.append(f"fit.form is polynomial: {section.format} has no other")
         return FitSettings(
             form=form,
             method=section.method,
@@ -206,7 +210,10 @@ class _Build:
             continuous=section.continuous,
             torque_max=si_of(section.torque_max),
             breakpoints=None if section.breakpoints is None else tuple(point.si for point in section.breakpoints),
-            budget=_budget(section),
+            budget=budget,
+            format="float32" if section.format is None and budget is None else section.format,
+            full_scale=(bases.torque, bases.current),
+            core=section.core,
         )
 
     def general_remarks(self, machine: Machine, inverter: Inverter, control: ControlSettings) -> None:

@@ -48,6 +48,7 @@ from dqforge.machines.schema_entries import (
 from dqforge.machines.schema_machine import MachineSection
 from dqforge.machines.settings import (
     BreakpointMode,
+    Core,
     CurrentLoopMethod,
     CurrentLoopSettings,
     ExportSettings,
@@ -56,6 +57,7 @@ from dqforge.machines.settings import (
     FitSettings,
     LossSettings,
     ModulationName,
+    NumberFormat,
     OpenPhase,
     OperationSettings,
     SpeedLoopMethod,
@@ -212,6 +214,11 @@ class FitSection(Section):
 
     form: FitForm = Field(default=_FIT.form, description="what is evaluated on the controller")
     method: FitMethod = Field(default=_FIT.method, description="how the coefficients are found")
+    format: NumberFormat | None = Field(
+        default=None,
+        description="numbers of the evaluator: float32, or q15 and q31 with polynomials over control.per_unit; "
+        "default float32, with a budget the cheapest",
+    )
     degree: int = Field(default=_FIT.degree, ge=1, le=6, description="degree of the polynomials")
     segments: int = Field(default=_FIT.segments, ge=1, le=4, description="number of segments")
     breakpoint_mode: BreakpointMode = Field(
@@ -231,6 +238,7 @@ class FitSection(Section):
     loss_penalty: SmallShare | None = Field(
         default=None, description="budget: largest copper loss above the least, from 5 % torque up (write 0.1 %)"
     )
+    core: Core = Field(default=_FIT.core, description="whose cycles the choice by a budget counts")
     flash: ByteCount | None = Field(default=None, ge=8, le=100_000, description="budget: bytes of constants (256 B)")
 
 

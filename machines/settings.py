@@ -13,6 +13,8 @@ FluxAxes = Literal["magnet-d", "reluctance"]
 FluxScaling = Literal["peak", "rms", "power-invariant"]
 FitMethod = Literal["lagrange", "least-squares", "minimax"]
 FitForm = Literal["polynomial", "torque-exact", "closed-form"]
+NumberFormat = Literal["float32", "q15", "q31"]
+Core = Literal["cortex-m0plus", "cortex-m3", "cortex-m4", "cortex-m7", "cortex-m33"]
 BreakpointMode = Literal["shared", "own"]
 CurrentLoopMethod = Literal["bandwidth", "damping", "magnitude-optimum", "symmetrical-optimum", "given"]
 SpeedLoopMethod = Literal["bandwidth", "damping", "symmetrical-optimum", "given"]
@@ -53,7 +55,8 @@ class FitSettings:
 
     ``torque_max`` in N m is the end of the domain, or None for the largest torque that the current limit allows.
     ``breakpoints`` in N m are searched for when None; a given tuple has ``segments - 1`` ascending entries. With a
-    ``budget`` form, degree, segments and breakpoints are searched for.
+    ``budget`` form, degree, segments and breakpoints are searched for, and the format where that is None.
+    Cycles are those of ``core``. ``full_scale`` is what 1 stands for in fixed point: torque in N m and current in A.
     """
 
     form: FitForm = "torque-exact"
@@ -66,6 +69,9 @@ class FitSettings:
     torque_max: float | None = None
     breakpoints: tuple[float, ...] | None = None
     budget: FitBudget | None = None
+    format: NumberFormat | None = "float32"
+    full_scale: tuple[float, float] | None = None
+    core: Core = "cortex-m4"
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.synchronous import FloatArray, copper_loss
 from dqforge.optimizer.current_choice import CurrentChoice
+from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.single_precision import (
     MultiplyAdd,
     SingleArray,
@@ -114,7 +115,7 @@ class CurrentReference:
     form: Form
     torque_max: np.float32
 
-    def currents(self, torque: SingleArray, *, fused: bool = False) -> tuple[SingleArray, SingleArray]:
+    def currents(self, torque: NDArray[Any], *, fused: bool = False) -> tuple[SingleArray, SingleArray]:
         """(i_d, i_q) in A as the emitted C returns them, bit for bit, for any float32 torque in N m, shape (N,).
 
         NaN gives the reference of zero torque. ``fused`` models a compiler that contracts products and sums.
@@ -127,6 +128,23 @@ class CurrentReference:
             magnitude = np.where(np.isnan(magnitude), np.float32(0.0), magnitude)
             i_d, i_q = self.form.currents(magnitude, fused_multiply_add if fused else multiply_add)
             return i_d, np.where(torque < 0.0, -i_q, i_q)
+
+    def samples(self, count: int) -> SingleArray:
+        """Torques in [0, torque_max]: evenly and logarithmically spaced, and both neighbours of each breakpoint."""
+        end = self.torque_max
+        parts: list[NDArray[Any]] = [
+            np.linspace(0.0, float(end), count),
+            np.geomspace(1e-6, 1.0, count // 4) * float(end),
+        ]
+        for polynomial in (getattr(self.form, name, None) for name in ("d", "q")):
+            if isinstance(polynomial, SinglePolynomial):
+                edges = polynomial.starts[1:]
+                parts += [edges, np.nextafter(edges, np.float32(0.0))]
+        return np.unique(np.minimum(np.concatenate(parts).astype(np.float32), end))
+
+
+Reference = CurrentReference | FixedReference
+"""What the firmware evaluates: in floats, in N m and A, or in fixed point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,21 +186,10 @@ class ErrorCurves:
     voltage: FloatArray
 
 
-def sample_torques(reference: CurrentReference, count: int) -> SingleArray:
-    """Float32 torques in [0, torque_max]: evenly and logarithmically spaced, and both neighbours of each breakpoint."""
-    end = reference.torque_max
-    parts: list[NDArray[Any]] = [np.linspace(0.0, float(end), count), np.geomspace(1e-6, 1.0, count // 4) * float(end)]
-    for polynomial in (getattr(reference.form, name, None) for name in ("d", "q")):
-        if isinstance(polynomial, SinglePolynomial):
-            edges = polynomial.starts[1:]
-            parts += [edges, np.nextafter(edges, np.float32(0.0))]
-    return np.unique(np.minimum(np.concatenate(parts).astype(np.float32), end))
-
-
 def error_curves(
-    choice: CurrentChoice, reference: CurrentReference, torque: SingleArray, *, fused: bool = False
+    choice: CurrentChoice, reference: Reference, torque: NDArray[Any], *, fused: bool = False
 ) -> ErrorCurves:
-    """Compare the float32 reference with the exact strategy in double at torques >= 0, shape (N,)."""
+    """Compare the arithmetic of a reference with the exact strategy in double at torques >= 0 that it knows, (N,)."""
     machine = choice.machine
     i_d, i_q = (np.asarray(current, dtype=np.float64) for current in reference.currents(torque, fused=fused))
     request = np.asarray(torque, dtype=np.float64)
@@ -198,10 +205,11 @@ def error_curves(
     return ErrorCurves(request, i_d - exact_d, i_q - exact_q, produced - request, excess, relative, voltage)
 
 
-def reference_errors(choice: CurrentChoice, reference: CurrentReference, samples: int = 4000) -> ReferenceErrors:
+def reference_errors(choice: CurrentChoice, reference: Reference, samples: int = 4000) -> ReferenceErrors:
     """Largest errors of the reference over its domain, in the arithmetic of the emitted C (both contractions)."""
-    torque = sample_torques(reference, samples)
-    curves = [error_curves(choice, reference, torque, fused=fused) for fused in (False, True)]
+    torque = reference.samples(samples)
+    contractions = (False,) if isinstance(reference, FixedReference) else (False, True)
+    curves = [error_curves(choice, reference, torque, fused=fused) for fused in contractions]
     loaded = torque >= PENALTY_FROM * float(reference.torque_max)
 
     def worst(name: str) -> float:
@@ -218,5 +226,5 @@ def reference_errors(choice: CurrentChoice, reference: CurrentReference, samples
         loss_relative=max(float(np.max(curve.loss_relative[loaded])) for curve in curves),
         step_at_zero=float(np.hypot(rest_d[0], rest_q[0])),
         voltage_excess=None if choice.speed is None else max(taken / choice.speed.v_max - 1.0, 0.0),
-        samples=2 * torque.size,
+        samples=len(curves) * torque.size,
     )

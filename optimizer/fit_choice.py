@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.settings import FitBudget, FitForm, FitSettings
 from dqforge.optimizer.current_choice import CurrentChoice
-from dqforge.optimizer.current_reference import ClosedForm, CurrentReference, ReferenceErrors
+from dqforge.optimizer.current_reference import ClosedForm, Reference, ReferenceErrors
+from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.reference_fit import AXES, ReferenceFit, fit_reference, possible_forms
 from dqforge.optimizer.single_precision import SinglePolynomial
 
@@ -64,8 +65,18 @@ def constant_bytes(form: FitForm, degree: int, segments: int) -> int:
     return _FLOAT_BYTES * (floats + 1)
 
 
-def reference_bytes(reference: CurrentReference) -> int:
+def _fixed_bytes(reference: FixedReference) -> int:
+    """Bytes of the different integers of a reference in fixed point; constants are as wide as the products."""
+    segments = [s for polynomial in (reference.d, reference.q) if polynomial is not None for s in polynomial.segments]
+    words = {reference.end, *(segment.start for segment in segments), *(segment.leading for segment in segments)}
+    constants = {constant for segment in segments for constant in segment.constants}
+    return 4 * len(words - {0}) + reference.width // 4 * len(constants)
+
+
+def reference_bytes(reference: Reference) -> int:
     """Bytes of the different constants of a reference that is emitted, the end of its domain included."""
+    if isinstance(reference, FixedReference):
+        return _fixed_bytes(reference)
     constants = {float(reference.torque_max)}
     for name in reference.form.__dataclass_fields__:
         value = getattr(reference.form, name)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.settings import FitForm, FitMethod, FitSettings
+from dqforge.machines.settings import FitForm, FitMethod, FitSettings, NumberFormat
 from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
 from dqforge.optimizer.breakpoints import search
 from dqforge.optimizer.current_choice import CurrentChoice
@@ -18,12 +18,15 @@ from dqforge.optimizer.current_reference import (
     Form,
     Polynomials,
     Proportional,
+    Reference,
     ReferenceErrors,
     ReluctanceClosedForm,
     TorqueExact,
     reference_errors,
 )
 from dqforge.optimizer.fitting import Curve, SideConditions, fit_curve, largest_error, squared_error_integral
+from dqforge.optimizer.fixed_fit import CodeScale, fit_fixed
+from dqforge.optimizer.fixed_reference import FIXED_WIDTHS, FixedReference
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.single_precision import SinglePolynomial
 
@@ -37,7 +40,7 @@ class ReferenceFit:
 
     ``form`` is the name of the form that is emitted: one of the settings' names, or ``proportional`` where the exact
     reference is a straight line, or ``reluctance`` for the exact square root. ``d`` and ``q`` are the polynomials in
-    double, A over N m, where the form has them. ``errors`` are those of the float32 arithmetic.
+    double, A over N m, where the form has them. ``errors`` are those of the arithmetic of ``reference``.
     """
 
     settings: FitSettings
@@ -45,7 +48,7 @@ class ReferenceFit:
     torque_max: float
     d: PiecewisePolynomial | None
     q: PiecewisePolynomial | None
-    reference: CurrentReference
+    reference: Reference
     errors: ReferenceErrors
 
 
@@ -109,25 +112,28 @@ def _exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None
     return None
 
 
-def possible_forms(choice: CurrentChoice) -> tuple[FitForm, ...]:
-    """Forms that can hold the currents of a choice.
+def possible_forms(choice: CurrentChoice, number_format: NumberFormat = "float32") -> tuple[FitForm, ...]:
+    """Forms that can hold the currents of a choice in a number format.
 
-    ``torque-exact`` needs constant inductances and a magnet, ``closed-form`` the MTPA locus that these have.
+    ``torque-exact`` needs constant inductances and a magnet, ``closed-form`` the MTPA locus that these have. Fixed
+    point has polynomials only: it is for cores on which a division or a square root costs more than all the rest.
     """
     machine = choice.machine
-    if not isinstance(machine, LinearMachine):
+    if not isinstance(machine, LinearMachine) or number_format != "float32":
         return ("polynomial",)
     if machine.psi_pm == 0.0:
         return ("polynomial",) if choice.speed is not None else ("polynomial", "closed-form")
     return ("polynomial", "torque-exact") if choice.speed is not None else ("polynomial", "torque-exact", "closed-form")
 
 
-def _require_form(choice: CurrentChoice, form: FitForm) -> None:
-    possible = possible_forms(choice)
+def _require_form(choice: CurrentChoice, form: FitForm, number_format: NumberFormat) -> None:
+    possible = possible_forms(choice, number_format)
     if form in possible:
         return
     machine = choice.machine
-    if not isinstance(machine, LinearMachine):
+    if number_format != "float32":
+        reason = f"divides or takes a root, which {number_format} does not offer"
+    elif not isinstance(machine, LinearMachine):
         reason = "needs constant inductances, the machine is a flux map"
     elif form == "torque-exact":
         reason = "divides by the magnet torque, which this machine does not have"
@@ -180,10 +186,12 @@ def fit_reference(choice: CurrentChoice, settings: FitSettings) -> ReferenceFit:
         The torque domain needs more current or voltage than the limits, or the fit failed.
     """
     end = domain_end(choice, settings)
+    number_format = settings.format or "float32"
     exact = _exact_form(choice, settings.form)
     fits: dict[str, PiecewisePolynomial] = {}
+    if exact is None or exact[0] == "reluctance":
+        _require_form(choice, settings.form, number_format)
     if exact is None:
-        _require_form(choice, settings.form)
         if settings.breakpoints is not None and settings.breakpoints and settings.breakpoints[-1] >= end:
             raise InputError(f"fit.breakpoints must lie below the largest torque, {end:.4g} N m")
         fits = _fits(choice, settings, end)
@@ -191,7 +199,9 @@ def fit_reference(choice: CurrentChoice, settings: FitSettings) -> ReferenceFit:
         form = _assemble(choice.machine, settings.form, fits)
     else:
         name, form = exact
-    reference = CurrentReference(form, np.float32(end))
+    reference: Reference = CurrentReference(form, np.float32(end))
+    if number_format != "float32":
+        reference = _in_fixed_point(choice, settings, end, fits)
     return ReferenceFit(
         settings, name, end, fits.get("d"), fits.get("q"), reference, reference_errors(choice, reference)
     )
@@ -209,10 +219,60 @@ def _fits(choice: CurrentChoice, settings: FitSettings, end: float) -> dict[str,
     shifted = {axis: _less(curve, at_rest[axis]) for axis, curve in curves.items()}
     side = SideConditions(settings.exact_at_zero, settings.continuous)
     edges = find_edges(shifted, settings, end)
+    if settings.format in FIXED_WIDTHS:
+        scale = _code_scale(choice, settings, end)
+        edges = {axis: _on_codes(found, scale) for axis, found in edges.items()}
     fits = {
         axis: fit_curve(curve, edges[axis], settings.degree, settings.method, side) for axis, curve in shifted.items()
     }
     return {axis: _raised(fit, at_rest[axis]) for axis, fit in fits.items()}
+
+
+def _code_scale(choice: CurrentChoice, settings: FitSettings, end: float) -> CodeScale:
+    """Full scales of a fixed-point format, checked against what it must hold."""
+    if settings.full_scale is None or settings.format is None:
+        raise InputError(f"fit.format: {settings.format} needs the bases of torque and current; give full_scale")
+    torque_base, current_base = settings.full_scale
+    if end > torque_base * (1.0 + 1e-9):
+        raise InputError(
+            f"control.per_unit.torque: {torque_base:.4g} N m is full scale in {settings.format}, but the references go"
+            f" up to {end:.4g} N m; write torque: {_rounded_up(end)} N m, or a smaller fit.torque_max"
+        )
+    largest = float(np.max(np.abs(choice.currents(np.linspace(0.0, end, 101)))))
+    if largest > current_base * (1.0 + 1e-9):
+        raise InputError(
+            f"control.per_unit.current: {current_base:.4g} A is full scale in {settings.format}, but the references go"
+            f" up to {largest:.4g} A; write current: {_rounded_up(largest)} A, or a smaller fit.torque_max"
+        )
+    return CodeScale(torque_base, current_base, FIXED_WIDTHS[settings.format])
+
+
+def _rounded_up(value: float) -> str:
+    """Two significant digits, not below the value."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - 1.0)
+    return f"{np.ceil(value / unit * (1.0 - 1e-12)) * unit:.6g}"
+
+
+def _on_codes(edges: FloatArray, scale: CodeScale) -> FloatArray:
+    """Segment edges whose inner ones are whole codes."""
+    inner = [float(scale.arguments(np.array(scale.code(edge)))) for edge in edges[1:-1]]
+    return np.array([0.0, *inner, edges[-1]])
+
+
+def _in_fixed_point(
+    choice: CurrentChoice, settings: FitSettings, end: float, fits: dict[str, PiecewisePolynomial]
+) -> FixedReference:
+    """Integers of polynomials, or of the straight line where the exact reference is one."""
+    scale, curves = _code_scale(choice, settings, end), choice.curves(end)
+    machine = choice.machine
+    if not fits:
+        line = np.array([[0.0, 1.0 / machine.torque_per_ampere]])
+        fits = {"q": PiecewisePolynomial(np.array([0.0, end]), line)}
+    found = {
+        axis: fit_fixed(fit, curves[axis], scale, exact_at_zero=settings.exact_at_zero, continuous=settings.continuous)
+        for axis, fit in fits.items()
+    }
+    return FixedReference(found.get("d"), found["q"], scale.argument, scale.result)
 
 
 def _less(curve: Curve, constant: float) -> Curve:
@@ -234,6 +294,12 @@ def _fixed_breakpoints(fit: ReferenceFit) -> FitSettings:
     return replace(fit.settings, breakpoints=tuple(float(edge) for edge in polynomial.breakpoints))
 
 
+def _holds(fit: ReferenceFit, number_format: NumberFormat) -> bool:
+    """Whether the full scales hold what a fit goes up to; floats hold everything."""
+    scale = fit.settings.full_scale
+    return number_format == "float32" or (scale is not None and fit.torque_max <= scale[0] * (1.0 + 1e-9))
+
+
 def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative, ...]:
     """What other forms, methods and side conditions would give: one change at a time against ``fit``.
 
@@ -246,8 +312,14 @@ def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative,
     rows: list[tuple[str, FitSettings]] = []
     rows += [
         (f"form {form}", replace(fit.settings, form=form))
-        for form in possible_forms(choice)
+        for form in possible_forms(choice, fit.settings.format or "float32")
         if form != fit.settings.form and _exact_form(choice, form) is None
+    ]
+    formats: tuple[NumberFormat, ...] = ("float32", "q15", "q31")
+    rows += [
+        (f"format {other}", replace(fixed, format=other))
+        for other in formats
+        if other != fit.settings.format and fit.settings.form == "polynomial" and _holds(fit, other)
     ]
     methods: tuple[FitMethod, ...] = ("lagrange", "least-squares", "minimax")
     rows += [(f"method {method}", replace(fixed, method=method)) for method in methods if method != fixed.method]

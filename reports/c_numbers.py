@@ -52,3 +52,18 @@ def rounded_up(value: float, digits: int = 3) -> str:
 def hexadecimal_word(value: np.float32) -> str:
     """The 32 bits of a float as a C constant, such as ``0x3F800000U``."""
     return f"0x{int(np.float32(value).view(np.uint32)):08X}U"
+
+
+def int32_literal(value: int) -> str:
+    """An integer of 32 bits; the least one has no literal of its own, as the minus sign is an operator."""
+    return "(-2147483647 - 1)" if value == -(2**31) else str(int(value))
+
+
+def int32_addend(value: int) -> str:
+    """An integer of 32 bits behind a sum, with its sign as the operator."""
+    return f"+ {int32_literal(value)}" if value == -(2**31) else f"{'-' if value < 0 else '+'} {abs(int(value))}"
+
+
+def int64_literal(value: int) -> str:
+    """An integer of 64 bits as the constant macro of <stdint.h> makes it."""
+    return f"INT64_C({int(value)})" if value != -(2**63) else "(-INT64_C(9223372036854775807) - 1)"

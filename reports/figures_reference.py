@@ -10,7 +10,7 @@ import numpy as np
 from dqforge.machines.design import Design
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.synchronous import FloatArray, Machine
-from dqforge.optimizer.current_reference import PENALTY_FROM, ErrorCurves, error_curves, sample_torques
+from dqforge.optimizer.current_reference import PENALTY_FROM, ErrorCurves, error_curves
 from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, current_choice
 from dqforge.reports.figures_style import (
@@ -48,8 +48,8 @@ def breakpoints(fit: ReferenceFit) -> FloatArray:
 
 
 def sampled_errors(design: Design, fit: ReferenceFit) -> ErrorCurves:
-    """Errors of the reference in its float32 arithmetic, from zero to the end of its domain."""
-    return error_curves(current_choice(design), fit.reference, sample_torques(fit.reference, _SAMPLES))
+    """Errors of the reference in the arithmetic of the firmware, from zero to the end of its domain."""
+    return error_curves(current_choice(design), fit.reference, fit.reference.samples(_SAMPLES))
 
 
 def _at(fit: ReferenceFit, torque: FloatArray) -> tuple[FloatArray, FloatArray]:

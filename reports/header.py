@@ -5,37 +5,28 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.characteristics import voltage_limit
-from dqforge.optimizer.current_reference import CurrentReference, sample_torques
+from dqforge.optimizer.current_reference import Reference
 from dqforge.optimizer.fixed_point import to_q
+from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.gains import LoopGains, per_unit
-from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_numbers import rounded_up
-from dqforge.reports.labels import operation_text
+from dqforge.reports.reference_header import reference_context, vectors_context, vectors_template
 from dqforge.reports.reference_ir import PlainData, shortest, to_plain
 from dqforge.reports.templating import render
 
-_VECTOR_SEED = 20_260_501
-"""Seed of the random test vectors; any fixed number does."""
-
-_FORM_TEXT = {
-    "proportional": ("i_d = 0 and i_q proportional to the torque (exact)",),
-    "polynomial": ("i_d and i_q are polynomials of the torque",),
-    "torque-exact": (
-        "i_d is a polynomial of the torque; i_q is the torque over (magnet + slope i_d),",
-        "so the torque has no error but rounding",
+_COMPILING = {
+    "float32": (
+        "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated errors hold either way.",
+        "Plain C99 and C++11; sqrtf is the only library function that may be used.",
     ),
-    "closed-form": (
-        "i_q is a polynomial of the torque; i_d follows from it by the MTPA locus,",
-        "so the current lies on the optimum locus",
+    "fixed": (
+        "Plain C99 and C++11 in integers, no library function; right shifts must keep the sign (checked below).",
+        "No overflow for any torque: proven by interval analysis of every product, sum and result.",
     ),
-    "reluctance": ("i_q is a square root of the torque and |i_d| = |i_q| (exact)",),
 }
 
 
@@ -56,9 +47,20 @@ def _machine_group(solution: Solution) -> PlainData:
             _entry("L_Q_H", machine.l_q, f"q-axis inductance, H{rest}; decoupling v_d -= omega_e L_Q i_q"),
             _entry("PSI_PM_WB", machine.psi_pm, "magnet flux linkage, Wb (peak)"),
             _entry("CURRENT_MAX_A", solution.design.i_max, "current limit, A (peak)"),
-            _entry("TORQUE_MAX_NM", shortest(solution.fit.reference.torque_max), "end of the torque domain, N m"),
+            *_torque_limits(solution.fit.reference),
         ],
     }
+
+
+def _torque_limits(reference: Reference) -> list[PlainData]:
+    """End of the torque domain, and its code in fixed point."""
+    if not isinstance(reference, FixedReference):
+        return [_entry("TORQUE_MAX_NM", shortest(reference.torque_max), "end of the torque domain, N m")]
+    name, bits = reference.format.upper(), reference.width - 1
+    return [
+        _entry("TORQUE_MAX_NM", reference.torque_max, "end of the torque domain, N m"),
+        _entry(f"TORQUE_MAX_{name}", reference.end, f"the same over BASE_TORQUE_NM, times 2^{bits}"),
+    ]
 
 
 def _operation_group(solution: Solution) -> list[PlainData]:
@@ -181,72 +183,6 @@ def _observer_group(solution: Solution) -> list[PlainData]:
     return [group]
 
 
-def _ladders(plain: PlainData) -> list[list[PlainData]]:
-    """Branch ladders of the evaluator: one for both axes where they share their breakpoints, else one per axis."""
-    axes = [axis for axis in ("d", "q") if axis in plain]
-    starts = {axis: tuple(segment["start"] for segment in plain[axis]) for axis in axes}
-    groups = [axes] if len(set(starts.values())) == 1 else [[axis] for axis in axes]
-    ladders = []
-    for group in groups:
-        edges = starts[group[0]]
-        ladders.append(
-            [
-                {
-                    "start": start,
-                    "end": edges[index + 1] if index + 1 < len(edges) else plain["torque_max"],
-                    "polynomials": [(f"i_{axis}", plain[axis][index]["coefficients"]) for axis in group],
-                }
-                for index, start in enumerate(edges)
-            ]
-        )
-    return ladders if axes else []
-
-
-def error_text(solution: Solution) -> list[str]:
-    """What the current reference errs by, as lines of at most 110 characters."""
-    errors = solution.fit.errors
-    i_d, i_q, torque, loss = (rounded_up(value) for value in (errors.i_d, errors.i_q, errors.torque, errors.loss))
-    voltage = errors.voltage_excess
-    over = [] if voltage is None else [f"phase voltage at most {rounded_up(100.0 * voltage)} % above its limit."]
-    torque_percent, loss_percent = (rounded_up(100.0 * v) for v in (errors.torque_relative, errors.loss_relative))
-    return [
-        f"Largest errors found in {errors.samples} evaluations (single precision, with and without fused multiply-add;",
-        "sampled, not proven):",
-        f"i_d {i_d} A, i_q {i_q} A against the exact {solution.design.strategy} currents;",
-        f"torque {torque} N m ({torque_percent} % of the largest torque);",
-        f"copper loss {loss} W above the least ({loss_percent} % from 5 % torque up).",
-        *over,
-    ]
-
-
-def _reference_context(solution: Solution, plain: PlainData) -> PlainData:
-    fit, where = solution.fit, operation_text(solution.design)
-    shape = (
-        f"{fit.settings.method}, degree {fit.settings.degree}, {fit.settings.segments} segment(s) "
-        f"over 0 to {fit.torque_max:.6g} N m;"
-    )
-    has_polynomials = fit.d is not None or fit.q is not None
-    base_squared = (
-        {"base_squared": shortest(np.float32(plain["base"]) * np.float32(plain["base"]))} if "base" in plain else {}
-    )
-    return (
-        plain
-        | base_squared
-        | {
-            "uses_sqrt": plain["form"] in ("closed-form", "reluctance"),
-            "ladders": _ladders(plain),
-            "comment": [
-                "torque_Nm: torque in N m, clamped to +-TORQUE_MAX; i_d_A, i_q_A: currents in A (peak).",
-                "i_d is even and i_q odd in the torque; not-a-number gives the reference of zero torque.",
-                f"Strategy {solution.design.strategy}{f' at {where}' if where else ''}; form {plain['form']}:",
-                *_FORM_TEXT[plain["form"]],
-                *([shape] if has_polynomials else []),
-                *error_text(solution),
-            ],
-        }
-    )
-
-
 def _drive_text(design: Design) -> str:
     return (
         f"{design.machine.pole_pairs} pole pairs, {design.inverter.v_dc:.6g} V dc link, "
@@ -270,8 +206,7 @@ def header_context(solution: Solution) -> PlainData:
         "preamble": [
             _drive_text(design),
             "Units stand in the names and comments; angles in rad, dq quantities as peak of phase.",
-            "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated errors hold either way.",
-            "Plain C99 and C++11; sqrtf is the only library function that may be used.",
+            *_COMPILING["float32" if plain["format"] == "float32" else "fixed"],
         ],
         "groups": [
             _machine_group(solution),
@@ -280,36 +215,7 @@ def header_context(solution: Solution) -> PlainData:
             *_gain_groups(solution),
             *_observer_group(solution),
         ],
-        "reference": _reference_context(solution, plain),
-    }
-
-
-def vector_torques(reference: CurrentReference, count: int) -> SingleArray:
-    """Float32 torques of the test vectors: special values, breakpoints and neighbours, both signs, random ones."""
-    end = np.float32(reference.torque_max)
-    above = np.nextafter(end, np.float32(np.inf))
-    tiny = np.float32(1e-45)
-    special = np.array(
-        [0.0, -0.0, np.nan, np.inf, -np.inf, tiny, -tiny, 1e-38, end, -end, above, 1e30], dtype=np.float32
-    )
-    edges = sample_torques(reference, 9)
-    generator = np.random.default_rng(_VECTOR_SEED)
-    rest = max(count - special.size - 2 * edges.size, 0)
-    random = (generator.uniform(-1.05, 1.05, rest) * float(end)).astype(np.float32)
-    return np.concatenate([special, edges, -edges, random])
-
-
-def vectors_context(solution: Solution) -> PlainData:
-    """Test vectors beside the names that their header needs."""
-    design, reference = solution.design, solution.fit.reference
-    torque = vector_torques(reference, design.export.vectors)
-    i_d, i_q = reference.currents(torque)
-    return {
-        "prefix": design.export.prefix,
-        "macro": design.export.prefix.upper(),
-        "version": __version__,
-        "digest": design.digest,
-        "vectors": list(zip(torque, i_d, i_q, strict=True)),
+        "reference": reference_context(solution, plain),
     }
 
 
@@ -318,6 +224,6 @@ def header_files(solution: Solution) -> dict[str, bytes]:
     prefix = solution.design.export.prefix
     contents: dict[str, Any] = {
         f"{prefix}.h": render("header.h.j2", header_context(solution)),
-        f"{prefix}_vectors.h": render("vectors.h.j2", vectors_context(solution)),
+        f"{prefix}_vectors.h": render(vectors_template(solution.fit.reference), vectors_context(solution)),
     }
     return {name: text.encode("ascii") for name, text in contents.items()}

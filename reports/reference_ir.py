@@ -1,6 +1,7 @@
 """The current reference as plain data: what the header template prints and what `result.json` keeps.
 
-Every number is a float32 value written as a Python float, so that the shortest decimal of either reads back the same.
+Every number of a float form is a float32 value written as a Python float, so that the shortest decimal of either reads
+back the same; fixed point has integers.
 """
 
 from __future__ import annotations
@@ -18,9 +19,12 @@ from dqforge.optimizer.current_reference import (
     Form,
     Polynomials,
     Proportional,
+    Reference,
     ReluctanceClosedForm,
     TorqueExact,
 )
+from dqforge.optimizer.fixed_polynomial import FixedPolynomial, FixedSegment
+from dqforge.optimizer.fixed_reference import FIXED_WIDTHS, FixedReference
 from dqforge.optimizer.single_precision import SingleArray, SinglePolynomial
 
 PlainData = dict[str, Any]
@@ -38,9 +42,37 @@ def _segments(polynomial: SinglePolynomial) -> list[PlainData]:
     ]
 
 
-def to_plain(reference: CurrentReference) -> PlainData:
-    """Describe a reference by its form's name and its constants."""
-    plain: PlainData = {"torque_max": shortest(reference.torque_max)}
+def _fixed_segments(polynomial: FixedPolynomial | None) -> list[PlainData] | None:
+    if polynomial is None:
+        return None
+    return [
+        {
+            "start": segment.start,
+            "leading": segment.leading,
+            "steps": [list(step) for step in zip(segment.constants, segment.shifts, strict=True)],
+        }
+        for segment in polynomial.segments
+    ]
+
+
+def _fixed_plain(reference: FixedReference) -> PlainData:
+    """Integers as they are, the full scales as doubles."""
+    return {
+        "format": reference.format,
+        "form": "polynomial" if reference.d is not None else "proportional",
+        "torque_max": reference.end,
+        "torque_base": reference.torque_base,
+        "current_base": reference.current_base,
+        "d": _fixed_segments(reference.d),
+        "q": _fixed_segments(reference.q),
+    }
+
+
+def to_plain(reference: Reference) -> PlainData:
+    """Describe a reference by its number format, its form's name and its constants."""
+    if isinstance(reference, FixedReference):
+        return _fixed_plain(reference)
+    plain: PlainData = {"format": "float32", "torque_max": shortest(reference.torque_max)}
     match reference.form:
         case Proportional(gain):
             plain |= {"form": "proportional", "gain": shortest(gain)}
@@ -86,7 +118,46 @@ def _polynomial(plain: Mapping[str, Any], key: str) -> SinglePolynomial:
     return SinglePolynomial(starts, coefficients)
 
 
-def from_plain(plain: Mapping[str, Any]) -> CurrentReference:
+def _integer(plain: Any) -> int:
+    if isinstance(plain, bool) or not isinstance(plain, int):
+        raise TypeError(plain)
+    return plain
+
+
+def _fixed_polynomial(plain: Mapping[str, Any], key: str, width: int, end: int) -> FixedPolynomial:
+    fault = f"reference.{key} is not a list of segments in integers that cannot overflow; run the design again"
+    try:
+        segments = tuple(
+            FixedSegment(
+                _integer(row["start"]),
+                _integer(row["leading"]),
+                tuple(_integer(constant) for constant, _ in row["steps"]),
+                tuple(_integer(shift) for _, shift in row["steps"]),
+            )
+            for row in plain[key]
+        )
+    except (TypeError, ValueError, KeyError) as error:
+        raise InputError(fault) from error
+    starts = [segment.start for segment in segments]
+    ascends = starts[:1] == [0] and all(a < b for a, b in zip(starts, [*starts[1:], end + 1], strict=True))
+    shifts = [shift for segment in segments for shift in segment.shifts]
+    polynomial = FixedPolynomial(segments, width, end)
+    if not ascends or not shifts or not 0 <= min(shifts) <= max(shifts) < 2 * width or polynomial.overflows():
+        raise InputError(fault)
+    return polynomial
+
+
+def _fixed_reference(plain: Mapping[str, Any], width: int) -> FixedReference:
+    bases = [float(_number(plain, key)) for key in ("torque_base", "current_base")]
+    end = plain.get("torque_max")
+    if min(bases) <= 0.0 or isinstance(end, bool) or not isinstance(end, int) or not 0 < end < 2 ** (width - 1):
+        raise InputError("reference.torque_max, torque_base or current_base is out of range; run the design again")
+    d = None if plain.get("d") is None else _fixed_polynomial(plain, "d", width, end)
+    # The bases are kept in double: they scale what is shown, not what the firmware computes.
+    return FixedReference(d, _fixed_polynomial(plain, "q", width, end), plain["torque_base"], plain["current_base"])
+
+
+def from_plain(plain: Mapping[str, Any]) -> Reference:
     """Read a reference back.
 
     Raises
@@ -94,6 +165,9 @@ def from_plain(plain: Mapping[str, Any]) -> CurrentReference:
     InputError
         The data are not what `to_plain` makes; it names the entry.
     """
+    number_format = plain.get("format", "float32")
+    if number_format in FIXED_WIDTHS:
+        return _fixed_reference(plain, FIXED_WIDTHS[number_format])
     sign = 1 if plain.get("sign", 1) == 1 else -1
     form: Form
     match plain.get("form"):

@@ -6,7 +6,15 @@ from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from dqforge.reports.c_numbers import addend, comment_text, float_literal, hexadecimal_word
+from dqforge.reports.c_numbers import (
+    addend,
+    comment_text,
+    float_literal,
+    hexadecimal_word,
+    int32_addend,
+    int32_literal,
+    int64_literal,
+)
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -24,7 +32,15 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
         autoescape=lambda name: name is not None and ".html" in name,
     )
-    environment.filters.update(f32=float_literal, addend=addend, comment=comment_text, word=hexadecimal_word)
+    environment.filters.update(
+        f32=float_literal,
+        addend=addend,
+        comment=comment_text,
+        word=hexadecimal_word,
+        int32=int32_literal,
+        int32_addend=int32_addend,
+        int64=int64_literal,
+    )
     return environment
 
 

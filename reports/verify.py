@@ -8,19 +8,22 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqforge.machines.entries import EntryError
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.identifiers import check_prefix
-from dqforge.optimizer.current_reference import CurrentReference
+from dqforge.optimizer.current_reference import CurrentReference, Reference
+from dqforge.optimizer.fixed_polynomial import CodeArray
+from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.phase_reference import PhaseReference
 from dqforge.optimizer.single_precision import SingleArray
-from dqforge.reports.header import vector_torques
+from dqforge.reports.reference_header import vector_codes, vector_torques
 from dqforge.reports.reference_ir import from_plain
 from dqforge.reports.templating import render
 from dqforge.reports.waveform_header import model_currents, phase_reference_from, waveform_inputs
@@ -86,6 +89,16 @@ def sweep_torques(reference: CurrentReference, count: int = _SWEEP_POINTS) -> Si
     return np.concatenate([across, patterns])
 
 
+def sweep_codes(reference: FixedReference, count: int = _SWEEP_POINTS) -> CodeArray:
+    """All codes of 16 bits, or so many random ones of 32 bits, half of them inside the domain."""
+    most = 2 ** (reference.width - 1)
+    if reference.width <= 16:
+        return np.arange(-most, most)
+    generator = np.random.default_rng(_SWEEP_SEED)
+    inside = generator.integers(-reference.end, reference.end + 1, count // 2)
+    return np.concatenate([inside, generator.integers(-most, most, count - inside.size)])
+
+
 def _execute(
     command: list[str], what: str, *, cwd: Path | None = None, content: bytes = b""
 ) -> subprocess.CompletedProcess[bytes]:
@@ -126,23 +139,24 @@ def _compile(compiler: Compiler, program: str, folder: Path) -> Path:
     return target
 
 
-def _run(program: Path, inputs: SingleArray, width: int, standard: str) -> SingleArray:
-    """Results of the compiled evaluator for inputs of shape (N,) or (N, M), shape (N, width)."""
+def _run(program: Path, inputs: NDArray[Any], model: NDArray[Any], standard: str) -> NDArray[Any]:
+    """Results of the compiled evaluator for inputs of shape (N,) or (N, M), of the shape and type of the model."""
     done = _execute([str(program)], f"the compiled {standard} program", content=inputs.tobytes())
-    if done.returncode not in (0, 1) or len(done.stdout) != 4 * width * inputs.shape[0]:
+    if done.returncode not in (0, 1) or len(done.stdout) != model.nbytes:
         raise VerificationError(f"the compiled {standard} program stopped with exit code {done.returncode}")
     if done.returncode == 1:
         raise VerificationError(f"compiled as {standard}, the header does not give the results of its test vectors")
-    return np.frombuffer(done.stdout, dtype=np.float32).reshape(-1, width)
+    return np.frombuffer(done.stdout, dtype=model.dtype).reshape(model.shape)
 
 
-def _compare(compiled: SingleArray, inputs: SingleArray, model: SingleArray, standard: str) -> None:
-    differing = np.any(compiled.view(np.uint32) != np.ascontiguousarray(model).view(np.uint32), axis=1)
+def _compare(compiled: NDArray[Any], inputs: NDArray[Any], model: NDArray[Any], standard: str) -> None:
+    bits = np.dtype(f"u{model.dtype.itemsize}")
+    differing = np.any(compiled.view(bits) != np.ascontiguousarray(model).view(bits), axis=1)
     if differing.any():
         first = int(np.argmax(differing))
         raise VerificationError(
-            f"compiled as {standard}, {int(differing.sum())} of {inputs.shape[0]} results differ from the float32"
-            f" model; first at torque {inputs[first]!s} N m: C gives {compiled[first].tolist()},"
+            f"compiled as {standard}, {int(differing.sum())} of {inputs.shape[0]} results differ from the"
+            f" {model.dtype} model; first at torque {inputs[first]!s}: C gives {compiled[first].tolist()},"
             f" model {model[first].tolist()}"
         )
 
@@ -152,18 +166,33 @@ class _Programme:
     """A harness with its inputs, shape (N,) or (N, M), and what it must return, shape (N, width)."""
 
     template: str
-    inputs: SingleArray
-    model: SingleArray
+    inputs: NDArray[Any]
+    model: NDArray[Any]
+    context: dict[str, Any] = field(default_factory=dict)
+
+
+def _reference_programme(reference: Reference, vectors: int) -> tuple[_Programme, int]:
+    """The harness of the current reference with its inputs, and how many of these are test vectors."""
+    if isinstance(reference, FixedReference):
+        chosen = vector_codes(reference, vectors)
+        codes = np.concatenate([chosen, sweep_codes(reference)])
+        number = np.dtype(f"i{reference.width // 8}")
+        context = {"width": reference.width, "format": reference.format}
+        results = np.stack(reference.codes(codes), axis=1).astype(number)
+        return _Programme("fixed_harness.c.j2", codes.astype(number), results, context), chosen.size
+    special = vector_torques(reference, vectors)
+    torque = np.concatenate([special, sweep_torques(reference)])
+    return _Programme("harness.c.j2", torque, np.stack(reference.currents(torque), axis=1)), special.size
 
 
 def verify_files(
     files: Mapping[str, bytes],
     prefix: str,
-    reference: CurrentReference,
+    reference: Reference,
     vectors: int,
     phases: PhaseReference | None = None,
 ) -> Verification:
-    """Compile a header and its vectors as C99 and as C++11, run both, and compare every bit with the float32 model.
+    """Compile a header and its vectors as C99 and as C++11, run both, and compare every bit with the model.
 
     Parameters
     ----------
@@ -183,8 +212,8 @@ def verify_files(
     VerificationError
         No C compiler is there, the header does not compile, or a result differs.
     """
-    torque = np.concatenate([vector_torques(reference, vectors), sweep_torques(reference)])
-    programmes = [_Programme("harness.c.j2", torque, np.stack(reference.currents(torque), axis=1))]
+    programme, chosen = _reference_programme(reference, vectors)
+    programmes = [programme]
     if phases is not None:
         inputs = waveform_inputs(phases, _SWEEP_POINTS, _SWEEP_SEED)
         programmes.append(_Programme("waveform_harness.c.j2", inputs, model_currents(phases, inputs)))
@@ -199,16 +228,16 @@ def verify_files(
                 checks.append(Check(compiler.standard, 0, compiler.package))
                 continue
             for part in programmes:
-                harness = render(part.template, {"prefix": prefix, "macro": prefix.upper()})
+                harness = render(part.template, {"prefix": prefix, "macro": prefix.upper()} | part.context)
                 (folder / "harness.c").write_text(harness, encoding="ascii")
                 built = _compile(compiler, program, folder)
-                compiled = _run(built, part.inputs, part.model.shape[1], compiler.standard)
+                compiled = _run(built, part.inputs, part.model, compiler.standard)
                 _compare(compiled, part.inputs, part.model, compiler.standard)
             checks.append(Check(compiler.standard, sum(part.inputs.shape[0] for part in programmes)))
     if checks[0].missing:
         raise VerificationError("no C compiler found: install the Debian package gcc, or give --no-verify")
-    waveform = sum(part.inputs.shape[0] for part in programmes[1:])
-    return Verification(torque.size - _SWEEP_POINTS, _SWEEP_POINTS + waveform, tuple(checks))
+    compared = sum(part.inputs.shape[0] for part in programmes)
+    return Verification(chosen, compared - chosen, tuple(checks))
 
 
 def _read(path: Path) -> bytes:
@@ -244,7 +273,7 @@ class WrittenHeaders:
 
     files: dict[str, bytes]
     prefix: str
-    reference: CurrentReference
+    reference: Reference
     vectors: int
     phases: PhaseReference | None
 

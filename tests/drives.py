@@ -20,6 +20,8 @@ from dqforge.machines.settings import (
     WaveformSettings,
 )
 from dqforge.machines.synchronous import LinearMachine
+from dqforge.optimizer.current_reference import CurrentReference
+from dqforge.optimizer.reference_fit import ReferenceFit
 
 IPM = LinearMachine(
     pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0, inertia=0.05, omega_m_max=942.478
@@ -66,3 +68,9 @@ def make_design(
         assumptions=(),
         digest="ab" * 32,
     )
+
+
+def in_floats(fit: ReferenceFit) -> CurrentReference:
+    """The reference of a fit that is known to be in single precision."""
+    assert isinstance(fit.reference, CurrentReference)
+    return fit.reference

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE
+from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, in_floats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
@@ -15,7 +15,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.settings import FitForm, FitSettings
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.current_choice import CurrentChoice
-from dqforge.optimizer.current_reference import error_curves, sample_torques
+from dqforge.optimizer.current_reference import error_curves
 from dqforge.optimizer.reference_fit import ReferenceFit, alternatives, fit_reference
 
 FORMS: list[FitForm] = ["polynomial", "torque-exact", "closed-form"]
@@ -194,7 +194,7 @@ def test_stated_errors_cover_both_contractions() -> None:
             choice = CurrentChoice(machine, "mtpa", machine.i_max)
             breakpoint_ = 0.4 * CurrentChoice(machine, "mtpa", 40.0).largest_torque()
             fit = fitted(machine, degree=degree, method="lagrange", breakpoints=(breakpoint_,))
-            torque = sample_torques(fit.reference, 4000)
+            torque = in_floats(fit).samples(4000)
             separate, fused = (
                 float(np.max(np.abs(error_curves(choice, fit.reference, torque, fused=way).torque_error)))
                 for way in (False, True)

@@ -10,15 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, make_design
+from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, in_floats, make_design
 
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.settings import FitSettings
 from dqforge.machines.synchronous import LinearMachine
-from dqforge.optimizer.current_reference import CurrentReference, TorqueExact, sample_torques
+from dqforge.optimizer.current_reference import CurrentReference, TorqueExact
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.header import header_files, vector_torques
+from dqforge.reports.header import header_files
+from dqforge.reports.reference_header import vector_torques
 from dqforge.reports.reference_ir import from_plain, to_plain
 from dqforge.reports.verify import WARNINGS, sweep_torques, verify_files
 
@@ -52,9 +53,10 @@ def test_every_form_compiles_and_equals_the_model_bit_for_bit(solution: Solution
 
 
 def test_reference_survives_plain_data(solution: Solution) -> None:
-    reference = solution.fit.reference
+    reference = in_floats(solution.fit)
     again = from_plain(to_plain(reference))
-    torque = sample_torques(reference, 500)
+    assert isinstance(again, CurrentReference)
+    torque = reference.samples(500)
     for left, right in zip(again.currents(torque), reference.currents(torque), strict=True):
         np.testing.assert_array_equal(left.view(np.uint32), right.view(np.uint32))
 
@@ -95,8 +97,8 @@ def has_fma() -> bool:
 def test_stated_errors_hold_with_fused_multiply_add(solution: Solution, tmp_path: Path) -> None:
     """Compiled with contraction, the result keeps the stated errors; with FMA instructions it is the fused model."""
     flags = ["-std=gnu99", "-O2", "-ffp-contract=fast", *(["-mfma"] if has_fma() else [])]
-    reference = solution.fit.reference
-    torque = sample_torques(reference, 4000)
+    reference = in_floats(solution.fit)
+    torque = reference.samples(4000)
     currents = compiled_currents(tmp_path, header_files(solution)["drive.h"], torque, flags).astype(np.float64)
     machine, errors = solution.design.machine, solution.fit.errors
     produced = machine.torque(currents[:, 0], currents[:, 1])
@@ -109,7 +111,7 @@ def test_stated_errors_hold_with_fused_multiply_add(solution: Solution, tmp_path
 @pytest.mark.parametrize("level", ["-O0", "-Os", "-O3"])
 def test_optimisation_level_changes_no_bit(level: str, tmp_path: Path) -> None:
     found = solve(make_design())
-    torque = vector_torques(found.fit.reference, 500)
+    torque = vector_torques(in_floats(found.fit), 500)
     compiled = compiled_currents(
         tmp_path, header_files(found)["drive.h"], torque, ["-std=c99", level, "-ffp-contract=off"]
     )
@@ -122,7 +124,7 @@ def test_unused_header_makes_no_warning_and_sanitizers_find_nothing(solution: So
     (tmp_path / "drive.h").write_bytes(header)
     (tmp_path / "unused.c").write_text('#include "drive.h"\nint main(void) { return 0; }\n')
     subprocess.run(["gcc", "-std=c99", *WARNINGS, "-Wshadow", "-Wundef", "-c", "unused.c"], cwd=tmp_path, check=True)
-    torque = sweep_torques(solution.fit.reference, 4000)
+    torque = sweep_torques(in_floats(solution.fit), 4000)
     flags = ["-std=c99", "-O1", "-ffp-contract=off", "-fsanitize=undefined", "-fno-sanitize-recover=all"]
     compiled = compiled_currents(tmp_path, header, torque, flags)
     model = np.stack(solution.fit.reference.currents(torque), axis=1)
@@ -142,7 +144,7 @@ def found() -> Solution:
 
 def test_verification_sees_a_change_of_one_unit_in_the_last_place(found: Solution) -> None:
     files = header_files(found)
-    reference = found.fit.reference
+    reference = in_floats(found.fit)
     for pattern, replacement in (
         (rb"i_q = t / \(-0\.001452F", b"i_q = t / (-0.0014520001F"),
         (rb"-i_q : i_q", b"i_q : i_q"),
@@ -161,7 +163,7 @@ def test_verification_sees_vectors_that_were_changed_with_the_header(found: Solu
 
 def test_verification_sees_a_difference_in_one_of_the_currents(found: Solution) -> None:
     """Only i_q depends on the magnet torque: here the model has it one unit in the last place larger."""
-    reference = found.fit.reference
+    reference = in_floats(found.fit)
     assert isinstance(reference.form, TorqueExact)
     form = replace(reference.form, magnet=np.nextafter(reference.form.magnet, np.float32(np.inf)))
     with pytest.raises(VerificationError, match="results differ from the float32 model"):
@@ -259,7 +261,7 @@ def test_damaged_plain_data_are_refused(found: Solution, damage: dict[str, objec
 
 
 def test_vectors_hold_the_special_cases(found: Solution) -> None:
-    reference: CurrentReference = found.fit.reference
+    reference = in_floats(found.fit)
     torque = vector_torques(reference, 256)
     assert torque.size == 256
     assert np.isnan(torque).any()

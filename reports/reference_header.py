@@ -1,0 +1,199 @@
+"""What the header says of the current reference, and the test vectors beside it, as plain data for the templates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dqforge import __version__
+from dqforge.optimizer.current_reference import CurrentReference, Reference
+from dqforge.optimizer.fixed_polynomial import CodeArray
+from dqforge.optimizer.fixed_reference import FixedReference
+from dqforge.optimizer.single_precision import SingleArray
+from dqforge.optimizer.solution import Solution
+from dqforge.reports.c_numbers import rounded_up
+from dqforge.reports.labels import operation_text
+from dqforge.reports.reference_ir import PlainData, shortest
+
+_VECTOR_SEED = 20_260_501
+"""Seed of the random test vectors; any fixed number does."""
+
+_FORM_TEXT = {
+    "proportional": ("i_d = 0 and i_q proportional to the torque (exact)",),
+    "polynomial": ("i_d and i_q are polynomials of the torque",),
+    "torque-exact": (
+        "i_d is a polynomial of the torque; i_q is the torque over (magnet + slope i_d),",
+        "so the torque has no error but rounding",
+    ),
+    "closed-form": (
+        "i_q is a polynomial of the torque; i_d follows from it by the MTPA locus,",
+        "so the current lies on the optimum locus",
+    ),
+    "reluctance": ("i_q is a square root of the torque and |i_d| = |i_q| (exact)",),
+}
+
+
+def _ladders(plain: PlainData, saturates: dict[str, bool]) -> list[list[PlainData]]:
+    """Branch ladders of the evaluator: one for both axes where they share their breakpoints, else one per axis."""
+    axes = [axis for axis in ("d", "q") if plain.get(axis) is not None]
+    starts = {axis: tuple(segment["start"] for segment in plain[axis]) for axis in axes}
+    groups = [axes] if len(set(starts.values())) == 1 else [[axis] for axis in axes]
+    ladders = []
+    is_float = plain["format"] == "float32"
+    for group in groups:
+        edges = starts[group[0]]
+        ladders.append(
+            [
+                {
+                    "start": start,
+                    "end": edges[index + 1] if index + 1 < len(edges) else plain["torque_max"],
+                    "polynomials": [
+                        (f"i_{axis}", plain[axis][index]["coefficients"])
+                        if is_float
+                        else (axis, plain[axis][index], saturates[axis])
+                        for axis in group
+                    ],
+                }
+                for index, start in enumerate(edges)
+            ]
+        )
+    return ladders if axes else []
+
+
+def _arithmetic(reference: Reference) -> str:
+    if isinstance(reference, FixedReference):
+        return f"integers as emitted{', all codes of the torque' if reference.width <= 16 else ''}"
+    return "single precision, with and without fused multiply-add"
+
+
+def error_text(solution: Solution) -> list[str]:
+    """What the current reference errs by, as lines of at most 110 characters."""
+    errors = solution.fit.errors
+    i_d, i_q, torque, loss = (rounded_up(value) for value in (errors.i_d, errors.i_q, errors.torque, errors.loss))
+    voltage = errors.voltage_excess
+    over = [] if voltage is None else [f"phase voltage at most {rounded_up(100.0 * voltage)} % above its limit."]
+    torque_percent, loss_percent = (rounded_up(100.0 * v) for v in (errors.torque_relative, errors.loss_relative))
+    return [
+        f"Largest errors found in {errors.samples} evaluations ({_arithmetic(solution.fit.reference)};",
+        "sampled, not proven):",
+        f"i_d {i_d} A, i_q {i_q} A against the exact {solution.design.strategy} currents;",
+        f"torque {torque} N m ({torque_percent} % of the largest torque);",
+        f"copper loss {loss} W above the least ({loss_percent} % from 5 % torque up).",
+        *over,
+    ]
+
+
+def _saturates(reference: Reference) -> dict[str, bool]:
+    """Which polynomials of a fixed-point reference need saturation."""
+    if not isinstance(reference, FixedReference):
+        return {}
+    return {axis: p.saturates() for axis, p in (("d", reference.d), ("q", reference.q)) if p is not None}
+
+
+def _argument_text(reference: Reference) -> list[str]:
+    """What goes in and comes out, in its units."""
+    if not isinstance(reference, FixedReference):
+        return [
+            "torque_Nm: torque in N m, clamped to +-TORQUE_MAX; i_d_A, i_q_A: currents in A (peak).",
+            "i_d is even and i_q odd in the torque; not-a-number gives the reference of zero torque.",
+        ]
+    name, one = reference.format.upper(), f"2^{reference.width - 1}"
+    saturated = any(_saturates(reference).values())
+    return [
+        f"torque: {one} codes are BASE_TORQUE_NM, clamped to +-TORQUE_MAX_{name};",
+        f"i_d, i_q: {one} codes are BASE_CURRENT_A (peak){', saturated to the largest code' if saturated else ''}.",
+        "i_d is even and i_q odd in the torque. Each step of Horner's rule has its own scale; its constant holds",
+        "half of the last place that the shift leaves, so that every step rounds to nearest.",
+    ]
+
+
+def reference_context(solution: Solution, plain: PlainData) -> PlainData:
+    """Ladders, comment and constants of the evaluator for the header's template."""
+    fit, where = solution.fit, operation_text(solution.design)
+    shape = (
+        f"{fit.settings.method}, degree {fit.settings.degree}, {fit.settings.segments} segment(s) "
+        f"over 0 to {fit.torque_max:.6g} N m;"
+    )
+    has_polynomials = fit.d is not None or fit.q is not None
+    base_squared = (
+        {"base_squared": shortest(np.float32(plain["base"]) * np.float32(plain["base"]))} if "base" in plain else {}
+    )
+    return (
+        plain
+        | base_squared
+        | {
+            **_fixed_context(fit.reference),
+            "uses_sqrt": plain["form"] in ("closed-form", "reluctance"),
+            "ladders": _ladders(plain, _saturates(fit.reference)),
+            "comment": [
+                *_argument_text(fit.reference),
+                f"Strategy {solution.design.strategy}{f' at {where}' if where else ''}; form {plain['form']}:",
+                *_FORM_TEXT[plain["form"]],
+                *([shape] if has_polynomials else []),
+                *error_text(solution),
+            ],
+        }
+    )
+
+
+def _fixed_context(reference: Reference) -> PlainData:
+    """What only the templates of fixed point ask for."""
+    if not isinstance(reference, FixedReference):
+        return {}
+    return {"width": reference.width, "largest": reference.q.largest, "has_d": reference.d is not None}
+
+
+def vectors_template(reference: Reference) -> str:
+    """Template of the test vectors."""
+    return "fixed_vectors.h.j2" if isinstance(reference, FixedReference) else "vectors.h.j2"
+
+
+def vector_codes(reference: FixedReference, count: int) -> CodeArray:
+    """Codes of the test vectors: the ends of the type and of the domain, breakpoints, both signs, random ones."""
+    most = 2 ** (reference.width - 1)
+    edges = [start + offset for start in (*reference.starts, reference.end) for offset in (-1, 0, 1)]
+    even = np.linspace(0, reference.end, 33).astype(np.int64)
+    special = np.unique(np.clip(np.concatenate([[0, 1, most - 1, most], edges, even]), 0, most))
+    generator = np.random.default_rng(_VECTOR_SEED)
+    random = generator.integers(-most, most, max(count - 2 * special.size, 0))
+    return np.concatenate([np.minimum(special, most - 1), -special, random]).astype(np.int64)
+
+
+def vector_torques(reference: CurrentReference, count: int) -> SingleArray:
+    """Float32 torques of the test vectors: special values, breakpoints and neighbours, both signs, random ones."""
+    end = np.float32(reference.torque_max)
+    above = np.nextafter(end, np.float32(np.inf))
+    tiny = np.float32(1e-45)
+    special = np.array(
+        [0.0, -0.0, np.nan, np.inf, -np.inf, tiny, -tiny, 1e-38, end, -end, above, 1e30], dtype=np.float32
+    )
+    edges = reference.samples(9)
+    generator = np.random.default_rng(_VECTOR_SEED)
+    rest = max(count - special.size - 2 * edges.size, 0)
+    random = (generator.uniform(-1.05, 1.05, rest) * float(end)).astype(np.float32)
+    return np.concatenate([special, edges, -edges, random])
+
+
+def vectors_context(solution: Solution) -> PlainData:
+    """Test vectors beside the names that their header needs."""
+    design, reference = solution.design, solution.fit.reference
+    context: PlainData = {}
+    if isinstance(reference, FixedReference):
+        inputs, results = fixed_vectors(reference, design.export.vectors)
+        rows = np.concatenate([inputs[:, np.newaxis], results], axis=1).tolist()
+        context = {"reference": {"width": reference.width, "format": reference.format}}
+    else:
+        torque = vector_torques(reference, design.export.vectors)
+        rows = list(zip(torque, *reference.currents(torque), strict=True))
+    return context | {
+        "prefix": design.export.prefix,
+        "macro": design.export.prefix.upper(),
+        "version": __version__,
+        "digest": design.digest,
+        "vectors": rows,
+    }
+
+
+def fixed_vectors(reference: FixedReference, count: int) -> tuple[CodeArray, CodeArray]:
+    """Codes of the torque, shape (N,), and what the model makes of them, shape (N, 2)."""
+    codes = vector_codes(reference, count)
+    return codes, np.stack(reference.codes(codes), axis=1)
