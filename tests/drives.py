@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from dqforge.machines.design import Design
 from dqforge.machines.inverter import Inverter, SwitchDevice
 from dqforge.machines.machine_loss import NO_EXTRA_LOSS
@@ -60,7 +62,7 @@ def make_design(
         inverter=Inverter(500.0, 100e3, MOSFET, 64.0),
         control=control,
         operation=OperationSettings(strategy),
-        fit=fit if fit is not None else FitSettings(),
+        fit=replace(fit if fit is not None else FitSettings(), full_scale=(240.0, machine.i_max)),
         losses=losses,
         waveform=WaveformSettings(),
         export=ExportSettings(prefix, vectors),
