@@ -151,7 +151,7 @@ def _comment(fit: WeakeningFit) -> list[str]:
     return [
         "torque_Nm: torque in N m, either sign, held to what the flux linkage and the current limit allow.",
         "flux_Wb: available flux linkage in Wb, largest phase-voltage amplitude over |electrical speed| in rad/s;",
-        "the drop over the phase resistance is neglected: take r_s times the current off the voltage where it matters.",
+        "the drop over the phase resistance is neglected: take r_s times the current off the voltage, which is always safe.",
         "It is clamped to FLUX_MIN and FLUX_MAX; infinity, at standstill, is as good as FLUX_MAX.",
         "i_d_A, i_q_A: current references in A (peak). Not-a-number as torque gives no torque; as flux linkage",
         "no torque at FLUX_MIN, which keeps the voltage limit at every speed up to the largest.",

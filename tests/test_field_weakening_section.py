@@ -15,8 +15,9 @@ from dqforge.machines.loader import load_text
 from dqforge.machines.settings import WeakeningSettings
 from dqforge.optimizer.solution import solve_weakening
 from dqforge.reports.files import write_all
-from dqforge.reports.run import export_design
+from dqforge.reports.run import export_design, run_design
 from dqforge.reports.verify import read_folder, verify_folder
+from dqforge.reports.weakening_tables import weakening_tables
 
 LIBRARY = Path(__file__).resolve().parents[1] / "machines" / "library"
 RPM = math.pi / 30.0
@@ -113,3 +114,19 @@ def test_a_damaged_result_is_refused(damage: object, tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text(json.dumps(document), encoding="ascii")
     with pytest.raises(InputError, match="weakening_header is not what dqforge writes"):
         read_folder(tmp_path)
+
+
+def test_report_and_tables_show_errors_and_the_trials() -> None:
+    output = run_design(design("{}"), verify=False)
+    fit = output.solution.weakening
+    assert fit is not None
+    page = output.files["report.html"].decode("utf-8")
+    assert page.count('id="weakening"') == 1
+    assert "Errors of torque and voltage over flux linkage and torque" in page  # description of the figure
+    assert "ipm100_weakening_reference" in page
+    (table,) = weakening_tables(fit)
+    assert len(table.rows) == len(fit.trials)
+    assert table.rows[-1][2] == str(fit.reference.coefficients)
+    assert weakening_tables(None) == []
+    plain = load_text((LIBRARY / "paper000-ipmsm-100kw.yaml").read_bytes(), "design.yaml")
+    assert 'id="weakening"' not in run_design(plain, verify=False).files["report.html"].decode("utf-8")
