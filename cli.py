@@ -148,12 +148,13 @@ def run(design: DesignArgument, out: OutOption = Path("out"), no_verify: NoVerif
     from dqforge.reports.files import write_all
     from dqforge.reports.run import run_design
     from dqforge.reports.tables import run_tables
+    from dqforge.reports.weakening_tables import weakening_tables
 
     loaded = _load(design)
     with status("solving, emitting, compiling and comparing"):
         output = run_design(loaded, verify=not no_verify)
     paths = write_all(out, output.files)
-    _show(run_tables(output.solution, output.verification))
+    _show([*weakening_tables(output.solution.weakening), *run_tables(output.solution, output.verification)])
     typer.echo("written: " + " ".join(str(path) for path in paths))
 
 
@@ -239,24 +240,33 @@ def mtpa(
 def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = None) -> None:
     """Fit the current references and show their errors beside the alternatives."""
     from dqforge.optimizer.reference_fit import alternatives
-    from dqforge.optimizer.solution import current_choice, solve_fit
+    from dqforge.optimizer.solution import current_choice, solve_fit, solve_weakening
     from dqforge.reports.console import status
-    from dqforge.reports.result_json import plain_fit
+    from dqforge.reports.result_json import plain_fit, plain_weakening_fit
     from dqforge.reports.tables import fit_tables
+    from dqforge.reports.weakening_tables import weakening_tables
 
     loaded = _load_for(design, plot)
     with status("fitting"):
         chosen = solve_fit(loaded)
         found = chosen.fit
         rows = alternatives(current_choice(loaded), found)
+        weakening = solve_weakening(loaded)
     if plot is not None:
         from dqforge.reports.figures import plot_fit
 
         _plot(lambda: plot_fit(loaded, found), plot)
     if json:
-        _print_json("fit", loaded.name, {"fit": plain_fit(found, rows, chosen.trials)})
+        _print_json(
+            "fit",
+            loaded.name,
+            {
+                "fit": plain_fit(found, rows, chosen.trials),
+                "weakening": plain_weakening_fit(weakening),
+            },
+        )
     else:
-        _show(fit_tables(loaded, found, rows, chosen.trials))
+        _show([*fit_tables(loaded, found, rows, chosen.trials), *weakening_tables(weakening)])
 
 
 @app.command()

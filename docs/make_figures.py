@@ -12,6 +12,7 @@ import figures_gains
 import figures_losses
 import figures_operating_points
 import figures_waveforms
+import figures_weakening
 
 from dqforge.machines import catalogue
 from dqforge.optimizer.solution import solve_curves, solve_fit
@@ -33,6 +34,7 @@ def main() -> None:
     figures_losses.loss_comparison(folder / "loss-comparison.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")
+    figures_weakening.weakening_errors(folder / "weakening-errors.svg")
 
 
 if __name__ == "__main__":

@@ -193,9 +193,9 @@ def _check_budget(sections: DesignFile, document: YamlDocument) -> None:
 
 def _check_speed(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
     """Check the speed for which the field is weakened."""
-    operation = sections.operation
+    operation, weakening = sections.operation, sections.field_weakening
     for key in ("modulation", "voltage_margin"):
-        if operation.speed is None and key in operation.model_fields_set:
+        if operation.speed is None and weakening is None and key in operation.model_fields_set:
             message = f"operation.{key} limits the voltage at a speed; write speed: 3000 rpm, or remove the key"
             raise document.error(message, ("operation", key), key=True)
     if operation.speed is None:

@@ -15,6 +15,7 @@ from dqforge.machines.settings import (
     OperationSettings,
     Strategy,
     WaveformSettings,
+    WeakeningSettings,
 )
 from dqforge.machines.synchronous import Machine
 
@@ -43,7 +44,7 @@ class Design:
     ``machine`` is the drive in dq coordinates, of a machine with another than sinusoidal back-EMF its fundamental;
     ``phase_machine`` holds that back-EMF, None for all others. ``values`` lists each quantity with its origin,
     ``assumptions`` the sentences on what the file leaves open,
-    ``digest`` is the SHA-256 of the file's bytes in hexadecimal.
+    ``digest`` is the SHA-256 of the file's bytes in hexadecimal. ``weakening`` asks for two-dimensional references.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Design:
     values: tuple[InputValue, ...]
     assumptions: tuple[str, ...]
     digest: str
+    weakening: WeakeningSettings | None = None
 
     @property
     def strategy(self) -> Strategy:

@@ -41,6 +41,7 @@ from dqforge.machines.settings import (
 )
 from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.machines.validation import read_sections
+from dqforge.machines.weakening_reader import read_weakening
 from dqforge.machines.yaml_source import YamlDocument, parse_yaml, read_bytes
 
 _DEFAULT_MARGIN = CurrentLoopSettings().phase_margin_min
@@ -109,6 +110,7 @@ class _Build:
         checks.check_comparison(sections, machine, document)
         control = self.control(sections.control, machine, inverter, i_max)
         self.general_remarks(machine, inverter, control)
+        weakening = read_weakening(sections, machine, self.reading)
         return Design(
             name=sections.name,
             about=sections.about,
@@ -125,6 +127,7 @@ class _Build:
             values=(*input_values(sections, self.reading.converted), *self.reading.derived),
             assumptions=(*kind_assumptions(sections), *self.remarks),
             digest=self.reading.digest(),
+            weakening=weakening,
         )
 
     def inverter(self, section: InverterSection) -> Inverter:

@@ -65,6 +65,7 @@ from dqforge.machines.settings import (
     Strategy,
     WaveformForm,
     WaveformSettings,
+    WeakeningSettings,
 )
 
 FORMAT_VERSION = 1
@@ -74,6 +75,7 @@ _FIT = FitSettings()
 _CURRENT = CurrentLoopSettings()
 _SPEED = SpeedLoopSettings()
 _WAVEFORM = WaveformSettings()
+_WEAKENING = WeakeningSettings(omega_m=1.0)
 _LOSSES = LossSettings(points=())
 _EXPORT = ExportSettings(prefix="motor")
 
@@ -278,6 +280,23 @@ class WaveformSection(Section):
     error: SmallShare | None = Field(default=None, description="largest error of it over the peak; default 0.5 %")
 
 
+class WeakeningSection(Section):
+    """Current references over torque and available flux linkage, for field weakening."""
+
+    speed: Speed | None = Field(
+        default=None, description="largest mechanical speed (rad/s; write rpm); default machine.max_speed"
+    )
+    torque_error: SmallShare | None = Field(
+        default=None, description="largest torque error over the largest torque; default 0.5 %"
+    )
+    voltage_excess: SmallShare | None = Field(
+        default=None, description="largest excess over the voltage limit and over the current limit; default 0.5 %"
+    )
+    flash: ByteCount = Field(
+        default=_WEAKENING.flash, ge=256, le=100_000, description="largest number of bytes of code and constants"
+    )
+
+
 class ExportSection(Section):
     """The header."""
 
@@ -299,6 +318,9 @@ class DesignFile(Section):
     losses: LossSection | None = Field(default=None, description="loss comparison, if one is wanted")
     waveform: WaveformSection = Field(
         default=WaveformSection(), description="phase currents, for machine.model waveform"
+    )
+    field_weakening: WeakeningSection | None = Field(
+        default=None, description="two-dimensional current references, if they are wanted"
     )
     export: ExportSection = ExportSection()
 

@@ -75,6 +75,21 @@ class FitSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class WeakeningSettings:
+    """Current references over torque and available flux linkage.
+
+    ``omega_m`` in rad/s (mechanical) is the largest speed that they reach. ``torque_error``, over the largest torque,
+    and ``voltage_excess``, over the voltage limit, are the largest permitted ones, ``flash`` the bytes of code and
+    constants.
+    """
+
+    omega_m: float
+    torque_error: float = 0.005
+    voltage_excess: float = 0.005
+    flash: int = 2048
+
+
+@dataclass(frozen=True, slots=True)
 class CurrentLoopSettings:
     """PI current controllers of both axes.
 

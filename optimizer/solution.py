@@ -19,6 +19,7 @@ from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
 from dqforge.optimizer.phase_reference import PhaseFit, fit_phases
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit, alternatives, domain_end, fit_reference
+from dqforge.optimizer.surface_fit import WeakeningFit, fit_weakening
 from dqforge.optimizer.waveform_comparison import WaveformComparison, compare_waveforms, limits_of, require_phases
 
 _CURVE_POINTS = 201
@@ -52,7 +53,8 @@ class Solution:
     """Everything that a design asks for.
 
     ``losses`` is None where it asks for no comparison; ``waveforms`` and ``phases`` are None for machines with a
-    sinusoidal back-EMF. ``trials`` are the forms that were tried for a budget.
+    sinusoidal back-EMF. ``trials`` are the forms that were tried for a budget. ``weakening`` is None where no
+    two-dimensional reference is asked for.
     """
 
     design: Design
@@ -64,6 +66,7 @@ class Solution:
     waveforms: WaveformComparison | None = None
     phases: PhaseFit | None = None
     trials: tuple[Trial, ...] = ()
+    weakening: WeakeningFit | None = None
 
 
 def current_choice(design: Design) -> CurrentChoice:
@@ -149,6 +152,21 @@ def solve_phases(design: Design) -> PhaseFit:
     return fit_phases(machine, limits_of(design, design.waveform, 0.0), design.waveform)
 
 
+def solve_weakening(design: Design) -> WeakeningFit | None:
+    """Two-dimensional reference of the design, None where it asks for none.
+
+    Raises
+    ------
+    NoSolutionError
+        As `fit_weakening`.
+    """
+    if design.weakening is None:
+        return None
+    operation = design.operation
+    limit = voltage_limit(design.inverter, operation.modulation, operation.voltage_margin)
+    return fit_weakening(design.machine, design.i_max, limit.v_max, design.weakening)
+
+
 def solve(design: Design) -> Solution:
     """Solve everything that the design asks for.
 
@@ -169,4 +187,5 @@ def solve(design: Design) -> Solution:
         losses=solve_losses(design),
         waveforms=None if design.phase_machine is None else compare_waveforms(design),
         phases=None if design.phase_machine is None else solve_phases(design),
+        weakening=solve_weakening(design),
     )

@@ -40,6 +40,7 @@ from dqforge.reports.labels import MODULATION_LABELS, operation_text, point_text
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.templating import render
 from dqforge.reports.verify import Verification
+from dqforge.reports.weakening_tables import domain_text, errors_text, weakening_html
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -227,6 +228,11 @@ def _figures(solution: Solution) -> dict[str, Markup]:
         from dqforge.reports.figures_waveforms import plot_waveforms
 
         drawn["waveforms"] = lambda: plot_waveforms(waveforms)
+    weakening = solution.weakening
+    if weakening is not None:
+        from dqforge.reports.figures_weakening import plot_weakening
+
+        drawn["weakening"] = lambda: plot_weakening(weakening)
     return {name: Markup(figures.to_svg(draw())) for name, draw in drawn.items()}
 
 
@@ -237,6 +243,20 @@ def _waveform_part(solution: Solution) -> PlainData | None:
         "text": comparison_text(solution.waveforms),
         "tables": [rules_table(solution.waveforms), candidates_table(solution.phases)],
         "file": f"{solution.design.export.prefix}_waveform.h",
+    }
+
+
+def _weakening_part(solution: Solution) -> PlainData | None:
+    fit = solution.weakening
+    if fit is None:
+        return None
+    prefix = solution.design.export.prefix
+    return {
+        "domain": domain_text(fit),
+        "errors": errors_text(fit),
+        "samples": count(fit.errors.samples),
+        "table": weakening_html(fit),
+        "prefix": prefix,
     }
 
 
@@ -277,6 +297,8 @@ def _sections(design: Design, *, losses: bool, waveforms: bool) -> list[tuple[st
         sections.append(("losses", "Loss comparison"))
     if waveforms:
         sections.append(("waveforms", "Phase currents"))
+    if design.weakening is not None:
+        sections.append(("weakening", "Field weakening"))
     return [*sections, ("header", f"{design.export.prefix}.h"), ("conventions", "Conventions")]
 
 
@@ -311,6 +333,7 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         "losses": [] if solution.losses is None else loss_tables(solution.losses),
         "points_left_out": 0 if solution.losses is None else max(0, len(solution.losses.points) - POINTS_SHOWN),
         "waveforms": _waveform_part(solution),
+        "weakening": _weakening_part(solution),
         "header": header_context(solution),
         "verification": {
             "done": verification is not None,

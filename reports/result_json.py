@@ -19,7 +19,9 @@ from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
+from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.reference_ir import PlainData, to_plain
+from dqforge.reports.surface_header import plain_weakening
 from dqforge.reports.waveform_header import plain_phase_reference
 from dqforge.reports.waveform_tables import plain_waveforms
 
@@ -174,9 +176,26 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
     return {"rows": rows, "best": best}
 
 
+def plain_weakening_fit(fit: WeakeningFit | None) -> PlainData | None:
+    """Domain, errors and trials of the two-dimensional reference."""
+    if fit is None:
+        return None
+    region = fit.region
+    return {
+        "omega_m_rad_per_s": fit.settings.omega_m,
+        "flux_min_Wb": region.flux_min,
+        "flux_max_Wb": region.flux_max,
+        "torque_max_Nm": region.torque_max,
+        "coefficients": fit.reference.coefficients,
+        "flash_B": fit.reference.flash,
+        "errors": asdict(fit.errors),
+        "trials": [asdict(trial) for trial in fit.trials],
+    }
+
+
 def plain_solution(solution: Solution) -> PlainData:
     """Everything that a run found, with what `dqforge verify` needs under ``header``."""
-    design = solution.design
+    design, weakening = solution.design, solution.weakening
     return {
         "input": plain_design(design),
         "header": {
@@ -190,4 +209,6 @@ def plain_solution(solution: Solution) -> PlainData:
         "losses": plain_losses(solution.losses),
         "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),
         "waveform_header": None if solution.phases is None else plain_phase_reference(solution.phases.reference),
+        "weakening": plain_weakening_fit(weakening),
+        "weakening_header": None if weakening is None else plain_weakening(weakening.reference),
     }

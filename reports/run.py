@@ -9,6 +9,7 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.header import header_files
 from dqforge.reports.html_report import render_report
 from dqforge.reports.result_json import plain_solution, to_text
+from dqforge.reports.surface_header import weakening_files
 from dqforge.reports.verify import Verification, verify_files
 from dqforge.reports.waveform_header import waveform_files
 
@@ -25,7 +26,8 @@ class RunOutput:
 def _verified(solution: Solution, files: dict[str, bytes]) -> Verification:
     export = solution.design.export
     phases = None if solution.phases is None else solution.phases.reference
-    return verify_files(files, export.prefix, solution.fit.reference, export.vectors, phases)
+    weakening = None if solution.weakening is None else solution.weakening.reference
+    return verify_files(files, export.prefix, solution.fit.reference, export.vectors, phases, weakening)
 
 
 def export_design(design: Design, *, verify: bool) -> RunOutput:
@@ -40,6 +42,8 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
     files = header_files(solution)
     if solution.phases is not None:
         files |= waveform_files(design, solution.phases)
+    if solution.weakening is not None:
+        files |= weakening_files(design, solution.weakening)
     verification = _verified(solution, files) if verify else None
     files["result.json"] = to_text("run", design.name, plain_solution(solution)).encode("ascii")
     return RunOutput(solution, verification, files)

@@ -23,8 +23,10 @@ from dqforge.optimizer.fixed_polynomial import CodeArray
 from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.phase_reference import PhaseReference
 from dqforge.optimizer.single_precision import SingleArray
+from dqforge.optimizer.surface_reference import WeakeningReference
 from dqforge.reports.reference_header import vector_codes, vector_torques
 from dqforge.reports.reference_ir import from_plain
+from dqforge.reports.surface_header import weakening_currents, weakening_from, weakening_inputs
 from dqforge.reports.templating import render
 from dqforge.reports.waveform_header import model_currents, phase_reference_from, waveform_inputs
 
@@ -191,6 +193,7 @@ def verify_files(
     reference: Reference,
     vectors: int,
     phases: PhaseReference | None = None,
+    weakening: WeakeningReference | None = None,
 ) -> Verification:
     """Compile a header and its vectors as C99 and as C++11, run both, and compare every bit with the model.
 
@@ -206,6 +209,8 @@ def verify_files(
         Number of test vectors that were asked for.
     phases:
         The model of the phase currents, where such a header was made.
+    weakening:
+        The model of the two-dimensional references, where such a header was made.
 
     Raises
     ------
@@ -217,6 +222,9 @@ def verify_files(
     if phases is not None:
         inputs = waveform_inputs(phases, _SWEEP_POINTS, _SWEEP_SEED)
         programmes.append(_Programme("waveform_harness.c.j2", inputs, model_currents(phases, inputs)))
+    if weakening is not None:
+        inputs = weakening_inputs(weakening, _SWEEP_POINTS // 2, _SWEEP_SEED, patterns=_SWEEP_POINTS // 2)
+        programmes.append(_Programme("surface_harness.c.j2", inputs, weakening_currents(weakening, inputs)))
     checks = []
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         folder = Path(name)
@@ -252,8 +260,8 @@ def _read(path: Path) -> bytes:
         ) from error
 
 
-def _load_result(path: Path) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """What a result says of the header and, where there is one, of the phase currents."""
+def _load_result(path: Path) -> tuple[dict[str, Any], dict[str, Any] | None, dict[str, Any] | None]:
+    """What a result says of the header and, where there are any, of phase currents and two-dimensional references."""
     content = _read(path)
     try:
         loaded = json.loads(content)
@@ -261,10 +269,11 @@ def _load_result(path: Path) -> tuple[dict[str, Any], dict[str, Any] | None]:
         raise InputError("is not JSON; run the design again", source=str(path)) from error
     if not isinstance(loaded, dict) or not isinstance(loaded.get("header"), dict):
         raise InputError("holds no header; run the design again", source=str(path))
-    waveform = loaded.get("waveform_header")
-    if waveform is not None and not isinstance(waveform, dict):
-        raise InputError("waveform_header is not what dqforge writes; run the design again", source=str(path))
-    return dict(loaded["header"]), waveform
+    others = loaded.get("waveform_header"), loaded.get("weakening_header")
+    for name, part in zip(("waveform_header", "weakening_header"), others, strict=True):
+        if part is not None and not isinstance(part, dict):
+            raise InputError(f"{name} is not what dqforge writes; run the design again", source=str(path))
+    return dict(loaded["header"]), *others
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,6 +285,7 @@ class WrittenHeaders:
     reference: Reference
     vectors: int
     phases: PhaseReference | None
+    weakening: WeakeningReference | None = None
 
 
 def read_folder(folder: Path) -> WrittenHeaders:
@@ -287,7 +297,7 @@ def read_folder(folder: Path) -> WrittenHeaders:
         A file is missing or is not what dqforge writes.
     """
     path = folder / "result.json"
-    header, waveform = _load_result(path)
+    header, waveform, surfaces = _load_result(path)
     vectors = header.get("vectors")
     try:
         prefix = check_prefix(str(header.get("prefix", "")))
@@ -298,11 +308,14 @@ def read_folder(folder: Path) -> WrittenHeaders:
     try:
         reference = from_plain(header["reference"])
         phases = None if waveform is None else phase_reference_from(waveform)
+        weakening = None if surfaces is None else weakening_from(surfaces)
     except InputError as error:
         raise InputError(error.message, source=str(path)) from error
     names = [f"{prefix}.h", f"{prefix}_vectors.h"]
     names += [] if phases is None else [f"{prefix}_waveform.h", f"{prefix}_waveform_vectors.h"]
-    return WrittenHeaders({name: _read(folder / name) for name in names}, prefix, reference, vectors, phases)
+    names += [] if weakening is None else [f"{prefix}_weakening.h", f"{prefix}_weakening_vectors.h"]
+    files = {name: _read(folder / name) for name in names}
+    return WrittenHeaders(files, prefix, reference, vectors, phases, weakening)
 
 
 def verify_folder(folder: Path) -> Verification:
@@ -316,4 +329,4 @@ def verify_folder(folder: Path) -> Verification:
         As `verify_files`.
     """
     found = read_folder(folder)
-    return verify_files(found.files, found.prefix, found.reference, found.vectors, found.phases)
+    return verify_files(found.files, found.prefix, found.reference, found.vectors, found.phases, found.weakening)

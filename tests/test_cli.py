@@ -152,7 +152,7 @@ def test_verify_refuses_what_is_no_output(run: Run, tmp_path: Path, content: str
 JSON_KEYS = {
     "check": {"input"},
     "mtpa": {"mtpa"},
-    "fit": {"fit"},
+    "fit": {"fit", "weakening"},
     "tune": {"gains"},
     "losses": {"losses"},
 }

@@ -5,6 +5,7 @@ The deviations from MISRA C:2012 that are permitted, each with its reason, are l
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shutil
@@ -16,9 +17,10 @@ import pytest
 from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, make_design
 
 from dqforge.machines import catalogue
-from dqforge.machines.settings import FitSettings, WaveformForm, WaveformSettings
-from dqforge.optimizer.solution import solve, solve_phases
+from dqforge.machines.settings import FitSettings, WaveformForm, WaveformSettings, WeakeningSettings
+from dqforge.optimizer.solution import solve, solve_phases, solve_weakening
 from dqforge.reports.header import header_files
+from dqforge.reports.surface_header import weakening_files
 from dqforge.reports.verify import WARNINGS
 from dqforge.reports.waveform_header import waveform_files
 
@@ -55,6 +57,11 @@ def headers() -> dict[str, dict[str, bytes]]:
     for form in forms:
         shaped = replace(design, waveform=WaveformSettings(form=form))
         found[f"waveform {form}"] = waveform_files(shaped, solve_phases(shaped))
+    for name, machine, rpm in (("smooth", IPM, 9000.0), ("two segments", INVERSE_SALIENT, 18_000.0)):
+        weakened = replace(make_design(machine), weakening=WeakeningSettings(rpm * math.pi / 30.0))
+        fit = solve_weakening(weakened)
+        assert fit is not None
+        found[f"weakening {name}"] = weakening_files(weakened, fit)
     return found
 
 
@@ -67,8 +74,9 @@ def written(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     name = request.param
     for file_name, content in HEADERS[name].items():
         (tmp_path / file_name).write_bytes(content)
-    part = "drive_waveform" if name.startswith("waveform") else "drive"
-    call = "drive_waveform_mismatches" if name.startswith("waveform") else "drive_vectors_mismatches"
+    kind = name.split()[0]
+    part = f"drive_{kind}" if kind in {"waveform", "weakening"} else "drive"
+    call = f"{part}_mismatches" if part != "drive" else "drive_vectors_mismatches"
     main = f'#include "{part}_vectors.h"\nint main(void)\n{{\n    return ({call}() == 0U) ? 0 : 1;\n}}\n'
     (tmp_path / "main.c").write_text(main, encoding="ascii")
     return tmp_path, name

@@ -1,0 +1,24 @@
+"""Figure of the page on two-dimensional references."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+from dqforge.machines import catalogue
+from dqforge.machines.settings import WeakeningSettings
+from dqforge.optimizer.solution import solve_weakening
+from dqforge.reports.figures import save
+from dqforge.reports.figures_weakening import plot_weakening
+
+_DRIVE, _RPM = "baldor-pmsyrm-5k6", 3600.0
+
+
+def weakening_errors(path: Path) -> None:
+    """Errors of the references of a saturated machine up to twice its rated speed."""
+    design = replace(catalogue.load(_DRIVE), weakening=WeakeningSettings(_RPM * math.pi / 30.0))
+    fit = solve_weakening(design)
+    if fit is None:
+        raise AssertionError(_DRIVE)
+    save(plot_weakening(fit), path)
