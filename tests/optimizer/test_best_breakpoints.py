@@ -17,7 +17,7 @@ from dqforge.optimizer.breakpoints import round_significant, search, segment_err
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.edge_levelling import level_edges
 from dqforge.optimizer.fitting import Curve, SideConditions, fit_curve, largest_error
-from dqforge.optimizer.reference_fit import find_edges
+from dqforge.optimizer.reference_fit import find_edges, fit_reference
 
 DEGREES = (2, 3, 4, 5, 6)
 
@@ -308,3 +308,14 @@ def test_a_start_spares_the_global_search() -> None:
 
     found_edges = search(never, cost, 3, 5.0, np.array([0.0, 1.4, 2.5, 5.0]))
     np.testing.assert_allclose(found_edges, [0.0, 1.0, 3.0, 5.0], atol=5e-3)
+
+
+def test_coefficients_of_a_tiny_machine_stay_floats() -> None:
+    """Without a magnet the best first segment is 1e-4 of the domain; to the power of -6 that is no float any more."""
+    tiny = LinearMachine(1, 10.0, 1e-3, 3e-3, 0.0, 0.2)
+    choice = CurrentChoice(tiny, "mtpa", 0.2)
+    fit = fit_reference(choice, FitSettings(form="polynomial", degree=6, segments=4))
+    assert fit.torque_max < 1e-4
+    assert fit.q is not None
+    assert np.max(np.abs(fit.q.coefficients)) < float(np.finfo(np.float32).max)
+    assert fit.errors.i_q < 0.02 * 0.2
