@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -18,6 +19,8 @@ from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.piecewise import PiecewisePolynomial, local_coefficients
 
 Curve = Callable[[FloatArray], FloatArray]
+IndexArray = np.ndarray[tuple[int, ...], np.dtype[np.intp]]
+Mask = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 _DENSE_POINTS = 400
 """Check points per segment between which the error of a fit is searched for; odd extrema are far wider apart."""
@@ -44,13 +47,21 @@ def chebyshev_nodes(count: int) -> FloatArray:
     return -np.cos((2.0 * order - 1.0) / (2.0 * count) * np.pi)
 
 
-def _to_domain(reference: FloatArray, edges: FloatArray) -> FloatArray:
+@cache
+def gauss_rule(count: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes and weights of Gauss and Legendre on [-1, 1], shape (count,) each; they take longer than a whole fit."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    nodes.flags.writeable = weights.flags.writeable = False
+    return nodes, weights
+
+
+def to_domain(reference: FloatArray, edges: FloatArray) -> FloatArray:
     """Map points of [-1, 1], shape (M,), into every segment, shape (S, M)."""
     width: FloatArray = np.diff(edges)[:, np.newaxis]
     return edges[:-1, np.newaxis] + 0.5 * width * (reference + 1.0)
 
 
-def _conditions(segments: int, degree: int, side: SideConditions) -> FloatArray:
+def condition_rows(segments: int, degree: int, side: SideConditions) -> FloatArray:
     """Rows of the homogeneous side conditions on the stacked Chebyshev coefficients, shape (C, S (n + 1))."""
     left, right = chebyshev.chebvander(np.array([-1.0, 1.0]), degree)
     width = degree + 1
@@ -79,7 +90,7 @@ def _interpolate(curve: Curve, edges: FloatArray, degree: int, side: SideConditi
     for segment in range(edges.size - 1):
         is_tied = side.exact_at_zero if segment == 0 else side.continuous
         nodes = tied if is_tied else free
-        values = curve(_to_domain(nodes, edges[segment : segment + 2])[0])
+        values = curve(to_domain(nodes, edges[segment : segment + 2])[0])
         if is_tied:
             values = np.concatenate([[left_value], values[1:]])
         series[segment] = np.linalg.solve(chebyshev.chebvander(nodes, degree), values)
@@ -90,21 +101,21 @@ def _interpolate(curve: Curve, edges: FloatArray, degree: int, side: SideConditi
 def _least_squares(curve: Curve, edges: FloatArray, degree: int, side: SideConditions) -> FloatArray:
     """Chebyshev series with the least integral of the squared error under the side conditions, shape (S, n + 1)."""
     segments = edges.size - 1
-    nodes, weights = np.polynomial.legendre.leggauss(degree + 24)
+    nodes, weights = gauss_rule(degree + 24)
     root = np.sqrt(0.5 * np.diff(edges)[:, np.newaxis] * weights)
     basis = chebyshev.chebvander(nodes, degree)
-    target = (curve(_to_domain(nodes, edges)) * root).ravel()
+    target = (curve(to_domain(nodes, edges)) * root).ravel()
     design = np.zeros((target.size, segments * (degree + 1)))
     for segment in range(segments):
         rows = slice(segment * nodes.size, (segment + 1) * nodes.size)
         columns = slice(segment * (degree + 1), (segment + 1) * (degree + 1))
         design[rows, columns] = basis * root[segment][:, np.newaxis]
-    free = _null_space(_conditions(segments, degree, side))
+    free = null_space(condition_rows(segments, degree, side))
     solution, *_ = np.linalg.lstsq(design @ free, target, rcond=None)
     return (free @ solution).reshape(segments, degree + 1)
 
 
-def _null_space(conditions: FloatArray) -> FloatArray:
+def null_space(conditions: FloatArray) -> FloatArray:
     """Orthonormal basis of the coefficients that satisfy full-rank homogeneous conditions, by columns."""
     columns = conditions.shape[1]
     if conditions.shape[0] == 0:
@@ -113,70 +124,108 @@ def _null_space(conditions: FloatArray) -> FloatArray:
     return orthogonal[:, conditions.shape[0] :]
 
 
-class _MinimaxProgramme:
-    """Linear programme for the correction of a feasible fit: least E with |residual - correction| <= E_s <= E.
+class MinimaxProgramme:
+    """Linear programme for the correction of feasible fits: least E with |residual - correction| <= E_s <= E.
 
-    The residual is scaled to 1, so that the tolerance of the solver is relative to the error and not to the curve.
+    Any number of curves share E. The residuals may depend linearly on ``moves`` further variables that all curves share
+    and that are bounded: small changes of the breakpoints. Residuals are to be scaled to 1, so that the tolerance of
+    the solver is relative to the error and not to the curve.
     """
 
-    def __init__(self, segments: int, degree: int, side: SideConditions) -> None:
-        self.segments = segments
-        self.width = degree + 1
+    def __init__(self, curves: int, segments: int, degree: int, side: SideConditions, moves: int = 0) -> None:
+        self.blocks = curves * segments
+        self.shape = (curves, segments, degree + 1)
         self.degree = degree
-        conditions = _conditions(segments, degree, side)
-        self.variables = segments * self.width + segments + 1
-        self.equalities = np.hstack([conditions, np.zeros((conditions.shape[0], segments + 1))])
-        order = np.zeros((segments, self.variables))
-        order[:, segments * self.width : -1] = np.eye(segments)
-        order[:, -1] = -1.0
-        self.order = order
+        self.moves = moves
+        conditions = np.kron(np.eye(curves), condition_rows(segments, degree, side))
+        self.coefficients = self.blocks * (degree + 1)
+        self.variables = self.coefficients + self.blocks + moves + 1
+        self.equalities = np.hstack([conditions, np.zeros((conditions.shape[0], self.blocks + moves + 1))])
+        levels = slice(self.coefficients, self.coefficients + self.blocks)
+        self.order = np.zeros((self.blocks, self.variables))
+        self.order[:, levels] = np.eye(self.blocks)
+        self.order[:, -1] = -1.0
         self.objective = np.zeros(self.variables)
-        self.objective[segments * self.width : -1] = _TIE_WEIGHT / segments
+        self.objective[levels] = _TIE_WEIGHT / self.blocks
         self.objective[-1] = 1.0
 
     def solve(
-        self, segment: np.ndarray[tuple[int], np.dtype[np.intp]], position: FloatArray, residual: FloatArray
-    ) -> tuple[FloatArray, float]:
-        """Correction series, shape (S, n + 1), and the lower bound of the error, for residuals at given points."""
+        self,
+        block: IndexArray,
+        position: FloatArray,
+        residual: FloatArray,
+        slopes: FloatArray | None = None,
+        radius: float = 0.0,
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Correction series, shape (A, S, n + 1), the moves, and the lower bound of the error.
+
+        Parameters
+        ----------
+        block:
+            Curve and segment of each residual as one index, shape (N,), curve by curve.
+        position:
+            Where in [-1, 1] on the segment, shape (N,).
+        residual:
+            Residual there, shape (N,).
+        slopes:
+            Change of the residual per unit of each move, shape (N, moves).
+        radius:
+            Largest magnitude of a move.
+
+        Raises
+        ------
+        NoSolutionError
+            The solver failed.
+        """
         from scipy.optimize import linprog
 
         rows = np.zeros((position.size, self.variables))
-        columns = segment[:, np.newaxis] * self.width + np.arange(self.width)
+        width = self.degree + 1
+        columns = block[:, np.newaxis] * width + np.arange(width)
         np.put_along_axis(rows, columns, chebyshev.chebvander(position, self.degree), axis=1)
+        if slopes is not None:
+            rows[:, -1 - self.moves : -1] = -slopes
         level = np.zeros_like(rows)
-        level[np.arange(position.size), self.segments * self.width + segment] = -1.0
+        level[np.arange(position.size), self.coefficients + block] = -1.0
+        limits = np.full((self.variables, 2), (-np.inf, np.inf))
+        limits[-1 - self.moves : -1] = (-radius, radius)
+        has_equalities = self.equalities.size > 0
         solution = linprog(
             self.objective,
             A_ub=np.vstack([rows + level, -rows + level, self.order]),
-            b_ub=np.concatenate([residual, -residual, np.zeros(self.segments)]),
-            A_eq=self.equalities if self.equalities.size else None,
-            b_eq=np.zeros(self.equalities.shape[0]) if self.equalities.size else None,
-            bounds=(None, None),
+            b_ub=np.concatenate([residual, -residual, np.zeros(self.blocks)]),
+            A_eq=self.equalities if has_equalities else None,
+            b_eq=np.zeros(self.equalities.shape[0]) if has_equalities else None,
+            bounds=limits,
             method="highs-ds",
+            options={"presolve": False},  # there is nothing to remove, and looking takes a quarter of the time
         )
         if solution.status != 0:
             raise NoSolutionError(f"minimax fit: the linear programme stopped with '{solution.message}'")
-        series = solution.x[: self.segments * self.width].reshape(self.segments, self.width)
-        return series, float(solution.x[-1])
+        series = solution.x[: self.coefficients].reshape(self.shape)
+        return series, solution.x[-1 - self.moves : -1], float(solution.x[-1])
 
 
-def _local_peaks(error: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def local_peaks(error: FloatArray) -> Mask:
     """Mask of the local maxima of |error| along the last axis, ends included."""
-    padded = np.pad(np.abs(error), ((0, 0), (1, 1)), constant_values=-1.0)
-    return (padded[:, 1:-1] >= padded[:, :-2]) & (padded[:, 1:-1] >= padded[:, 2:])
+    size = np.abs(error)
+    peaks = np.ones(size.shape, dtype=np.bool_)
+    peaks[..., 1:] &= size[..., 1:] >= size[..., :-1]
+    peaks[..., :-1] &= size[..., :-1] >= size[..., 1:]
+    return peaks
 
 
 def _minimax(curve: Curve, edges: FloatArray, degree: int, side: SideConditions, *, exchange: bool) -> FloatArray:
     """Chebyshev series with the least largest error under the side conditions, shape (S, n + 1).
 
     A semi-infinite linear programme: the solution on a few points per segment bounds the optimum from below, its
-    largest error on a dense grid from above; peaks are added until the two meet within 0.02 %. With ``exchange``
+    largest error on a dense grid from above; points are added until the two meet within 0.02 %. With ``exchange``
     false the first solution is returned as it is: within 1 % of the optimum, which ranks breakpoints well enough.
     """
     segments = edges.size - 1
     start = _least_squares(curve, edges, degree, side)
     dense = -np.cos(np.linspace(0.0, np.pi, _DENSE_POINTS + 1))
-    values = curve(_to_domain(dense, edges))
+    values = curve(to_domain(dense, edges))
     vander = chebyshev.chebvander(dense, degree)
     residual = values - start @ vander.T
     scale = float(np.max(np.abs(residual)))
@@ -185,16 +234,22 @@ def _minimax(curve: Curve, edges: FloatArray, degree: int, side: SideConditions,
     residual /= scale
     chosen = np.zeros(residual.shape, dtype=np.bool_)
     chosen[:, np.unique(np.linspace(0, dense.size - 1, 12 * degree + 25).round().astype(int))] = True
-    chosen |= _local_peaks(residual)
-    programme = _MinimaxProgramme(segments, degree, side)
+    chosen |= local_peaks(residual)
+    programme = MinimaxProgramme(1, segments, degree, side)
+    refined = False
     while True:
         segment, point = np.nonzero(chosen)
-        correction, bound = programme.solve(segment, dense[point], residual[chosen])
-        error = residual - correction @ vander.T
-        peaks = _local_peaks(error) & ~chosen
-        if not exchange or float(np.max(np.abs(error))) <= _EXCHANGE_GOAL * bound or not peaks.any():
-            return start + scale * correction
-        chosen |= peaks
+        (correction,), _, bound = programme.solve(segment, dense[point], residual[chosen])
+        error = np.abs(residual - correction @ vander.T)
+        worst = np.max(error, axis=1)
+        missed = worst > _EXCHANGE_GOAL * bound
+        if not exchange or np.all(chosen[missed]):  # none missed, or no point left to add: the tolerance of the solver
+            solution: FloatArray = start + scale * correction
+            return solution
+        chosen |= error > bound
+        if refined:
+            chosen[missed] = True  # a segment with room overshoots elsewhere, time and again, if it gets single points
+        refined = True
 
 
 def fit_curve(
@@ -237,8 +292,8 @@ def fit_curve(
 
 def squared_error_integral(curve: Curve, fit: PiecewisePolynomial) -> float:
     """Integral of the squared error over the domain (one term of paper 000 (30)), in units of curve^2 x argument."""
-    nodes, weights = np.polynomial.legendre.leggauss(fit.degree + 40)
-    points = _to_domain(nodes, fit.edges)
+    nodes, weights = gauss_rule(fit.degree + 40)
+    points = to_domain(nodes, fit.edges)
     # A node never coincides with an edge, so that each point is evaluated in its own segment.
     squared = (fit(points) - curve(points)) ** 2
     return float(np.sum(0.5 * np.diff(fit.edges)[:, np.newaxis] * weights * squared))

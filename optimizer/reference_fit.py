@@ -10,7 +10,7 @@ import numpy as np
 from dqforge.machines.errors import InputError
 from dqforge.machines.settings import FitForm, FitMethod, FitSettings, NumberFormat
 from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
-from dqforge.optimizer.breakpoints import search
+from dqforge.optimizer.breakpoints import search, segment_errors
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.current_reference import (
     ClosedForm,
@@ -24,7 +24,8 @@ from dqforge.optimizer.current_reference import (
     TorqueExact,
     reference_errors,
 )
-from dqforge.optimizer.fitting import Curve, SideConditions, fit_curve, largest_error, squared_error_integral
+from dqforge.optimizer.edge_levelling import level_edges
+from dqforge.optimizer.fitting import Curve, SideConditions, fit_curve, squared_error_integral
 from dqforge.optimizer.fixed_fit import CodeScale, fit_fixed
 from dqforge.optimizer.fixed_reference import FIXED_WIDTHS, FixedReference
 from dqforge.optimizer.piecewise import PiecewisePolynomial
@@ -61,27 +62,25 @@ class Alternative:
     errors: ReferenceErrors
 
 
-def _cost(curves: list[Curve], settings: FitSettings, *, exchange: bool) -> Callable[[FloatArray], float]:
-    """Objective of the edges: the largest error for minimax, the paper's epsilon for the two other methods."""
+def _cost(curves: list[Curve], settings: FitSettings) -> Callable[[FloatArray], float]:
+    """Objective of the edges for interpolation and least squares: the paper's epsilon, summed over the curves."""
     side = SideConditions(settings.exact_at_zero, settings.continuous)
 
     def cost(edges: FloatArray) -> float:
-        fits = [fit_curve(curve, edges, settings.degree, settings.method, side, exchange=exchange) for curve in curves]
-        if settings.method == "minimax":
-            return max(largest_error(curve, fit) for curve, fit in zip(curves, fits, strict=True))
+        fits = [fit_curve(curve, edges, settings.degree, settings.method, side) for curve in curves]
         return sum(squared_error_integral(curve, fit) for curve, fit in zip(curves, fits, strict=True))
 
     return cost
 
 
-def _coarse_cost(curves: list[Curve], settings: FitSettings) -> Callable[[FloatArray], float]:
-    """Cheap ranking for the global search: interpolation in place of the linear programme of the minimax fit."""
-    if settings.method != "minimax":
-        return _cost(curves, settings, exchange=False)
+def _search_edges(curves: list[Curve], settings: FitSettings, end: float) -> FloatArray:
+    """Best edges for curves that share them, shape (S + 1,)."""
     side = SideConditions(settings.exact_at_zero, settings.continuous)
-    return lambda edges: max(
-        largest_error(curve, fit_curve(curve, edges, settings.degree, "lagrange", side)) for curve in curves
-    )
+    if settings.method == "minimax":
+        return level_edges(curves, settings.degree, settings.segments, side, end)
+    start = segment_errors(curves, settings.degree, side, end).best_edges(settings.segments, squared=True)
+    cost = _cost(curves, settings)
+    return search(cost, cost, settings.segments, end, start)
 
 
 def find_edges(curves: dict[str, Curve], settings: FitSettings, end: float) -> dict[str, FloatArray]:
@@ -91,10 +90,7 @@ def find_edges(curves: dict[str, Curve], settings: FitSettings, end: float) -> d
     groups = [[axis] for axis in curves] if settings.breakpoint_mode == "own" else [list(curves)]
     edges: dict[str, FloatArray] = {}
     for group in groups:
-        members = [curves[axis] for axis in group]
-        found = search(
-            _coarse_cost(members, settings), _cost(members, settings, exchange=False), settings.segments, end
-        )
+        found = _search_edges([curves[axis] for axis in group], settings, end)
         edges.update(dict.fromkeys(group, found))
     return edges
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,8 +15,15 @@ from dqforge.machines.loader import load_text
 from dqforge.machines.settings import FitBudget, FitSettings
 from dqforge.machines.synchronous import Machine
 from dqforge.optimizer.current_choice import CurrentChoice
-from dqforge.optimizer.fit_choice import choose_fit, constant_bytes, estimated_cycles, reference_bytes
-from dqforge.optimizer.reference_fit import fit_reference
+from dqforge.optimizer.fit_choice import (
+    QuickFits,
+    choose_fit,
+    constant_bytes,
+    estimated_cycles,
+    is_hopeless,
+    reference_bytes,
+)
+from dqforge.optimizer.reference_fit import fit_reference, possible_forms
 from dqforge.optimizer.solution import solve
 from dqforge.reports.header import header_files
 
@@ -68,6 +76,28 @@ def test_no_cheaper_form_keeps_the_budget() -> None:
         fit = fit_reference(choice, FitSettings(form=trial.form, degree=trial.degree, segments=trial.segments))
         assert fit.errors.torque_relative > 2e-3 or fit.errors.loss_relative > 1e-3
     assert (best.form, best.degree, best.segments) == ("polynomial", 2, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tied", [True, False])
+@pytest.mark.parametrize("machine", [IPM, ArctanMachine(), RELUCTANCE], ids=["ipm", "saturated", "reluctance"])
+def test_quick_fits_give_no_candidate_up_that_keeps_the_budget(machine: Machine, *, tied: bool) -> None:
+    """With the very errors that the minimax fit reaches as the budget, no quick fit is called hopeless."""
+    choice = CurrentChoice(machine, "mtpa", machine.i_max)
+    settings = FitSettings(exact_at_zero=tied, continuous=tied)
+    quick_fits = QuickFits(choice, settings)
+    for form in possible_forms(choice):
+        if form == "closed-form" and machine.psi_pm == 0.0:
+            continue  # exact
+        for degree in range(1, 7):
+            for segments in range(1, 5):
+                wanted = replace(settings, form=form, degree=degree, segments=segments)
+                best, quick = fit_reference(choice, wanted).errors, quick_fits.fit(wanted).errors
+                # Where single precision makes the error there is no ratio to speak of; nobody asks for less.
+                torque = FitBudget(torque_error=max(best.torque_relative, 1e-6))
+                loss = FitBudget(loss_penalty=max(best.loss_relative, 1e-6))
+                assert not is_hopeless(quick, torque)
+                assert not is_hopeless(quick, loss)
 
 
 @pytest.mark.parametrize("form", ["polynomial", "torque-exact", "closed-form"])
