@@ -137,6 +137,23 @@ class FluxMap:
         within_d = (i_d >= self.i_d[0]) & (i_d <= self.i_d[-1])
         return np.asarray(within_d & (i_q >= self.i_q[0]) & (i_q <= self.i_q[-1]))
 
+    def rows(self, i_d: FloatArray) -> NDArray[np.intp]:
+        """Cells of d currents in A, shape (n,), ascending; the first and the last lie outside the grid."""
+        return self._axes[0].cells(i_d)
+
+    def columns(self, i_q: FloatArray) -> NDArray[np.intp]:
+        """Cells of q currents in A, shape (n,), likewise."""
+        return self._axes[1].cells(i_q)
+
+    def cell(self, row: int, column: int) -> tuple[FloatArray, float, float]:
+        """Bicubic of one cell: coefficients by powers of q and d for (psi_d, psi_q), shape (4, 4, 2), and its corner.
+
+        The corner (i_d, i_q) in A is what the powers count from.
+        """
+        in_d, in_q = self._axes
+        coefficients = self._table[row * in_q.corners.size + column].reshape(4, 4, 2)
+        return coefficients, float(in_d.corners[row]), float(in_q.corners[column])
+
     def _gather(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Coefficients by powers of q and d, shape (4, 4, 2, n), and the currents counted from the cells' corners."""
         in_d, in_q = self._axes

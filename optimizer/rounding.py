@@ -1,0 +1,231 @@
+"""What the firmware's arithmetic may add to a current reference: bounds operation by operation, in balls.
+
+Each form is described twice on an interval of torques: in exact real arithmetic with the emitted constants, over power
+series, and as a bound on how far the rounded operations may leave that. Single precision follows the standard model
+fl(x op y) = (x op y)(1 + delta) + eta with |delta| <= 2^-24 and |eta| <= 2^-150 (N. J. Higham, "Accuracy and Stability
+of Numerical Algorithms", 2nd edition, 2002, chapter 2); a fused multiply-add rounds once where the model rounds twice,
+so that its error is covered. In fixed point every shift rounds to nearest: half a unit of what it leaves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from dqforge.optimizer.balls import Value
+from dqforge.optimizer.current_reference import (
+    ClosedForm,
+    Polynomials,
+    Proportional,
+    Reference,
+    ReluctanceClosedForm,
+    TorqueExact,
+)
+from dqforge.optimizer.fixed_polynomial import FixedPolynomial
+from dqforge.optimizer.fixed_reference import FixedReference
+from dqforge.optimizer.single_precision import SinglePolynomial
+
+if TYPE_CHECKING:
+    from flint import arb
+
+
+@dataclass(frozen=True, slots=True)
+class Rounded:
+    """An intermediate result on an interval: a ball that holds its exact values, and a bound of its rounding error."""
+
+    value: arb
+    error: arb
+
+    def size(self) -> arb:
+        """Upper bound of the rounded result's magnitude."""
+        return self.value.abs_upper() + self.error
+
+
+def _constants() -> tuple[arb, arb]:
+    from flint import arb
+
+    return arb(2.0**-24), arb(2) ** -149
+
+
+def _rounded(value: arb, carried: arb) -> Rounded:
+    """Result of one operation whose operands' errors move it by ``carried``."""
+    unit, least = _constants()
+    return Rounded(value, carried + unit * (value.abs_upper() + carried) + least)
+
+
+def _product(left: Rounded, right: Rounded) -> Rounded:
+    carried = left.value.abs_upper() * right.error + right.size() * left.error
+    return _rounded(left.value * right.value, carried)
+
+
+def _sum(left: Rounded, right: Rounded) -> Rounded:
+    return _rounded(left.value + right.value, left.error + right.error)
+
+
+def _exact(value: float) -> Rounded:
+    from flint import arb
+
+    return Rounded(arb(float(value)), arb(0))
+
+
+def _quotient(top: Rounded, bottom: Rounded) -> Rounded:
+    """Raises `ZeroDivisionError` where the divisor may vanish."""
+    least = bottom.value.abs_lower() - bottom.error
+    if not least > 0:
+        raise ZeroDivisionError
+    value = top.value / bottom.value
+    return _rounded(value, (top.error + value.abs_upper() * bottom.error) / least)
+
+
+def _root(square: Rounded) -> Rounded:
+    """Square root of what is positive; the difference of two roots is that of the squares over their sum."""
+    least = square.value.abs_lower() - square.error
+    carried = square.error / least.sqrt() if least > 0 else square.error.sqrt()
+    return _rounded(square.value.sqrt(), carried)
+
+
+def _horner(starts: Any, coefficients: Any, index: int, torque: Rounded) -> Rounded:
+    """Rounded Horner steps of one segment, as `SinglePolynomial.evaluate` has them."""
+    x = torque if index == 0 else _sum(torque, _exact(-float(starts[index])))
+    row = [float(c) for c in coefficients[index]]
+    value = _exact(row[-1])
+    for power in range(len(row) - 2, -1, -1):
+        value = _product(value, x)
+        if power > 0 or row[0] != 0.0:
+            value = _sum(value, _exact(row[power]))
+    return value
+
+
+def _polynomial(row: list[Any], x: Value) -> Value:
+    value = row[-1] + 0 * x
+    for coefficient in row[-2::-1]:
+        value = value * x + coefficient
+    return value
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A part of the torque domain on which a reference is one analytic expression: ``low`` to ``high`` in N m."""
+
+    reference: Reference
+    low: float
+    high: float
+
+    def _index(self, starts: list[float]) -> int:
+        return sum(1 for start in starts[1:] if start <= self.low)
+
+    def _single(self, polynomial: SinglePolynomial, torque: Value) -> Value:
+        from flint import arb
+
+        index = self._index([float(start) for start in polynomial.starts])
+        start = arb(float(polynomial.starts[index]))
+        return _polynomial([arb(float(c)) for c in polynomial.coefficients[index]], torque - start)
+
+    def _fixed(self, polynomial: FixedPolynomial | None, torque: Value) -> Value:
+        """Exact polynomial of the integers in A over N m."""
+        from flint import arb
+
+        if polynomial is None:
+            return 0 * torque
+        scale = self._fixed_reference().scale
+        starts = [float(scale.arguments(start)) for start in polynomial.starts]  # type: ignore[arg-type]
+        segment = polynomial.segments[self._index(starts)]
+        # Shifts count from the lowest power: a value of power k is scaled by two to their sum.
+        total, coefficients = 0, []
+        for constant, shift in zip(segment.constants[::-1], segment.shifts[::-1], strict=True):
+            total += shift
+            half = (1 << shift) >> 1
+            coefficients.append(arb(constant - half) * arb(2) ** -total)
+        coefficients.append(arb(segment.leading) * arb(2) ** -total)
+        x = torque * (arb(int(scale.one)) / arb(scale.argument)) - segment.start
+        return _polynomial(coefficients, x) * (arb(scale.result) / arb(int(scale.one)))
+
+    def _fixed_reference(self) -> FixedReference:
+        assert isinstance(self.reference, FixedReference)
+        return self.reference
+
+    def currents(self, torque: Value) -> tuple[Value, Value]:
+        """(i_d, i_q) in A of the emitted constants in exact arithmetic, for a torque in N m, a ball or a series."""
+        from flint import arb
+
+        if isinstance(self.reference, FixedReference):
+            return self._fixed(self.reference.d, torque), self._fixed(self.reference.q, torque)
+        match self.reference.form:
+            case Proportional(gain):
+                return 0 * torque, torque * arb(float(gain))
+            case Polynomials(d, q):
+                return self._single(d, torque), self._single(q, torque)
+            case TorqueExact(d, magnet, slope):
+                i_d = self._single(d, torque)
+                return i_d, torque / (i_d * arb(float(slope)) + arb(float(magnet)))
+            case ClosedForm(q, base, sign) as form:
+                i_q = self._single(q, torque)
+                i_d = arb(float(base)) - (i_q * i_q + arb(float(form.base_squared))).sqrt()
+                return i_d * sign, i_q
+            case ReluctanceClosedForm(gain, sign):
+                i_q = (torque * arb(float(gain))).sqrt()
+                return i_q * -sign, i_q
+
+    def rounding(self, torque: arb) -> tuple[arb, arb]:
+        """Bounds in A of what rounding adds to i_d and i_q for torques in N m inside a ball.
+
+        Raises
+        ------
+        ZeroDivisionError
+            The ball is so wide that a divisor may vanish.
+        """
+        from flint import arb
+
+        if isinstance(self.reference, FixedReference):
+            return self._fixed_rounding(self.reference.d, torque), self._fixed_rounding(self.reference.q, torque)
+        given = Rounded(torque, arb(0))
+        match self.reference.form:
+            case Proportional(gain):
+                return arb(0), _product(_exact(float(gain)), given).error
+            case Polynomials(d, q):
+                return self._steps(d, given).error, self._steps(q, given).error
+            case TorqueExact(d, magnet, slope):
+                i_d = self._steps(d, given)
+                divisor = _sum(_product(_exact(float(slope)), i_d), _exact(float(magnet)))
+                return i_d.error, _quotient(given, divisor).error
+            case ClosedForm(q, base, _) as form:
+                i_q = self._steps(q, given)
+                root = _root(_sum(_product(i_q, i_q), _exact(float(form.base_squared))))
+                return _sum(_exact(float(base)), Rounded(-root.value, root.error)).error, i_q.error
+            case ReluctanceClosedForm(gain, _):
+                error = _root(_product(_exact(float(gain)), given)).error
+                return error, error
+
+    def _steps(self, polynomial: SinglePolynomial, torque: Rounded) -> Rounded:
+        index = self._index([float(start) for start in polynomial.starts])
+        return _horner(polynomial.starts, polynomial.coefficients, index, torque)
+
+    def _fixed_rounding(self, polynomial: FixedPolynomial | None, torque: arb) -> arb:
+        from flint import arb
+
+        if polynomial is None:
+            return arb(0)
+        scale = self._fixed_reference().scale
+        starts = [float(scale.arguments(start)) for start in polynomial.starts]  # type: ignore[arg-type]
+        segment = polynomial.segments[self._index(starts)]
+        x = (torque * (arb(int(scale.one)) / arb(scale.argument)) - segment.start).abs_upper()
+        error, total = arb(0), sum(segment.shifts)
+        for shift in segment.shifts:
+            total -= shift
+            error = error * x + (arb(2) ** -(total + 1) if shift > 0 else 0)
+        unit = arb(scale.result) / arb(int(scale.one))
+        value = self._fixed(polynomial, torque).abs_upper() / unit + error
+        beyond = value - polynomial.largest
+        return (error + (beyond if beyond > 0 else 0)) * unit
+
+
+def pieces(reference: Reference) -> list[Piece]:
+    """Parts of the domain between the breakpoints of either current."""
+    if isinstance(reference, FixedReference):
+        edges = [float(reference.scale.arguments(start)) for start in reference.starts]  # type: ignore[arg-type]
+    else:
+        parts = [getattr(reference.form, name, None) for name in ("d", "q")]
+        found = {float(start) for part in parts if isinstance(part, SinglePolynomial) for start in part.starts}
+        edges = sorted(found | {0.0})
+    ends = [*edges[1:], float(reference.torque_max)]
+    return [Piece(reference, low, high) for low, high in zip(edges, ends, strict=True)]
