@@ -168,9 +168,14 @@ def _check_form(sections: DesignFile, machine: Machine, document: YamlDocument) 
     if sections.operation.strategy == "mtpa" and form == "closed-form" and machine.l_d == machine.l_q:
         message = "fit.form: closed-form needs inductance_d and inductance_q to differ; write form: torque-exact"
         raise document.error(message, path)
-    if form == "closed-form" and sections.operation.speed is not None:
+    if form == "even-odd" and machine.psi_pm == 0.0:
+        message = "fit.form: even-odd needs currents that are smooth at zero torque; write form: polynomial"
+        raise document.error(message, path)
+    if form == "even-odd" and sections.fit.degree < 2:
+        raise document.error("fit.degree: even-odd needs degree 2 or more; write degree: 3", ("fit", "degree"))
+    if form in ("closed-form", "even-odd") and sections.operation.speed is not None:
         other = "polynomial" if machine.psi_pm == 0.0 else "torque-exact"
-        message = f"fit.form: closed-form follows the MTPA locus, which operation.speed leaves; write form: {other}"
+        message = f"fit.form: {form} follows the MTPA locus, which operation.speed leaves; write form: {other}"
         raise document.error(message, path)
     if form == "torque-exact" and machine.psi_pm == 0.0:
         other = "closed-form" if sections.operation.speed is None else "polynomial"

@@ -27,8 +27,16 @@ from dqforge.optimizer.fitting import Curve, SideConditions, fit_curve, largest_
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.single_precision import SinglePolynomial
 
-AXES: dict[FitForm, tuple[str, ...]] = {"polynomial": ("d", "q"), "torque-exact": ("d",), "closed-form": ("q",)}
+AXES: dict[FitForm, tuple[str, ...]] = {
+    "polynomial": ("d", "q"),
+    "even-odd": ("d", "q"),
+    "torque-exact": ("d",),
+    "closed-form": ("q",),
+}
 """The axes that each form holds as polynomials."""
+
+LEAST_DEGREE: dict[FitForm, int] = {"polynomial": 1, "even-odd": 2, "torque-exact": 1, "closed-form": 1}
+"""Least degree of each form: even-odd has no linear term in i_d."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,23 +120,30 @@ def _exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None
 def possible_forms(choice: CurrentChoice) -> tuple[FitForm, ...]:
     """Forms that can hold the currents of a choice.
 
-    ``torque-exact`` needs constant inductances and a magnet, ``closed-form`` the MTPA locus that these have.
+    ``torque-exact`` needs constant inductances and a magnet, ``closed-form`` and ``even-odd`` the MTPA locus that these
+    have.
     """
     machine = choice.machine
     if not isinstance(machine, LinearMachine):
         return ("polynomial",)
     if machine.psi_pm == 0.0:
         return ("polynomial",) if choice.speed is not None else ("polynomial", "closed-form")
-    return ("polynomial", "torque-exact") if choice.speed is not None else ("polynomial", "torque-exact", "closed-form")
+    if choice.speed is not None:
+        return ("polynomial", "torque-exact")
+    return ("polynomial", "even-odd", "torque-exact", "closed-form")
 
 
-def _require_form(choice: CurrentChoice, form: FitForm) -> None:
+def _require_form(choice: CurrentChoice, form: FitForm, degree: int) -> None:
     possible = possible_forms(choice)
     if form in possible:
+        if form == "even-odd" and degree < LEAST_DEGREE[form]:
+            raise InputError(f"fit.degree: even-odd needs degree {LEAST_DEGREE[form]} or more, got {degree}")
         return
     machine = choice.machine
     if not isinstance(machine, LinearMachine):
         reason = "needs constant inductances, the machine is a flux map"
+    elif form == "even-odd" and machine.psi_pm == 0.0:
+        reason = "needs currents that are smooth at zero torque, without a magnet they are not"
     elif form == "torque-exact":
         reason = "divides by the magnet torque, which this machine does not have"
     else:
@@ -139,7 +154,7 @@ def _require_form(choice: CurrentChoice, form: FitForm) -> None:
 def _assemble(machine: Machine, form: FitForm, fits: dict[str, PiecewisePolynomial]) -> Form:
     """Round the polynomials of a form, and the machine constants beside them, to float."""
     single = {axis: SinglePolynomial.from_double(fit) for axis, fit in fits.items()}
-    if form == "polynomial":
+    if form in ("polynomial", "even-odd"):
         return Polynomials(single["d"], single["q"])
     if form == "torque-exact":
         slope = -1.5 * machine.pole_pairs * machine.saliency
@@ -183,7 +198,7 @@ def fit_reference(choice: CurrentChoice, settings: FitSettings) -> ReferenceFit:
     exact = _exact_form(choice, settings.form)
     fits: dict[str, PiecewisePolynomial] = {}
     if exact is None:
-        _require_form(choice, settings.form)
+        _require_form(choice, settings.form, settings.degree)
         if settings.breakpoints is not None and settings.breakpoints and settings.breakpoints[-1] >= end:
             raise InputError(f"fit.breakpoints must lie below the largest torque, {end:.4g} N m")
         fits = _fits(choice, settings, end)
@@ -209,10 +224,33 @@ def _fits(choice: CurrentChoice, settings: FitSettings, end: float) -> dict[str,
     shifted = {axis: _less(curve, at_rest[axis]) for axis, curve in curves.items()}
     side = SideConditions(settings.exact_at_zero, settings.continuous)
     edges = find_edges(shifted, settings, end)
+    if settings.form == "even-odd":
+        return _even_odd_fits(choice.machine, shifted, edges, settings)
     fits = {
         axis: fit_curve(curve, edges[axis], settings.degree, settings.method, side) for axis, curve in shifted.items()
     }
     return {axis: _raised(fit, at_rest[axis]) for axis, fit in fits.items()}
+
+
+def _even_odd_fits(
+    machine: Machine, curves: dict[str, Curve], edges: dict[str, FloatArray], settings: FitSettings
+) -> dict[str, PiecewisePolynomial]:
+    """i_d of degree n without its linear term, then i_q of degree n + 1 without its square.
+
+    At the MTPA i_d is even and i_q odd in the torque, so that the terms are small and their coefficients better spent
+    higher up. i_q is fitted to what gives the torque together with the i_d that was fitted: an error of i_d then costs
+    no torque, and a loss of second order only.
+    """
+    slope = -1.5 * machine.pole_pairs * machine.saliency
+    d = fit_curve(
+        curves["d"], edges["d"], settings.degree, settings.method, SideConditions(True, settings.continuous, (1,))
+    )
+
+    def matched(torque: FloatArray) -> FloatArray:
+        return torque / (machine.torque_per_ampere + slope * d(torque))
+
+    side = SideConditions(True, settings.continuous, (2,))
+    return {"d": d, "q": fit_curve(matched, edges["q"], settings.degree + 1, settings.method, side)}
 
 
 def _less(curve: Curve, constant: float) -> Curve:
@@ -247,16 +285,17 @@ def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative,
     rows += [
         (f"form {form}", replace(fit.settings, form=form))
         for form in possible_forms(choice)
-        if form != fit.settings.form and _exact_form(choice, form) is None
+        if form != fit.settings.form and _exact_form(choice, form) is None and fit.settings.degree >= LEAST_DEGREE[form]
     ]
     methods: tuple[FitMethod, ...] = ("lagrange", "least-squares", "minimax")
     rows += [(f"method {method}", replace(fixed, method=method)) for method in methods if method != fixed.method]
-    rows.append(
-        (
-            f"exact at zero: {'off' if fixed.exact_at_zero else 'on'}",
-            replace(fixed, exact_at_zero=not fixed.exact_at_zero),
+    if fit.settings.form != "even-odd":  # which is exact there by its make
+        rows.append(
+            (
+                f"exact at zero: {'off' if fixed.exact_at_zero else 'on'}",
+                replace(fixed, exact_at_zero=not fixed.exact_at_zero),
+            )
         )
-    )
     if fixed.segments > 1:
         rows.append(
             (f"continuous: {'off' if fixed.continuous else 'on'}", replace(fixed, continuous=not fixed.continuous))

@@ -18,7 +18,7 @@ from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.labels import operation_text
-from dqforge.reports.reference_ir import PlainData, shortest, to_plain
+from dqforge.reports.reference_ir import PlainData, ladders, shortest, to_plain
 from dqforge.reports.templating import render
 
 _VECTOR_SEED = 20_260_501
@@ -27,6 +27,10 @@ _VECTOR_SEED = 20_260_501
 _FORM_TEXT = {
     "proportional": ("i_d = 0 and i_q proportional to the torque (exact)",),
     "polynomial": ("i_d and i_q are polynomials of the torque",),
+    "even-odd": (
+        "i_d and i_q are polynomials of the torque; i_d has no linear term, i_q no square and one degree more;",
+        "i_q is fitted to the torque that it makes together with this i_d",
+    ),
     "torque-exact": (
         "i_d is a polynomial of the torque; i_q is the torque over (magnet + slope i_d),",
         "so the torque has no error but rounding",
@@ -181,27 +185,6 @@ def _observer_group(solution: Solution) -> list[PlainData]:
     return [group]
 
 
-def _ladders(plain: PlainData) -> list[list[PlainData]]:
-    """Branch ladders of the evaluator: one for both axes where they share their breakpoints, else one per axis."""
-    axes = [axis for axis in ("d", "q") if axis in plain]
-    starts = {axis: tuple(segment["start"] for segment in plain[axis]) for axis in axes}
-    groups = [axes] if len(set(starts.values())) == 1 else [[axis] for axis in axes]
-    ladders = []
-    for group in groups:
-        edges = starts[group[0]]
-        ladders.append(
-            [
-                {
-                    "start": start,
-                    "end": edges[index + 1] if index + 1 < len(edges) else plain["torque_max"],
-                    "polynomials": [(f"i_{axis}", plain[axis][index]["coefficients"]) for axis in group],
-                }
-                for index, start in enumerate(edges)
-            ]
-        )
-    return ladders if axes else []
-
-
 def error_text(solution: Solution) -> list[str]:
     """What the current reference errs by, as lines of at most 110 characters."""
     errors = solution.fit.errors
@@ -234,12 +217,12 @@ def _reference_context(solution: Solution, plain: PlainData) -> PlainData:
         | base_squared
         | {
             "uses_sqrt": plain["form"] in ("closed-form", "reluctance"),
-            "ladders": _ladders(plain),
+            "ladders": ladders(plain),
             "comment": [
                 "torque_Nm: torque in N m, clamped to +-TORQUE_MAX; i_d_A, i_q_A: currents in A (peak).",
                 "i_d is even and i_q odd in the torque; not-a-number gives the reference of zero torque.",
-                f"Strategy {solution.design.strategy}{f' at {where}' if where else ''}; form {plain['form']}:",
-                *_FORM_TEXT[plain["form"]],
+                f"Strategy {solution.design.strategy}{f' at {where}' if where else ''}; form {fit.form}:",
+                *_FORM_TEXT["even-odd" if fit.form == "even-odd" else plain["form"]],
                 *([shape] if has_polynomials else []),
                 *error_text(solution),
             ],
@@ -271,7 +254,7 @@ def header_context(solution: Solution) -> PlainData:
             _drive_text(design),
             "Units stand in the names and comments; angles in rad, dq quantities as peak of phase.",
             "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated errors hold either way.",
-            "Plain C99 and C++11; sqrtf is the only library function that may be used.",
+            "Plain C99 and C++11; fabsf and sqrtf are the only library functions that may be used.",
         ],
         "groups": [
             _machine_group(solution),

@@ -207,3 +207,16 @@ def test_stated_errors_cover_both_contractions() -> None:
 def test_a_breakpoint_at_the_end_of_the_domain_is_refused() -> None:
     with pytest.raises(InputError, match="below the largest torque"):
         fitted(IPM, torque_max=200.0, breakpoints=(200.0,))
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_both_signs_of_the_torque_give_the_same_bits_but_the_sign_of_i_q(form: FitForm) -> None:
+    """Even and odd bit for bit, at zero, in the domain and beyond it, with and without contraction."""
+    reference = fitted(IPM, form=form, degree=3).reference
+    end = float(reference.torque_max)
+    torque = np.concatenate([np.linspace(0.0, 1.1 * end, 301), [1e-45, 1e-38, 1e30, np.inf]]).astype(np.float32)
+    for fused in (False, True):
+        (d, q), (d_less, q_less) = (reference.currents(signed, fused=fused) for signed in (torque, -torque))
+        np.testing.assert_array_equal(d.view(np.uint32), d_less.view(np.uint32))
+        np.testing.assert_array_equal(q.view(np.uint32), (-q_less).view(np.uint32))
+        assert not np.signbit(q).any()
