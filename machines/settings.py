@@ -53,7 +53,8 @@ class FitSettings:
 
     ``torque_max`` in N m is the end of the domain, or None for the largest torque that the current limit allows.
     ``breakpoints`` in N m are searched for when None; a given tuple has ``segments - 1`` ascending entries. With a
-    ``budget`` form, degree, segments and breakpoints are searched for.
+    ``budget`` form, degree, segments and breakpoints are searched for. ``flat_at_zero`` leaves the linear term of i_d
+    out of its first segment.
     """
 
     form: FitForm = "torque-exact"
@@ -63,6 +64,7 @@ class FitSettings:
     breakpoint_mode: BreakpointMode = "shared"
     exact_at_zero: bool = True
     continuous: bool = True
+    flat_at_zero: bool = False
     torque_max: float | None = None
     breakpoints: tuple[float, ...] | None = None
     budget: FitBudget | None = None

@@ -10,7 +10,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.settings import FitBudget, FitForm, FitSettings
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.current_reference import ClosedForm, CurrentReference, ReferenceErrors
-from dqforge.optimizer.reference_fit import AXES, LEAST_DEGREE, ReferenceFit, fit_reference, possible_forms
+from dqforge.optimizer.reference_fit import AXES, ReferenceFit, fit_reference, least_degree, possible_forms
 from dqforge.optimizer.single_precision import SinglePolynomial, multiply_add
 
 _DEGREES = (1, 2, 3, 4, 5, 6)
@@ -118,7 +118,7 @@ def choose_fit(choice: CurrentChoice, settings: FitSettings, budget: FitBudget) 
         for form in possible_forms(choice)
         for degree in _DEGREES
         for segments in _SEGMENTS
-        if degree >= LEAST_DEGREE[form]
+        if degree >= least_degree(form, settings)
     )
     trials: list[Trial] = []
     for cycles, flash, form, degree, segments in candidates:

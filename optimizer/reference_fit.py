@@ -35,9 +35,6 @@ AXES: dict[FitForm, tuple[str, ...]] = {
 }
 """The axes that each form holds as polynomials."""
 
-LEAST_DEGREE: dict[FitForm, int] = {"polynomial": 1, "even-odd": 2, "torque-exact": 1, "closed-form": 1}
-"""Least degree of each form: even-odd has no linear term in i_d."""
-
 
 @dataclass(frozen=True, slots=True)
 class ReferenceFit:
@@ -117,6 +114,11 @@ def _exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None
     return None
 
 
+def least_degree(form: FitForm, settings: FitSettings) -> int:
+    """Least degree of a form: 2 where i_d has no linear term."""
+    return 2 if form == "even-odd" or (settings.flat_at_zero and "d" in AXES[form]) else 1
+
+
 def possible_forms(choice: CurrentChoice) -> tuple[FitForm, ...]:
     """Forms that can hold the currents of a choice.
 
@@ -133,11 +135,13 @@ def possible_forms(choice: CurrentChoice) -> tuple[FitForm, ...]:
     return ("polynomial", "even-odd", "torque-exact", "closed-form")
 
 
-def _require_form(choice: CurrentChoice, form: FitForm, degree: int) -> None:
+def _require_form(choice: CurrentChoice, settings: FitSettings) -> None:
+    form = settings.form
     possible = possible_forms(choice)
     if form in possible:
-        if form == "even-odd" and degree < LEAST_DEGREE[form]:
-            raise InputError(f"fit.degree: even-odd needs degree {LEAST_DEGREE[form]} or more, got {degree}")
+        if settings.degree < least_degree(form, settings):
+            what = "form: even-odd" if form == "even-odd" else "flat_at_zero"
+            raise InputError(f"fit.degree: {what} needs degree 2 or more, got {settings.degree}; write degree: 3")
         return
     machine = choice.machine
     if not isinstance(machine, LinearMachine):
@@ -198,7 +202,7 @@ def fit_reference(choice: CurrentChoice, settings: FitSettings) -> ReferenceFit:
     exact = _exact_form(choice, settings.form)
     fits: dict[str, PiecewisePolynomial] = {}
     if exact is None:
-        _require_form(choice, settings.form, settings.degree)
+        _require_form(choice, settings)
         if settings.breakpoints is not None and settings.breakpoints and settings.breakpoints[-1] >= end:
             raise InputError(f"fit.breakpoints must lie below the largest torque, {end:.4g} N m")
         fits = _fits(choice, settings, end)
@@ -227,9 +231,16 @@ def _fits(choice: CurrentChoice, settings: FitSettings, end: float) -> dict[str,
     if settings.form == "even-odd":
         return _even_odd_fits(choice.machine, shifted, edges, settings)
     fits = {
-        axis: fit_curve(curve, edges[axis], settings.degree, settings.method, side) for axis, curve in shifted.items()
+        axis: fit_curve(
+            curve, edges[axis], settings.degree, settings.method, replace(side, absent=_absent(axis, settings))
+        )
+        for axis, curve in shifted.items()
     }
     return {axis: _raised(fit, at_rest[axis]) for axis, fit in fits.items()}
+
+
+def _absent(axis: str, settings: FitSettings) -> tuple[int, ...]:
+    return (1,) if settings.flat_at_zero and axis == "d" else ()
 
 
 def _even_odd_fits(
@@ -285,7 +296,9 @@ def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative,
     rows += [
         (f"form {form}", replace(fit.settings, form=form))
         for form in possible_forms(choice)
-        if form != fit.settings.form and _exact_form(choice, form) is None and fit.settings.degree >= LEAST_DEGREE[form]
+        if form != fit.settings.form
+        and _exact_form(choice, form) is None
+        and fit.settings.degree >= least_degree(form, fit.settings)
     ]
     methods: tuple[FitMethod, ...] = ("lagrange", "least-squares", "minimax")
     rows += [(f"method {method}", replace(fixed, method=method)) for method in methods if method != fixed.method]

@@ -67,10 +67,10 @@ def test_no_cheaper_form_keeps_the_budget() -> None:
     for trial in found.trials[:-1]:
         fit = fit_reference(choice, FitSettings(form=trial.form, degree=trial.degree, segments=trial.segments))
         assert fit.errors.torque_relative > 2e-3 or fit.errors.loss_relative > 1e-3
-    assert (best.form, best.degree, best.segments) == ("polynomial", 2, 2)
+    assert (best.form, best.degree, best.segments) == ("even-odd", 3, 1)
 
 
-@pytest.mark.parametrize("form", ["polynomial", "torque-exact", "closed-form"])
+@pytest.mark.parametrize("form", ["polynomial", "even-odd", "torque-exact", "closed-form"])
 def test_bytes_are_the_constants_of_the_emitted_code(form: str) -> None:
     """Counted in the C text: literals of the evaluator, and the end of the domain."""
     design = make_design(fit=FitSettings(form=form, degree=3, segments=2))  # type: ignore[arg-type]
@@ -85,8 +85,11 @@ def test_bytes_are_the_constants_of_the_emitted_code(form: str) -> None:
 
 
 def test_estimates_are_the_compiled_instances() -> None:
-    assert [estimated_cycles("polynomial", degree, 2) for degree in (2, 3, 4)] == [28.0, 35.0, 42.0]
-    assert estimated_cycles("torque-exact", 4, 2) == 50.0
+    """Middles of what tests/benchmarks/test_firmware_cost.py finds."""
+    found = [estimated_cycles("polynomial", degree, 2) for degree in (2, 3, 4)]
+    assert found == pytest.approx([35.8, 41.8, 49.2], abs=1.0)
+    assert estimated_cycles("torque-exact", 4, 2) == pytest.approx(57.8, abs=1.0)
+    assert estimated_cycles("even-odd", 3, 1) == pytest.approx(31.5, abs=1.0)
 
 
 def test_exact_references_need_no_search() -> None:
