@@ -211,6 +211,7 @@ class _Build:
             breakpoint_mode=section.breakpoint_mode,
             exact_at_zero=section.exact_at_zero,
             continuous=section.continuous,
+            flat_at_zero=section.flat_at_zero,
             torque_max=si_of(section.torque_max),
             breakpoints=None if section.breakpoints is None else tuple(point.si for point in section.breakpoints),
             budget=budget,

@@ -228,6 +228,7 @@ class FitSection(Section):
     )
     exact_at_zero: bool = Field(default=_FIT.exact_at_zero, description="no current at zero torque")
     continuous: bool = Field(default=_FIT.continuous, description="no step at the breakpoints")
+    flat_at_zero: bool = Field(default=_FIT.flat_at_zero, description="no linear term of i_d at zero torque")
     torque_max: Torque | None = Field(
         default=None, description="end of the domain (N m); default the largest torque within the current limit"
     )

@@ -15,8 +15,15 @@ from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.current_reference import ClosedForm, Reference, ReferenceErrors
 from dqforge.optimizer.fitting import Curve, SideConditions
 from dqforge.optimizer.fixed_reference import FixedReference
-from dqforge.optimizer.reference_fit import AXES, ReferenceFit, domain_end, fit_reference, possible_forms
-from dqforge.optimizer.single_precision import SinglePolynomial
+from dqforge.optimizer.reference_fit import (
+    AXES,
+    ReferenceFit,
+    domain_end,
+    fit_reference,
+    least_degree,
+    possible_forms,
+)
+from dqforge.optimizer.single_precision import SinglePolynomial, multiply_add
 
 _DEGREES = (1, 2, 3, 4, 5, 6)
 _SEGMENTS = (1, 2, 3, 4)
@@ -25,6 +32,14 @@ _HOPELESS_TORQUE, _HOPELESS_LOSS = 5.0, 16.0
 most that tests find is 4.2 for the torque and 10 for the loss, which goes with the square of the current error."""
 
 _FLOAT_BYTES = 4
+
+_CYCLES: dict[FitForm, tuple[float, float, float]] = {
+    "polynomial": (22.3, 6.7, -9.6),
+    "even-odd": (25.4, 6.2, -12.2),
+    "torque-exact": (39.2, 4.65, -6.5),
+    "closed-form": (44.7, 4.0, -6.5),
+}
+"""Cycles of two segments at degree 0, per degree, and what a single segment saves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,20 +70,19 @@ class FitChoice:
 def estimated_cycles(form: FitForm, degree: int, segments: int) -> float:
     """Cycles of both currents on a Cortex-M4F, an estimate to rank forms by.
 
-    Fitted to compiled instances: two polynomials of degree 2, 3, 4 that share one breakpoint take 28, 35, 42 cycles;
-    one of degree 4 with a division 50; a square root costs what a division does.
+    Fitted to compiled instances, sign and clamping included, each the middle of its estimate on the emulated core
+    (tests/benchmarks/test_firmware_cost.py).
     """
-    branches = 2.0 * (segments - 2) - (2.0 if segments == 1 else 0.0)
-    base = {"polynomial": 14.0 + 7.0 * degree, "torque-exact": 36.0 + 3.5 * degree, "closed-form": 38.0 + 3.5 * degree}
-    return base[form] + branches
+    base, per_degree, single = _CYCLES[form]
+    return base + per_degree * degree + (single if segments == 1 else 6.0 * (segments - 2))
 
 
 def constant_bytes(form: FitForm, degree: int, segments: int) -> int:
     """Bytes of the constants of a form whose axes share their breakpoints."""
     polynomials = len(AXES[form])
-    extra = {"polynomial": 0, "torque-exact": 2, "closed-form": 2}[form]
-    # The first segment of each polynomial has no constant, the first start is zero.
-    floats = polynomials * (segments * (degree + 1) - 1) + (segments - 1) + extra
+    extra = {"polynomial": 0, "even-odd": segments - 2, "torque-exact": 2, "closed-form": 2}[form]
+    # The first segment of each polynomial has no constant, the first start is zero; each has its value at the end.
+    floats = polynomials * (segments * (degree + 1)) + (segments - 1) + extra
     return _FLOAT_BYTES * (floats + 1)
 
 
@@ -88,7 +102,8 @@ def reference_bytes(reference: Reference) -> int:
     for name in reference.form.__dataclass_fields__:
         value = getattr(reference.form, name)
         if isinstance(value, SinglePolynomial):
-            constants.update(float(constant) for constant in (*value.coefficients.flat, *value.starts))
+            end = value.evaluate(np.array([reference.torque_max]), multiply_add)
+            constants.update(float(constant) for constant in (*value.coefficients.flat, *value.starts, *end))
         elif name != "sign":
             constants.add(float(value))
     if isinstance(reference.form, ClosedForm):
@@ -167,6 +182,7 @@ def choose_fit(choice: CurrentChoice, settings: FitSettings, budget: FitBudget) 
         for form in possible_forms(choice)
         for degree in _DEGREES
         for segments in _SEGMENTS
+        if degree >= least_degree(form, settings)
     )
     quick_fits = QuickFits(choice, settings)
     trials: list[Trial] = []

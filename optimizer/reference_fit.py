@@ -31,7 +31,12 @@ from dqforge.optimizer.fixed_reference import FIXED_WIDTHS, FixedReference
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.single_precision import SinglePolynomial
 
-AXES: dict[FitForm, tuple[str, ...]] = {"polynomial": ("d", "q"), "torque-exact": ("d",), "closed-form": ("q",)}
+AXES: dict[FitForm, tuple[str, ...]] = {
+    "polynomial": ("d", "q"),
+    "even-odd": ("d", "q"),
+    "torque-exact": ("d",),
+    "closed-form": ("q",),
+}
 """The axes that each form holds as polynomials."""
 
 
@@ -108,29 +113,43 @@ def _exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None
     return None
 
 
+def least_degree(form: FitForm, settings: FitSettings) -> int:
+    """Least degree of a form: 2 where i_d has no linear term."""
+    return 2 if form == "even-odd" or (settings.flat_at_zero and "d" in AXES[form]) else 1
+
+
 def possible_forms(choice: CurrentChoice, number_format: NumberFormat = "float32") -> tuple[FitForm, ...]:
     """Forms that can hold the currents of a choice in a number format.
 
-    ``torque-exact`` needs constant inductances and a magnet, ``closed-form`` the MTPA locus that these have. Fixed
-    point has polynomials only: it is for cores on which a division or a square root costs more than all the rest.
+    ``torque-exact`` needs constant inductances and a magnet, ``closed-form`` and ``even-odd`` the MTPA locus that these
+    have. Fixed point has plain polynomials only: it is for cores on which a division or a root costs more than all the
+    rest.
     """
     machine = choice.machine
     if not isinstance(machine, LinearMachine) or number_format != "float32":
         return ("polynomial",)
     if machine.psi_pm == 0.0:
         return ("polynomial",) if choice.speed is not None else ("polynomial", "closed-form")
-    return ("polynomial", "torque-exact") if choice.speed is not None else ("polynomial", "torque-exact", "closed-form")
+    if choice.speed is not None:
+        return ("polynomial", "torque-exact")
+    return ("polynomial", "even-odd", "torque-exact", "closed-form")
 
 
-def _require_form(choice: CurrentChoice, form: FitForm, number_format: NumberFormat) -> None:
+def _require_form(choice: CurrentChoice, settings: FitSettings, number_format: NumberFormat) -> None:
+    form = settings.form
     possible = possible_forms(choice, number_format)
     if form in possible:
+        if settings.degree < least_degree(form, settings):
+            what = "form: even-odd" if form == "even-odd" else "flat_at_zero"
+            raise InputError(f"fit.degree: {what} needs degree 2 or more, got {settings.degree}; write degree: 3")
         return
     machine = choice.machine
     if number_format != "float32":
         reason = f"divides or takes a root, which {number_format} does not offer"
     elif not isinstance(machine, LinearMachine):
         reason = "needs constant inductances, the machine is a flux map"
+    elif form == "even-odd" and machine.psi_pm == 0.0:
+        reason = "needs currents that are smooth at zero torque, without a magnet they are not"
     elif form == "torque-exact":
         reason = "divides by the magnet torque, which this machine does not have"
     else:
@@ -141,7 +160,7 @@ def _require_form(choice: CurrentChoice, form: FitForm, number_format: NumberFor
 def _assemble(machine: Machine, form: FitForm, fits: dict[str, PiecewisePolynomial]) -> Form:
     """Round the polynomials of a form, and the machine constants beside them, to float."""
     single = {axis: SinglePolynomial.from_double(fit) for axis, fit in fits.items()}
-    if form == "polynomial":
+    if form in ("polynomial", "even-odd"):
         return Polynomials(single["d"], single["q"])
     if form == "torque-exact":
         slope = -1.5 * machine.pole_pairs * machine.saliency
@@ -186,7 +205,7 @@ def fit_reference(choice: CurrentChoice, settings: FitSettings) -> ReferenceFit:
     exact = _exact_form(choice, settings.form)
     fits: dict[str, PiecewisePolynomial] = {}
     if exact is None or exact[0] == "reluctance":
-        _require_form(choice, settings.form, number_format)
+        _require_form(choice, settings, number_format)
     if exact is None:
         if settings.breakpoints is not None and settings.breakpoints and settings.breakpoints[-1] >= end:
             raise InputError(f"fit.breakpoints must lie below the largest torque, {end:.4g} N m")
@@ -215,11 +234,16 @@ def _fits(choice: CurrentChoice, settings: FitSettings, end: float) -> dict[str,
     shifted = {axis: _less(curve, at_rest[axis]) for axis, curve in curves.items()}
     side = SideConditions(settings.exact_at_zero, settings.continuous)
     edges = find_edges(shifted, settings, end)
+    if settings.form == "even-odd":
+        return _even_odd_fits(choice.machine, shifted, edges, settings)
     if settings.format in FIXED_WIDTHS:
         scale = _code_scale(choice, settings, end)
         edges = {axis: _on_codes(found, scale) for axis, found in edges.items()}
     fits = {
-        axis: fit_curve(curve, edges[axis], settings.degree, settings.method, side) for axis, curve in shifted.items()
+        axis: fit_curve(
+            curve, edges[axis], settings.degree, settings.method, replace(side, absent=_absent(axis, settings))
+        )
+        for axis, curve in shifted.items()
     }
     return {axis: _raised(fit, at_rest[axis]) for axis, fit in fits.items()}
 
@@ -271,6 +295,31 @@ def _in_fixed_point(
     return FixedReference(found.get("d"), found["q"], scale.argument, scale.result)
 
 
+def _absent(axis: str, settings: FitSettings) -> tuple[int, ...]:
+    return (1,) if settings.flat_at_zero and axis == "d" else ()
+
+
+def _even_odd_fits(
+    machine: Machine, curves: dict[str, Curve], edges: dict[str, FloatArray], settings: FitSettings
+) -> dict[str, PiecewisePolynomial]:
+    """i_d of degree n without its linear term, then i_q of degree n + 1 without its square.
+
+    At the MTPA i_d is even and i_q odd in the torque, so that the terms are small and their coefficients better spent
+    higher up. i_q is fitted to what gives the torque together with the i_d that was fitted: an error of i_d then costs
+    no torque, and a loss of second order only.
+    """
+    slope = -1.5 * machine.pole_pairs * machine.saliency
+    d = fit_curve(
+        curves["d"], edges["d"], settings.degree, settings.method, SideConditions(True, settings.continuous, (1,))
+    )
+
+    def matched(torque: FloatArray) -> FloatArray:
+        return torque / (machine.torque_per_ampere + slope * d(torque))
+
+    side = SideConditions(True, settings.continuous, (2,))
+    return {"d": d, "q": fit_curve(matched, edges["q"], settings.degree + 1, settings.method, side)}
+
+
 def _less(curve: Curve, constant: float) -> Curve:
     return curve if constant == 0.0 else lambda argument: curve(argument) - constant
 
@@ -309,7 +358,9 @@ def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative,
     rows += [
         (f"form {form}", replace(fit.settings, form=form))
         for form in possible_forms(choice, fit.settings.format or "float32")
-        if form != fit.settings.form and _exact_form(choice, form) is None
+        if form != fit.settings.form
+        and _exact_form(choice, form) is None
+        and fit.settings.degree >= least_degree(form, fit.settings)
     ]
     formats: tuple[NumberFormat, ...] = ("float32", "q15", "q31")
     rows += [
@@ -319,12 +370,13 @@ def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative,
     ]
     methods: tuple[FitMethod, ...] = ("lagrange", "least-squares", "minimax")
     rows += [(f"method {method}", replace(fixed, method=method)) for method in methods if method != fixed.method]
-    rows.append(
-        (
-            f"exact at zero: {'off' if fixed.exact_at_zero else 'on'}",
-            replace(fixed, exact_at_zero=not fixed.exact_at_zero),
+    if fit.settings.form != "even-odd":  # which is exact there by its make
+        rows.append(
+            (
+                f"exact at zero: {'off' if fixed.exact_at_zero else 'on'}",
+                replace(fixed, exact_at_zero=not fixed.exact_at_zero),
+            )
         )
-    )
     if fixed.segments > 1:
         rows.append(
             (f"continuous: {'off' if fixed.continuous else 'on'}", replace(fixed, continuous=not fixed.continuous))

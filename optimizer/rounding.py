@@ -91,7 +91,7 @@ def _horner(starts: Any, coefficients: Any, index: int, torque: Rounded) -> Roun
     value = _exact(row[-1])
     for power in range(len(row) - 2, -1, -1):
         value = _product(value, x)
-        if power > 0 or row[0] != 0.0:
+        if row[power] != 0.0:
             value = _sum(value, _exact(row[power]))
     return value
 

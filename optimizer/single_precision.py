@@ -51,7 +51,7 @@ class SinglePolynomial:
     starts:
         First edge of each segment, shape (S,); the first is 0.
     coefficients:
-        Ascending powers, shape (S, n + 1). A constant that is zero is neither stored nor added in the emitted C.
+        Ascending powers, shape (S, n + 1). One that is zero is neither stored nor added in the emitted C.
     """
 
     starts: SingleArray
@@ -62,13 +62,18 @@ class SinglePolynomial:
         """Round every coefficient and every edge to the nearest float."""
         return cls(piecewise.edges[:-1].astype(np.float32), piecewise.coefficients.astype(np.float32))
 
-    def evaluate(self, argument: SingleArray, muladd: MultiplyAdd) -> SingleArray:
-        """Value at non-negative float32 arguments, shape (N,), with the given multiply-add."""
+    def evaluate(self, argument: SingleArray, muladd: MultiplyAdd, odd_in: SingleArray | None = None) -> SingleArray:
+        """Value at non-negative float32 arguments, shape (N,), with the given multiply-add.
+
+        With ``odd_in``, the arguments with their signs, the curve is continued as an odd function: where the constant
+        of the first segment is zero its last product takes the signed argument, elsewhere the result is negated.
+        """
         segment = np.searchsorted(self.starts[1:], argument, side="right")
         local = argument - self.starts[segment]
         rows = self.coefficients[segment]
+        through_zero = (segment == 0) & (rows[:, 0] == 0.0)
         value = rows[:, -1]
-        for power in range(rows.shape[1] - 2, 0, -1):
-            value = muladd(value, local, rows[:, power])
-        constant = rows[:, 0]
-        return np.where(constant == 0.0, value * local, muladd(value, local, constant))
+        for power in range(rows.shape[1] - 2, -1, -1):
+            factor = local if odd_in is None or power > 0 else np.where(through_zero, odd_in, local)
+            value = np.where(rows[:, power] == 0.0, value * factor, muladd(value, factor, rows[:, power]))
+        return value if odd_in is None else np.where((odd_in < 0.0) & ~through_zero, -value, value)

@@ -289,9 +289,12 @@ def verification_text(verification: Verification | None) -> str:
 
 def target_text(outcome: TargetVerification) -> str:
     """One line on a run on an emulated core."""
+    low, high = outcome.cycles
+    most = outcome.cycles_largest
     return (
         f"all test vectors hold bit for bit on an emulated {outcome.target}; both currents of the reference take "
-        f"{outcome.instructions:.1f} instructions (mean of {outcome.vectors} vectors) and {outcome.flash} bytes"
+        f"{outcome.instructions:.1f} instructions (mean of {outcome.costed} vectors), an estimated {low:.0f}-{high:.0f}"
+        f" cycles (at most {most[0]}-{most[1]}; zero wait states) and {outcome.flash} bytes"
     )
 
 

@@ -121,7 +121,7 @@ def test_changed_header_fails_verification(run: Run, tmp_path: Path) -> None:
     text = header.read_text()
     header.write_text(re.sub(r"0\.6294F", "0.6295F", text, count=1))
     assert "does not give the results of its test vectors" in one_line(run("verify", "out"), 1)
-    header.write_text(text.replace("i_q = t /", "i_q = t //"))
+    header.write_text(text.replace("i_q = torque /", "i_q = torque //"))
     assert "does not compile as c99" in one_line(run("verify", "out"), 1)
 
 

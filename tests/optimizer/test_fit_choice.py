@@ -23,7 +23,7 @@ from dqforge.optimizer.fit_choice import (
     is_hopeless,
     reference_bytes,
 )
-from dqforge.optimizer.reference_fit import fit_reference, possible_forms
+from dqforge.optimizer.reference_fit import fit_reference, least_degree, possible_forms
 from dqforge.optimizer.solution import solve
 from dqforge.reports.header import header_files
 
@@ -75,7 +75,7 @@ def test_no_cheaper_form_keeps_the_budget() -> None:
     for trial in found.trials[:-1]:
         fit = fit_reference(choice, FitSettings(form=trial.form, degree=trial.degree, segments=trial.segments))
         assert fit.errors.torque_relative > 2e-3 or fit.errors.loss_relative > 1e-3
-    assert (best.form, best.degree, best.segments) == ("polynomial", 2, 2)
+    assert (best.form, best.degree, best.segments) == ("even-odd", 3, 1)
 
 
 @pytest.mark.slow
@@ -89,7 +89,7 @@ def test_quick_fits_give_no_candidate_up_that_keeps_the_budget(machine: Machine,
     for form in possible_forms(choice):
         if form == "closed-form" and machine.psi_pm == 0.0:
             continue  # exact
-        for degree in range(1, 7):
+        for degree in range(least_degree(form, settings), 7):
             for segments in range(1, 5):
                 wanted = replace(settings, form=form, degree=degree, segments=segments)
                 best, quick = fit_reference(choice, wanted).errors, quick_fits.fit(wanted).errors
@@ -100,7 +100,7 @@ def test_quick_fits_give_no_candidate_up_that_keeps_the_budget(machine: Machine,
                 assert not is_hopeless(quick, loss)
 
 
-@pytest.mark.parametrize("form", ["polynomial", "torque-exact", "closed-form"])
+@pytest.mark.parametrize("form", ["polynomial", "even-odd", "torque-exact", "closed-form"])
 def test_bytes_are_the_constants_of_the_emitted_code(form: str) -> None:
     """Counted in the C text: literals of the evaluator, and the end of the domain."""
     design = make_design(fit=FitSettings(form=form, degree=3, segments=2))  # type: ignore[arg-type]
@@ -115,8 +115,11 @@ def test_bytes_are_the_constants_of_the_emitted_code(form: str) -> None:
 
 
 def test_estimates_are_the_compiled_instances() -> None:
-    assert [estimated_cycles("polynomial", degree, 2) for degree in (2, 3, 4)] == [28.0, 35.0, 42.0]
-    assert estimated_cycles("torque-exact", 4, 2) == 50.0
+    """Middles of what tests/benchmarks/test_firmware_cost.py finds."""
+    found = [estimated_cycles("polynomial", degree, 2) for degree in (2, 3, 4)]
+    assert found == pytest.approx([35.8, 41.8, 49.2], abs=1.0)
+    assert estimated_cycles("torque-exact", 4, 2) == pytest.approx(57.8, abs=1.0)
+    assert estimated_cycles("even-odd", 3, 1) == pytest.approx(31.5, abs=1.0)
 
 
 def test_exact_references_need_no_search() -> None:
