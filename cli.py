@@ -239,6 +239,7 @@ def mtpa(
 @app.command()
 def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = None) -> None:
     """Fit the current references and show their errors beside the alternatives."""
+    from dqforge.optimizer.certificate import certify
     from dqforge.optimizer.reference_fit import alternatives
     from dqforge.optimizer.solution import current_choice, solve_fit, solve_weakening
     from dqforge.reports.console import status
@@ -251,6 +252,7 @@ def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = Non
         chosen = solve_fit(loaded)
         found = chosen.fit
         rows = alternatives(current_choice(loaded), found)
+        proof = certify(current_choice(loaded), found.reference, found.errors)
         weakening = solve_weakening(loaded)
     if plot is not None:
         from dqforge.reports.figures import plot_fit
@@ -261,12 +263,12 @@ def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = Non
             "fit",
             loaded.name,
             {
-                "fit": plain_fit(found, rows, chosen.trials),
+                "fit": plain_fit(found, rows, chosen.trials, proof),
                 "weakening": plain_weakening_fit(weakening),
             },
         )
     else:
-        _show([*fit_tables(loaded, found, rows, chosen.trials), *weakening_tables(weakening)])
+        _show([*fit_tables(loaded, found, rows, chosen.trials, proof), *weakening_tables(weakening)])
 
 
 @app.command()

@@ -20,7 +20,6 @@ from typing import Literal
 
 import numpy as np
 
-from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.flux_map import SaturatedMachine
 from dqforge.machines.synchronous import FloatArray, LinearMachine
 from dqforge.optimizer.balls import ORDER, upper
@@ -156,7 +155,7 @@ def certify(choice: CurrentChoice, reference: Reference, errors: ReferenceErrors
     -------
     Certificate
         For every torque between zero and the end of the domain, by symmetry for both signs, with and without fused
-        multiply-add; None for a machine that is neither linear nor a flux map.
+        multiply-add; None for a machine that is neither linear nor a flux map, and where nothing could be proven.
     """
     if not isinstance(choice.machine, LinearMachine | SaturatedMachine):
         return None
@@ -173,7 +172,7 @@ def certify(choice: CurrentChoice, reference: Reference, errors: ReferenceErrors
         ctx.prec, ctx.cap = before
 
 
-def _certify(task: Task, errors: ReferenceErrors) -> Certificate:
+def _certify(task: Task, errors: ReferenceErrors) -> Certificate | None:
     over = errors.voltage_excess
     sampled = np.array(
         [errors.i_d, errors.i_q, errors.torque, errors.loss, errors.loss_relative, 0.0 if over is None else over]
@@ -187,7 +186,7 @@ def _certify(task: Task, errors: ReferenceErrors) -> Certificate:
     worst = np.maximum(worst, sampled)
     i_d, i_q, torque, loss, relative, excess = (value if math.isfinite(value) else None for value in worst.tolist())
     if torque is None:
-        raise NoSolutionError("fit: no bound of the torque error could be proven; use fewer segments or a lower degree")
+        return None
     return Certificate(
         model="equations" if isinstance(task.choice.machine, LinearMachine) else "splines",
         i_d=i_d,

@@ -10,8 +10,10 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
 from dqforge.optimizer.single_precision import SingleArray
@@ -23,8 +25,12 @@ from dqforge.reports.verify import WARNINGS
 
 __all__ = ["TARGETS", "TargetVerification", "target_of", "verify_on_target"]
 
-_DIFFERS = {101: "current reference", 102: "phase currents"}
+_DIFFERS = {101: "current reference", 102: "phase currents", 103: "current reference with field weakening"}
+"""Exit codes of the program on the target; the emulator's own failures end with 1."""
+
 _VECTOR_TORQUE = re.compile(rb"\{ 0x([0-9A-F]{8})U, 0x[0-9A-F]{8}U, 0x[0-9A-F]{8}U \}")
+_FIXED = re.compile(rb"_current_reference_(q15|q31)\(")
+_VECTOR_CODE = re.compile(rb"\{ (-?[0-9]+|\(-2147483647 - 1\)), [-0-9() ]+, [-0-9() ]+ \}")
 _LARGEST_TRACE = 1024
 """Vectors that are run in single steps; those with special values come first."""
 
@@ -47,6 +53,11 @@ class TargetVerification:
     flash: int
 
 
+def _codes(vectors: bytes, number_format: str) -> NDArray[Any]:
+    found = [-(2**31) if text.startswith(b"(") else int(text) for text in _VECTOR_CODE.findall(vectors)]
+    return np.array(found, dtype=np.int16 if number_format == "q15" else np.int32)
+
+
 def _torques(vectors: bytes) -> SingleArray:
     words = [int(word, 16) for word in _VECTOR_TORQUE.findall(vectors)]
     return np.array(words, dtype=np.uint32).view(np.float32)
@@ -58,7 +69,8 @@ def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> Ta
     Parameters
     ----------
     files:
-        Contents of the headers and of their vectors by name; those of phase currents are run as well.
+        Contents of the headers and of their vectors by name; those of phase currents and of field weakening are run
+        as well.
     prefix:
         Checked C identifier.
     target:
@@ -72,14 +84,17 @@ def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> Ta
         A tool is missing (its Debian package is named), the headers do not compile, or a result differs.
     """
     target_of(target)
-    torques = _torques(files[f"{prefix}_vectors.h"])
+    fixed = _FIXED.search(files[f"{prefix}.h"])
+    number_format = "" if fixed is None else fixed.group(1).decode("ascii")
+    vectors, function = files[f"{prefix}_vectors.h"], f"{prefix}_current_reference"
+    torques = _codes(vectors, number_format) if number_format else _torques(vectors)
     if torques.size == 0:
         raise VerificationError(f"{prefix}_vectors.h holds no test vectors; run the design again")
     context = {
         "prefix": prefix,
         "waveform": f"{prefix}_waveform_vectors.h" in files,
-        "reference_differs": min(_DIFFERS),
-        "phases_differ": max(_DIFFERS),
+        "weakening": f"{prefix}_weakening_vectors.h" in files,
+        "differs": dict(zip(("reference", "phases", "weakening"), _DIFFERS, strict=True)),
     }
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         main = render("target_main.c.j2", context).encode("ascii")
@@ -88,7 +103,8 @@ def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> Ta
     if code in _DIFFERS:
         raise VerificationError(f"on {target} the {_DIFFERS[code]} do not give the results of their test vectors")
     costed = torques[:_LARGEST_TRACE]
-    cost = cost_on_target(files, f"{prefix}.h", f"{prefix}_current_reference", target, costed)
+    named = f"{function}_{number_format}" if number_format else function
+    cost = cost_on_target(files, f"{prefix}.h", named, target, costed)
     return TargetVerification(
         target, torques.size, costed.size, cost.instructions, cost.cycles, cost.cycles_largest, cost.flash
     )

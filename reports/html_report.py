@@ -13,6 +13,7 @@ from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.optimizer.gains import LoopGains
 from dqforge.optimizer.solution import Solution
+from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.figures_losses import POINTS_SHOWN
 from dqforge.reports.figures_reference import ROUNDING
 from dqforge.reports.header import header_context
@@ -304,7 +305,7 @@ def _sections(design: Design, *, losses: bool, waveforms: bool) -> list[tuple[st
 
 def report_context(solution: Solution, verification: Verification | None) -> PlainData:
     """Everything that the template prints."""
-    design, errors = solution.design, solution.fit.errors
+    design, errors, proof = solution.design, solution.fit.errors, solution.certificate
     return {
         "name": design.name,
         "about": design.about,
@@ -320,6 +321,8 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         "reference": _reference_part(solution),
         "errors": {
             "samples": count(errors.samples),
+            "proven": "" if proof is None else symbols(proven_text(proof, 3)),
+            "proven_title": "" if proof is None else proof_title(proof),
             "torque": (
                 f"{quantity(ceiling(errors.torque), 'N m', 3)} "
                 f"({share(ceiling(errors.torque_relative, 2))} of the largest torque)"

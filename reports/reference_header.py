@@ -11,6 +11,7 @@ from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_numbers import rounded_up
+from dqforge.reports.certificate_text import header_lines
 from dqforge.reports.labels import operation_text
 from dqforge.reports.reference_ir import PlainData, ladders, shortest
 
@@ -70,6 +71,13 @@ def error_text(solution: Solution) -> list[str]:
     voltage = errors.voltage_excess
     over = [] if voltage is None else [f"phase voltage at most {rounded_up(100.0 * voltage)} % above its limit."]
     torque_percent, loss_percent = (rounded_up(100.0 * v) for v in (errors.torque_relative, errors.loss_relative))
+    certificate = solution.certificate
+    if certificate is not None:
+        return [
+            *header_lines(certificate, solution.design.strategy),
+            f"Largest errors found in {errors.samples} evaluations ({_arithmetic(solution.fit.reference)}):",
+            f"i_d {i_d} A, i_q {i_q} A, torque {torque} N m, copper loss {loss} W.",
+        ]
     return [
         f"Largest errors found in {errors.samples} evaluations ({_arithmetic(solution.fit.reference)};",
         "sampled, not proven):",

@@ -10,6 +10,7 @@ import numpy as np
 from dqforge.machines.design import Design
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.synchronous import LinearMachine
+from dqforge.optimizer.certificate import Certificate
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
 from dqforge.optimizer.fit_choice import Trial
@@ -22,6 +23,7 @@ from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.reports.c_numbers import rounded_up
+from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.cross import TargetVerification
 from dqforge.reports.labels import obstacle, operation_text
 from dqforge.reports.verify import Verification
@@ -147,17 +149,22 @@ def trial_table(trials: tuple[Trial, ...]) -> Table:
 
 
 def fit_tables(
-    design: Design, fit: ReferenceFit, rows: tuple[Alternative, ...], trials: tuple[Trial, ...] = ()
+    design: Design,
+    fit: ReferenceFit,
+    rows: tuple[Alternative, ...],
+    trials: tuple[Trial, ...] = (),
+    certificate: Certificate | None = None,
 ) -> list[Table]:
-    """Errors of the fit beside its alternatives, and its coefficients."""
+    """Errors of the fit beside its alternatives, what is proven of it, and its coefficients."""
     columns = ("", "i_d error A", "i_q error A", "torque error %", "loss penalty %", "step at zero A")
     chosen = (f"chosen: {fit.form}", *_error_cells(fit.errors))
     others = tuple((row.label, *_error_cells(row.errors)) for row in rows)
     note = (
-        "largest values found in the float32 arithmetic of the header (sampled, not proven); torque error in % of "
+        "largest values found in the arithmetic of the header; torque error in % of "
         f"{fit.torque_max:.4g} N m, loss penalty in % of the least copper loss from 5 % torque upwards"
     )
-    notes = (note, *_voltage_notes(design, fit), *_poor_fit_notes(design, fit))
+    proof = () if certificate is None else (f"{proof_title(certificate)}: {proven_text(certificate, 3)}",)
+    notes = (note, *proof, *_voltage_notes(design, fit), *_poor_fit_notes(design, fit))
     tables = [Table(f"{design.name}: current reference, {fit.settings.method}", columns, (chosen, *others), notes)]
     if trials:
         tables.append(trial_table(trials))
@@ -332,6 +339,8 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
         *([("  holds at", where)] if where else []),
         ("  largest errors", _errors_text(fit.errors)),
     ]
+    if solution.certificate is not None:
+        rows.append(("  proven bounds", proven_text(solution.certificate)))
     if fit.errors.loss_relative > POOR_FIT:
         rows.append(("  warning", _poor_fit_text(solution.design, fit)))
     rows += [

@@ -7,11 +7,12 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
-from dqforge.optimizer.single_precision import SingleArray
 from dqforge.reports.cycle_model import Span, address_of, calls_of, cycles, parse_disassembly, traced_addresses
 from dqforge.reports.target_tools import build, emulate, execute, program
 from dqforge.reports.templating import render
@@ -26,15 +27,15 @@ class TargetCost:
 
     The call itself and the loop around it are left out. ``instructions`` is the mean number executed, exact; ``cycles``
     the mean (lo, hi) of `cycle_model` and ``cycles_largest`` the largest lo and the largest hi of one evaluation;
-    ``flash`` the bytes of the function with its constants, without library routines. ``currents`` are the results in A,
-    shape (N, 2).
+    ``flash`` the bytes of the function with its constants, without library routines. ``currents`` are the results in A
+    or in codes, shape (N, 2).
     """
 
     instructions: float
     cycles: tuple[float, float]
     cycles_largest: Span
     flash: int
-    currents: SingleArray
+    currents: NDArray[Any]
 
 
 def _chunks(path: Path) -> Iterator[bytes]:
@@ -44,7 +45,7 @@ def _chunks(path: Path) -> Iterator[bytes]:
 
 
 def cost_on_target(
-    sources: Mapping[str, bytes], header: str, function: str, target: str, torques: SingleArray
+    sources: Mapping[str, bytes], header: str, function: str, target: str, torques: NDArray[Any]
 ) -> TargetCost:
     """Compile an evaluator for a target, run it in single steps on the emulation, and sum what it executed.
 
@@ -55,11 +56,11 @@ def cost_on_target(
     header:
         The one of them that declares the evaluator.
     function:
-        Its name; ``void function(float torque_Nm, float *i_d_A, float *i_q_A)``.
+        Its name; ``void function(number torque, number *i_d, number *i_q)`` with the number type of ``torques``.
     target:
         One of `target_tools.TARGETS`.
     torques:
-        Float32 torques in N m, shape (N,), N >= 1.
+        Float32 torques in N m, or int16 or int32 codes of them, shape (N,), N >= 1.
 
     Raises
     ------
@@ -69,9 +70,14 @@ def cost_on_target(
         A tool is missing (its Debian package is named), the files do not compile, or the emulation failed.
     """
     objdump, sizer = program("arm-none-eabi-objdump"), program("arm-none-eabi-size")
+    bits = f"uint{8 * torques.itemsize}_t"
+    number = "float" if torques.dtype == np.float32 else bits[1:]
+    words = torques.view(f"u{torques.itemsize}").tolist()
     made = {
-        "target_calls.c": render("target_calls.c.j2", {"torques": torques}),
-        "target_evaluator.c": render("target_evaluator.c.j2", {"header": header, "function": function}),
+        "target_calls.c": render("target_calls.c.j2", {"words": words, "bits": bits, "number": number}),
+        "target_evaluator.c": render(
+            "target_evaluator.c.j2", {"header": header, "function": function, "number": number}
+        ),
     }
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         folder = Path(name)
@@ -83,7 +89,7 @@ def cost_on_target(
         code = parse_disassembly(listing)
         addresses = traced_addresses(_chunks(folder / "trace.log"))
         paths = Counter(calls_of(addresses, address_of(listing, "evaluator"), code))
-        currents = np.fromfile(folder / "currents.bin", dtype="<f4").reshape(-1, 2)
+        currents = np.fromfile(folder / "currents.bin", dtype=torques.dtype.newbyteorder("<")).reshape(-1, 2)
     if paths.total() != len(torques) or len(currents) != len(torques):
         raise VerificationError(f"the trace of the emulated {target} is not complete")
     spans = np.array([cycles([code[address] for address in path], target) for path in paths])
