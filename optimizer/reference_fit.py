@@ -11,6 +11,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.settings import FitForm, FitMethod, FitSettings, NumberFormat
 from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
 from dqforge.optimizer.breakpoints import search, segment_errors
+from dqforge.optimizer.cost_model import AXES
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.current_reference import (
     ClosedForm,
@@ -30,14 +31,6 @@ from dqforge.optimizer.fixed_fit import CodeScale, fit_fixed
 from dqforge.optimizer.fixed_reference import FIXED_WIDTHS, FixedReference
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.single_precision import SinglePolynomial
-
-AXES: dict[FitForm, tuple[str, ...]] = {
-    "polynomial": ("d", "q"),
-    "even-odd": ("d", "q"),
-    "torque-exact": ("d",),
-    "closed-form": ("q",),
-}
-"""The axes that each form holds as polynomials."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,10 +332,17 @@ def _fixed_breakpoints(fit: ReferenceFit) -> FitSettings:
     return replace(fit.settings, breakpoints=tuple(float(edge) for edge in polynomial.breakpoints))
 
 
-def _holds(fit: ReferenceFit, number_format: NumberFormat) -> bool:
-    """Whether the full scales hold what a fit goes up to; floats hold everything."""
-    scale = fit.settings.full_scale
-    return number_format == "float32" or (scale is not None and fit.torque_max <= scale[0] * (1.0 + 1e-9))
+def holds(choice: CurrentChoice, settings: FitSettings, number_format: NumberFormat) -> bool:
+    """Whether the full scales hold torques and currents up to the end of the domain; floats hold everything."""
+    if number_format == "float32":
+        return True
+    if settings.full_scale is None:
+        return False
+    try:
+        _code_scale(choice, replace(settings, format=number_format), domain_end(choice, settings))
+    except InputError:
+        return False
+    return True
 
 
 def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative, ...]:
@@ -366,7 +366,7 @@ def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative,
     rows += [
         (f"format {other}", replace(fixed, format=other))
         for other in formats
-        if other != fit.settings.format and fit.settings.form == "polynomial" and _holds(fit, other)
+        if other != fit.settings.format and fit.settings.form == "polynomial" and holds(choice, fit.settings, other)
     ]
     methods: tuple[FitMethod, ...] = ("lagrange", "least-squares", "minimax")
     rows += [(f"method {method}", replace(fixed, method=method)) for method in methods if method != fixed.method]

@@ -282,7 +282,7 @@ def _reference_part(solution: Solution) -> PlainData:
         "coefficients": coefficient_table(plain),
         "constants": constant_rows(plain),
         "alternatives": alternatives_table(fit, solution.alternatives) if solution.alternatives else None,
-        "trials": trials_table(solution.trials) if solution.trials else None,
+        "trials": trials_table(solution.trials, solution.design.fit.core) if solution.trials else None,
     }
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.machines.design import Design
+from dqforge.machines.settings import Core
 from dqforge.machines.synchronous import FloatArray, LinearMachine, copper_loss
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
@@ -22,7 +23,7 @@ from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.html_text import NARROW, decibel, degrees, number, quantity, raised, share, symbols, unit_text
-from dqforge.reports.labels import MODULATION_LABELS, obstacle, point_text, watts
+from dqforge.reports.labels import MODULATION_LABELS, core_name, obstacle, point_text, watts
 from dqforge.reports.reference_ir import PlainData
 
 if TYPE_CHECKING:
@@ -205,13 +206,14 @@ def alternatives_table(fit: ReferenceFit, alternatives: Sequence[Alternative]) -
     return HtmlTable("The price of each option: largest errors found", _headings(*columns), (chosen, *rows))
 
 
-def trials_table(trials: Sequence[Trial]) -> HtmlTable:
+def trials_table(trials: Sequence[Trial], core: Core) -> HtmlTable:
     """The forms tried for a budget in order of cost; the last is the chosen one."""
-    columns = ("", "degree", "segments", "cycles", "constants", "torque error", "extra loss")
+    columns = ("", "format", "degree", "segments", "cycles", "constants", "torque error", "extra loss")
     rows = tuple(
         Row(
             (
-                trial.form + (" (interpolated)" if trial.quick else ""),
+                trial.form + (" (quick fit)" if trial.quick else ""),
+                trial.format,
                 f"{trial.degree}",
                 f"{trial.segments}",
                 f"{trial.cycles:.0f}",
@@ -223,7 +225,7 @@ def trials_table(trials: Sequence[Trial]) -> HtmlTable:
         )
         for trial in trials
     )
-    return HtmlTable("Forms tried for the budget, by estimated cycles on a Cortex-M4F", _headings(*columns), rows)
+    return HtmlTable(f"Forms tried for the budget, by estimated cycles on {core_name(core)}", _headings(*columns), rows)
 
 
 def _loop_cells(gains: LoopGains, bases: tuple[float, float], q_formats: tuple[int, int] | None) -> tuple[str, ...]:

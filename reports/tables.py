@@ -9,6 +9,7 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.quantities import format_quantity
+from dqforge.machines.settings import Core
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.certificate import Certificate
 from dqforge.optimizer.current_choice import OperatingPoints
@@ -25,7 +26,7 @@ from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.cross import TargetVerification
-from dqforge.reports.labels import obstacle, operation_text
+from dqforge.reports.labels import core_name, obstacle, operation_text
 from dqforge.reports.verify import Verification
 
 POOR_FIT = 0.01
@@ -129,12 +130,13 @@ def _voltage_notes(design: Design, fit: ReferenceFit) -> tuple[str, ...]:
     return (f"for {where}; the fit takes at most {rounded_up(100.0 * excess)} % more voltage",)
 
 
-def trial_table(trials: tuple[Trial, ...]) -> Table:
+def trial_table(trials: tuple[Trial, ...], core: Core) -> Table:
     """What was tried for a budget, in order of cost."""
-    columns = ("form", "degree", "segments", "cycles", "constants B", "torque error %", "loss penalty %")
+    columns = ("form", "format", "degree", "segments", "cycles", "constants B", "torque error %", "loss penalty %")
     rows = tuple(
         (
-            trial.form + (" (interpolated)" if trial.quick else ""),
+            trial.form + (" (quick fit)" if trial.quick else ""),
+            trial.format,
             f"{trial.degree}",
             f"{trial.segments}",
             f"{trial.cycles:.0f}",
@@ -144,7 +146,7 @@ def trial_table(trials: tuple[Trial, ...]) -> Table:
         )
         for trial in trials
     )
-    note = "tried in order of the cycles estimated for a Cortex-M4F; the last keeps the budget at least cost"
+    note = f"tried in order of the cycles estimated for {core_name(core)}; the last keeps the budget at least cost"
     return Table("Forms tried for the budget", columns, rows, (note,))
 
 
@@ -167,7 +169,7 @@ def fit_tables(
     notes = (note, *proof, *_voltage_notes(design, fit), *_poor_fit_notes(design, fit))
     tables = [Table(f"{design.name}: current reference, {fit.settings.method}", columns, (chosen, *others), notes)]
     if trials:
-        tables.append(trial_table(trials))
+        tables.append(trial_table(trials, design.fit.core))
     coefficients = [*_coefficient_rows("i_d", fit.d), *_coefficient_rows("i_q", fit.q)]
     if coefficients:
         headings = ("axis", "from N m", "to N m", "coefficients of T - from, highest power first, A/(N m)^k")

@@ -17,10 +17,11 @@ import numpy as np
 import pytest
 from drives import IPM, in_floats, make_design
 
-from dqforge.machines.settings import BreakpointMode, FitForm, FitSettings, Strategy
+from dqforge.machines.settings import BreakpointMode, Core, FitForm, FitSettings, NumberFormat, Strategy
+from dqforge.optimizer.cost_model import estimated_cycles
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.current_reference import PENALTY_FROM, ErrorCurves, error_curves
-from dqforge.optimizer.fit_choice import estimated_cycles
+from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import solve
 from dqforge.reports.c_numbers import float_literal
@@ -31,7 +32,7 @@ from dqforge.reports.target_cost import TargetCost, cost_on_target
 pytestmark = pytest.mark.benchmark
 
 FIRMWARE = Path(__file__).resolve().parent.parent / "firmware"
-CORES = ("cortex-m4", "cortex-m33", "cortex-m7", "cortex-m0plus")
+CORES: tuple[Core, ...] = ("cortex-m4", "cortex-m33", "cortex-m7", "cortex-m0plus")
 END = 200.0
 CHOICE = CurrentChoice(IPM, "mtpa", IPM.i_max)
 FORMS: list[tuple[FitForm, int, int, BreakpointMode]] = [
@@ -163,6 +164,23 @@ def product_row(label: str, strategy: Strategy, fit: FitSettings) -> Row:
     return Row(label, True, costs, *errors_of(reference))
 
 
+def fixed_row(number_format: NumberFormat, degree: int) -> Row:
+    """Polynomials in fixed point, costed at the codes of the same torques."""
+    fit = FitSettings(form="polynomial", degree=degree, format=number_format, torque_max=END)
+    solution = solve(make_design(IPM, fit=fit))
+    reference = solution.fit.reference
+    assert isinstance(reference, FixedReference)
+    codes = reference.nearest(vectors()).astype(f"i{reference.width // 8}")
+    name, sources = f"drive_current_reference_{number_format}", header_files(solution)
+    costs: dict[str, TargetCost] = {core: cost_on_target(sources, "drive.h", name, core, codes) for core in CORES}
+    for cost in costs.values():
+        np.testing.assert_array_equal(cost.currents, np.stack(reference.codes(codes.astype(np.int64)), axis=1))
+    errors, full = solution.fit.errors, float(np.hypot(*CHOICE.currents(np.array([END]))).item())
+    current = max(errors.i_d, errors.i_q) / full
+    label = f"{number_format}, polynomial {degree}, 2 segments"
+    return Row(label, True, costs, current, errors.torque / END, errors.loss_relative)
+
+
 def table_row(count: int) -> Row:
     table = Table(count)
     costs = costs_of({"table.h": table.source()}, "table", vectors())
@@ -197,7 +215,8 @@ def all_rows() -> list[Row]:
         fit = FitSettings(form=form, degree=degree, segments=segments, breakpoint_mode=mode, torque_max=END)
         shape = "1 segment" if segments == 1 else f"{segments} segments{', own' if mode == 'own' else ''}"
         rows.append(product_row(f"{form} {degree}, {shape}", "mtpa", fit))
-    return [*rows, table_row(21), table_row(64)]
+    rows += [fixed_row("q15", degree) for degree in (2, 3, 4)]
+    return [*rows, fixed_row("q31", 4), table_row(21), table_row(64)]
 
 
 def test_forms_on_cores(capsys: pytest.CaptureFixture[str]) -> None:
@@ -224,6 +243,16 @@ def test_forms_on_cores(capsys: pytest.CaptureFixture[str]) -> None:
         if mode == "shared":
             low, high = by_label[f"{form} {degree}, {segments} segment{'s' if segments > 1 else ''}"].m4.cycles
             assert abs(estimated_cycles(form, degree, segments) - 0.5 * (low + high)) <= 2.5
+
+    formats: list[tuple[NumberFormat, int]] = [("q15", 2), ("q15", 3), ("q15", 4), ("q31", 4)]
+    for number_format, degree in formats:
+        costs = by_label[f"{number_format}, polynomial {degree}, 2 segments"].costs
+        for core in CORES:
+            estimate = estimated_cycles("polynomial", degree, 2, number_format, core)
+            assert estimate == pytest.approx(0.5 * sum(costs[core].cycles), rel=0.12)
+    # What fixed point is for: a core without floating point does it more than ten times as quickly.
+    soft, fixed = (by_label[f"{name}polynomial 4, 2 segments"].costs["cortex-m0plus"] for name in ("", "q15, "))
+    assert fixed.instructions < 0.1 * soft.instructions
 
     product = [row for row in rows if row.is_product]
     small = [row for row in product if row.torque is not None and row.torque < 1e-3 and (row.loss or 0.0) < 1e-3]
