@@ -16,7 +16,20 @@ FitForm = Literal["polynomial", "torque-exact", "closed-form"]
 BreakpointMode = Literal["shared", "own"]
 CurrentLoopMethod = Literal["bandwidth", "damping", "magnitude-optimum", "symmetrical-optimum", "given"]
 SpeedLoopMethod = Literal["bandwidth", "damping", "symmetrical-optimum", "given"]
-ModulationName = Literal["spwm", "svpwm", "ddt-gdpwm"]
+ModulationName = Literal[
+    "spwm",
+    "thipwm6",
+    "thipwm4",
+    "svpwm",
+    "dpwm0",
+    "dpwm1",
+    "dpwm2",
+    "dpwm3",
+    "dpwmmin",
+    "dpwmmax",
+    "gdpwm",
+    "ddt-gdpwm",
+]
 
 
 @dataclass(frozen=True, slots=True)
