@@ -192,4 +192,4 @@ def test_a_hundred_thousand_points_take_far_less_than_a_second() -> None:
     start = time.perf_counter()
     for name in MODULATORS:
         assert switching_loss_factor(name, lags).shape == (100_000,)
-    assert time.perf_counter() - start < 12.0
+    assert time.perf_counter() - start < 3.0  # some 0.03 s for all twelve
