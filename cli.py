@@ -42,7 +42,7 @@ MapOption = Annotated[
 ]
 ModulationOption = Annotated[
     str,
-    typer.Option("--modulation", metavar="NAME", help="Whose linear range limits the voltage: spwm, svpwm, ddt-gdpwm."),
+    typer.Option("--modulation", metavar="NAME", help="Whose linear range limits the voltage: spwm, svpwm, dpwm1, ..."),
 ]
 MarginOption = Annotated[
     str, typer.Option("--margin", metavar="SHARE", help="Share of the voltage kept free for control, e.g. '5 %'.")

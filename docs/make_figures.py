@@ -10,6 +10,7 @@ from pathlib import Path
 import figures_flux_maps
 import figures_gains
 import figures_losses
+import figures_modulation
 import figures_operating_points
 import figures_waveforms
 import figures_weakening
@@ -31,6 +32,8 @@ def main() -> None:
     figures_gains.observer_error(folder / "observer-error.svg")
     figures_operating_points.operating_points_map(folder / "operating-map.svg")
     figures_losses.modulation_waveforms(folder / "modulation-waveforms.svg")
+    figures_modulation.zero_sequences(folder / "modulation-family.svg")
+    figures_modulation.merits(folder / "modulation-merits.svg")
     figures_losses.loss_comparison(folder / "loss-comparison.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")

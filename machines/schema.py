@@ -261,7 +261,7 @@ class LossSection(Section):
     strategies: Annotated[Listing[Strategy], Field(min_length=1, max_length=10)] = Field(
         default=_LOSSES.strategies, description="strategies to compare"
     )
-    modulations: Annotated[Listing[ModulationName], Field(min_length=1, max_length=10)] = Field(
+    modulations: Annotated[Listing[ModulationName], Field(min_length=1, max_length=12)] = Field(
         default=_LOSSES.modulations, description="modulations to compare"
     )
 

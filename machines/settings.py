@@ -18,7 +18,20 @@ Core = Literal["cortex-m0plus", "cortex-m3", "cortex-m4", "cortex-m7", "cortex-m
 BreakpointMode = Literal["shared", "own"]
 CurrentLoopMethod = Literal["bandwidth", "damping", "magnitude-optimum", "symmetrical-optimum", "given"]
 SpeedLoopMethod = Literal["bandwidth", "damping", "symmetrical-optimum", "given"]
-ModulationName = Literal["spwm", "svpwm", "ddt-gdpwm"]
+ModulationName = Literal[
+    "spwm",
+    "thipwm6",
+    "thipwm4",
+    "svpwm",
+    "dpwm0",
+    "dpwm1",
+    "dpwm2",
+    "dpwm3",
+    "dpwmmin",
+    "dpwmmax",
+    "gdpwm",
+    "ddt-gdpwm",
+]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from dqforge.machines.design import Design
+from dqforge.machines.modulation import MODULATORS
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.settings import Core, LoadPoint
 from dqforge.optimizer.characteristics import voltage_limit
@@ -13,7 +14,7 @@ from dqforge.optimizer.loss_budget import LossBudget
 _SPACE = "\u00a0"  # does not break
 
 STRATEGY_LABELS = {"mtpa": "MTPA", "id0": "$i_d$ = 0"}
-MODULATION_LABELS = {"spwm": "SPWM", "svpwm": "SVPWM", "ddt-gdpwm": "DDT-GDPWM"}
+MODULATION_LABELS = {name: name.upper() for name in MODULATORS}
 
 
 def point_text(point: LoadPoint) -> str:
