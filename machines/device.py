@@ -226,7 +226,7 @@ class DeviceModel:
         cold = here - slope * (temperature - REFERENCE_TEMPERATURE)
         if cold <= 0.0 or not _COEFFICIENTS[0] <= slope / cold <= _COEFFICIENTS[1]:
             return threshold, max(here, 0.0), 0.0
-        return threshold, cold, slope / cold
+        return threshold, cold, slope / cold + 0.0  # never -0
 
 
 _REACH = 1e5
