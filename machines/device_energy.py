@@ -27,7 +27,8 @@ EXPONENTS: dict[tuple[DeviceKind, str], float] = {
 """Exponents of the voltage where only one is given.
 
 IGBT 1.3 to 1.4 and diode 0.6: A. Wintrich et al., "Application Manual Power Semiconductors", SEMIKRON, 2nd ed. 2015,
-chapter 5.2. MOSFET 1: current and voltage cross linearly, and what the output capacitance adds lies between 1 and 2.
+chapter 5.2, quoted without the page at hand. MOSFET 1: current and voltage cross linearly, and what the output
+capacitance adds lies between 1 and 2.
 """
 
 
