@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import figures_fixed_point
 import figures_flux_maps
 import figures_gains
 import figures_losses
@@ -27,6 +28,7 @@ def main() -> None:
     design = catalogue.load("paper000-ipmsm-100kw")
     save(plot_mtpa(design, solve_curves(design)), folder / "mtpa.svg")
     save(plot_fit(design, solve_fit(design).fit), folder / "fit.svg")
+    figures_fixed_point.sixteen_bits(folder / "fixed-point.svg")
     figures_flux_maps.flux_map(folder / "flux-map.svg")
     figures_gains.current_loop_step(folder / "current-loop-step.svg")
     figures_gains.observer_error(folder / "observer-error.svg")
