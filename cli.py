@@ -148,13 +148,12 @@ def run(design: DesignArgument, out: OutOption = Path("out"), no_verify: NoVerif
     from dqforge.reports.files import write_all
     from dqforge.reports.run import run_design
     from dqforge.reports.tables import run_tables
-    from dqforge.reports.weakening_tables import weakening_tables
 
     loaded = _load(design)
     with status("solving, emitting, compiling and comparing"):
         output = run_design(loaded, verify=not no_verify)
     paths = write_all(out, output.files)
-    _show([*weakening_tables(output.solution.weakening), *run_tables(output.solution, output.verification)])
+    _show(run_tables(output.solution, output.verification))
     typer.echo("written: " + " ".join(str(path) for path in paths))
 
 

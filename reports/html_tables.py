@@ -144,20 +144,33 @@ def _power_text(power: int) -> str:
     return f"x{raised(power)}, {unit}" if power > 1 else ("constant, A" if power == 0 else f"x, {unit}")
 
 
+def _integer_table(segments: Sequence[PlainData], headings: Sequence[str]) -> HtmlTable:
+    """Integers of each step of Horner's rule as the firmware holds them, one column per segment and axis."""
+    rows = [Row(("start with", *(f"{row['leading']}" for row in segments)))]
+    for step in range(max(len(row["steps"]) for row in segments)):
+        cells = [row["steps"][step] if step < len(row["steps"]) else None for row in segments]
+        texts = ["" if cell is None else f"{cell[0]:+d}, >> {cell[1]}" for cell in cells]
+        rows.append(Row((f"step {step + 1}: times x", *texts)))
+    return HtmlTable("Integers; x is the code of the torque minus the start", _headings("", *headings), tuple(rows))
+
+
 def coefficient_table(plain: PlainData) -> HtmlTable | None:
-    """Float32 coefficients as the firmware holds them, highest power last, one column per segment and axis."""
-    segments = [(axis, index, row) for axis in ("d", "q") for index, row in enumerate(plain.get(axis, ()))]
+    """Coefficients as the firmware holds them, highest power last, one column per segment and axis."""
+    segments = [(axis, index, row) for axis in ("d", "q") for index, row in enumerate(plain.get(axis) or ())]
     if not segments:
         return None
-    headings = []
+    is_float, headings = plain["format"] == "float32", []
     for axis, index, row in segments:
         following = plain[axis][index + 1 :]
         end = following[0]["start"] if following else plain["torque_max"]
-        headings.append(f"i_{axis}: {number(row['start'])} to {number(end)} N m")
-    count = len(segments[0][2]["coefficients"])
+        domain = f"{number(row['start'])} to {number(end)} N m" if is_float else f"codes {row['start']} to {end}"
+        headings.append(f"i_{axis}: {domain}")
+    if not is_float:
+        return _integer_table([row for _, _, row in segments], headings)
+    lists = [row["coefficients"] for _, _, row in segments]
     rows = tuple(
-        Row((_power_text(power), *(number(row["coefficients"][power], 9) for _, _, row in segments)))
-        for power in range(count)
+        Row((_power_text(power), *(number(row[power], 9) if power < len(row) else "" for row in lists)))
+        for power in range(max(len(row) for row in lists))
     )
     return HtmlTable(
         "Coefficients in single precision; x is the torque minus the start of the segment, in N m",

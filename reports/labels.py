@@ -7,7 +7,7 @@ import math
 from dqforge.machines.design import Design
 from dqforge.machines.modulation import MODULATORS
 from dqforge.machines.quantities import format_quantity
-from dqforge.machines.settings import Core, LoadPoint
+from dqforge.machines.settings import Core, LoadPoint, NumberFormat
 from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.loss_budget import LossBudget
 
@@ -46,6 +46,8 @@ def operation_text(design: Design) -> str:
     limit = voltage_limit(design.inverter, operation.modulation, operation.voltage_margin)
     return f"{format_quantity(operation.omega_m, 'rpm', 4)} within {format_quantity(limit.v_max, 'V', 4)} (phase peak)"
 
+
+FORMAT_TEXT: dict[NumberFormat, str] = {"float32": "single precision", "q15": "Q15", "q31": "Q31"}
 
 _CORES: dict[Core, str] = {
     "cortex-m0plus": "a Cortex-M0+",

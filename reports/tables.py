@@ -28,6 +28,7 @@ from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.cross import TargetVerification
 from dqforge.reports.labels import core_name, obstacle, operation_text
 from dqforge.reports.verify import Verification
+from dqforge.reports.weakening_text import domain_text, errors_text
 
 POOR_FIT = 0.01
 """Relative copper-loss penalty from which a fit is called poor."""
@@ -293,7 +294,7 @@ def verification_text(verification: Verification | None) -> str:
         if check.missing
     ]
     count = verification.vectors + verification.sweep
-    return f"{count} results equal the float32 model bit for bit, compiled as {done}{''.join(missing)}"
+    return f"{count} results equal the model bit for bit, compiled as {done}{''.join(missing)}"
 
 
 def target_text(outcome: TargetVerification) -> str:
@@ -345,6 +346,9 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
         rows.append(("  proven bounds", proven_text(solution.certificate)))
     if fit.errors.loss_relative > POOR_FIT:
         rows.append(("  warning", _poor_fit_text(solution.design, fit)))
+    if solution.weakening is not None:
+        rows.append(("field weakening", domain_text(solution.weakening)))
+        rows.append(("  largest errors", errors_text(solution.weakening)))
     rows += [
         (f"{loop.loop} loop", _loop_text(loop)) for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None
     ]

@@ -80,7 +80,7 @@ def test_run_writes_everything_and_verify_agrees(run: Run, tmp_path: Path) -> No
         "report.html",
         "result.json",
     }
-    assert "20256 results equal the float32 model bit for bit, compiled as C99 and C++11" in outcome.out
+    assert "20256 results equal the model bit for bit, compiled as C99 and C++11" in outcome.out
     assert "mtpa with ddt-gdpwm: 781 W" in outcome.out
     verified = run("verify", "out")
     assert verified.code == 0
