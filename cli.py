@@ -239,7 +239,7 @@ def mtpa(
 def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = None) -> None:
     """Fit the current references and show their errors beside the alternatives."""
     from dqforge.optimizer.certificate import certify
-    from dqforge.optimizer.reference_fit import alternatives
+    from dqforge.optimizer.fit_alternatives import alternatives
     from dqforge.optimizer.solution import current_choice, solve_fit, solve_weakening
     from dqforge.reports.console import status
     from dqforge.reports.result_json import plain_fit, plain_weakening_fit

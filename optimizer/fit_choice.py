@@ -17,11 +17,11 @@ from dqforge.optimizer.cost_model import AXES, constant_bytes, estimated_cycles,
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.current_reference import ReferenceErrors
 from dqforge.optimizer.fitting import Curve, SideConditions
+from dqforge.optimizer.fixed_scales import holds
 from dqforge.optimizer.reference_fit import (
     ReferenceFit,
     domain_end,
     fit_reference,
-    holds,
     least_degree,
     possible_forms,
 )
@@ -108,9 +108,10 @@ def _candidates(
     choice: CurrentChoice, settings: FitSettings
 ) -> Iterator[tuple[float, int, FitForm, NumberFormat, int, int]]:
     """Cycles, bytes, form, format, degree and segments of everything that the machine and the full scales permit."""
+    end = domain_end(choice, settings)
     formats: tuple[NumberFormat, ...] = ("float32", "q15", "q31") if settings.format is None else (settings.format,)
     for number_format in formats:
-        if settings.format is None and not holds(choice, settings, number_format):
+        if settings.format is None and not holds(choice, settings, number_format, end):
             continue
         for form in possible_forms(choice, number_format):
             for degree, segments in product(range(least_degree(form, settings), _DEGREES + 1), _SEGMENTS):

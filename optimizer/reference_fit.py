@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.settings import FitForm, FitMethod, FitSettings, NumberFormat
+from dqforge.machines.settings import FitForm, FitSettings, NumberFormat
 from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
 from dqforge.optimizer.breakpoints import search, segment_errors
 from dqforge.optimizer.cost_model import AXES
@@ -27,8 +27,8 @@ from dqforge.optimizer.current_reference import (
 )
 from dqforge.optimizer.edge_levelling import level_edges
 from dqforge.optimizer.fitting import Curve, SideConditions, fit_curve, squared_error_integral
-from dqforge.optimizer.fixed_fit import CodeScale, fit_fixed
-from dqforge.optimizer.fixed_reference import FIXED_WIDTHS, FixedReference
+from dqforge.optimizer.fixed_reference import FIXED_WIDTHS
+from dqforge.optimizer.fixed_scales import code_scale, in_fixed_point, on_codes
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.single_precision import SinglePolynomial
 
@@ -48,15 +48,6 @@ class ReferenceFit:
     d: PiecewisePolynomial | None
     q: PiecewisePolynomial | None
     reference: Reference
-    errors: ReferenceErrors
-
-
-@dataclass(frozen=True, slots=True)
-class Alternative:
-    """One row of the table of alternatives: what was changed, and the errors that result."""
-
-    label: str
-    settings: FitSettings
     errors: ReferenceErrors
 
 
@@ -93,7 +84,7 @@ def find_edges(curves: dict[str, Curve], settings: FitSettings, end: float) -> d
     return edges
 
 
-def _exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None:
+def exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None:
     """The form that needs no polynomial, where the machine and the strategy have one."""
     machine = choice.closed_form
     if machine is None:
@@ -195,7 +186,7 @@ def fit_reference(choice: CurrentChoice, settings: FitSettings) -> ReferenceFit:
     """
     end = domain_end(choice, settings)
     number_format = settings.format or "float32"
-    exact = _exact_form(choice, settings.form)
+    exact = exact_form(choice, settings.form)
     fits: dict[str, PiecewisePolynomial] = {}
     if exact is None or exact[0] == "reluctance":
         _require_form(choice, settings, number_format)
@@ -209,7 +200,7 @@ def fit_reference(choice: CurrentChoice, settings: FitSettings) -> ReferenceFit:
         name, form = exact
     reference: Reference = CurrentReference(form, np.float32(end))
     if number_format != "float32":
-        reference = _in_fixed_point(choice, settings, end, fits)
+        reference = in_fixed_point(choice, settings, end, fits)
     return ReferenceFit(
         settings, name, end, fits.get("d"), fits.get("q"), reference, reference_errors(choice, reference)
     )
@@ -230,8 +221,8 @@ def _fits(choice: CurrentChoice, settings: FitSettings, end: float) -> dict[str,
     if settings.form == "even-odd":
         return _even_odd_fits(choice.machine, shifted, edges, settings)
     if settings.format in FIXED_WIDTHS:
-        scale = _code_scale(choice, settings, end)
-        edges = {axis: _on_codes(found, scale) for axis, found in edges.items()}
+        scale = code_scale(choice, settings, end)
+        edges = {axis: on_codes(found, scale) for axis, found in edges.items()}
     fits = {
         axis: fit_curve(
             curve, edges[axis], settings.degree, settings.method, replace(side, absent=_absent(axis, settings))
@@ -239,53 +230,6 @@ def _fits(choice: CurrentChoice, settings: FitSettings, end: float) -> dict[str,
         for axis, curve in shifted.items()
     }
     return {axis: _raised(fit, at_rest[axis]) for axis, fit in fits.items()}
-
-
-def _code_scale(choice: CurrentChoice, settings: FitSettings, end: float) -> CodeScale:
-    """Full scales of a fixed-point format, checked against what it must hold."""
-    if settings.full_scale is None or settings.format is None:
-        raise InputError(f"fit.format: {settings.format} needs the bases of torque and current; give full_scale")
-    torque_base, current_base = settings.full_scale
-    if end > torque_base * (1.0 + 1e-9):
-        raise InputError(
-            f"control.per_unit.torque: {torque_base:.4g} N m is full scale in {settings.format}, but the references go"
-            f" up to {end:.4g} N m; write torque: {_rounded_up(end)} N m, or a smaller fit.torque_max"
-        )
-    largest = float(np.max(np.abs(choice.currents(np.linspace(0.0, end, 101)))))
-    if largest > current_base * (1.0 + 1e-9):
-        raise InputError(
-            f"control.per_unit.current: {current_base:.4g} A is full scale in {settings.format}, but the references go"
-            f" up to {largest:.4g} A; write current: {_rounded_up(largest)} A, or a smaller fit.torque_max"
-        )
-    return CodeScale(torque_base, current_base, FIXED_WIDTHS[settings.format])
-
-
-def _rounded_up(value: float) -> str:
-    """Two significant digits, not below the value."""
-    unit = 10.0 ** (np.floor(np.log10(value)) - 1.0)
-    return f"{np.ceil(value / unit * (1.0 - 1e-12)) * unit:.6g}"
-
-
-def _on_codes(edges: FloatArray, scale: CodeScale) -> FloatArray:
-    """Segment edges whose inner ones are whole codes."""
-    inner = [float(scale.arguments(np.array(scale.code(edge)))) for edge in edges[1:-1]]
-    return np.array([0.0, *inner, edges[-1]])
-
-
-def _in_fixed_point(
-    choice: CurrentChoice, settings: FitSettings, end: float, fits: dict[str, PiecewisePolynomial]
-) -> FixedReference:
-    """Integers of polynomials, or of the straight line where the exact reference is one."""
-    scale, curves = _code_scale(choice, settings, end), choice.curves(end)
-    machine = choice.machine
-    if not fits:
-        line = np.array([[0.0, 1.0 / machine.torque_per_ampere]])
-        fits = {"q": PiecewisePolynomial(np.array([0.0, end]), line)}
-    found = {
-        axis: fit_fixed(fit, curves[axis], scale, exact_at_zero=settings.exact_at_zero, continuous=settings.continuous)
-        for axis, fit in fits.items()
-    }
-    return FixedReference(found.get("d"), found["q"], scale.argument, scale.result)
 
 
 def _absent(axis: str, settings: FitSettings) -> tuple[int, ...]:
@@ -321,64 +265,3 @@ def _raised(fit: PiecewisePolynomial, constant: float) -> PiecewisePolynomial:
     coefficients = fit.coefficients.copy()
     coefficients[:, 0] += constant
     return PiecewisePolynomial(fit.edges, coefficients)
-
-
-def _fixed_breakpoints(fit: ReferenceFit) -> FitSettings:
-    """The settings of a fit with its breakpoints written in, where it has one set of them."""
-    polynomial = fit.d or fit.q
-    shared = fit.settings.breakpoint_mode == "shared" or fit.d is None or fit.q is None
-    if polynomial is None or not shared:
-        return fit.settings
-    return replace(fit.settings, breakpoints=tuple(float(edge) for edge in polynomial.breakpoints))
-
-
-def holds(choice: CurrentChoice, settings: FitSettings, number_format: NumberFormat) -> bool:
-    """Whether the full scales hold torques and currents up to the end of the domain; floats hold everything."""
-    if number_format == "float32":
-        return True
-    if settings.full_scale is None:
-        return False
-    try:
-        _code_scale(choice, replace(settings, format=number_format), domain_end(choice, settings))
-    except InputError:
-        return False
-    return True
-
-
-def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative, ...]:
-    """What other forms, methods and side conditions would give: one change at a time against ``fit``.
-
-    Other forms search their own breakpoints; other methods and side conditions keep those of ``fit``, so that the
-    price of each option is seen alone. Empty where the reference needs no polynomial.
-    """
-    if fit.d is None and fit.q is None:
-        return ()
-    fixed = _fixed_breakpoints(fit)
-    rows: list[tuple[str, FitSettings]] = []
-    rows += [
-        (f"form {form}", replace(fit.settings, form=form))
-        for form in possible_forms(choice, fit.settings.format or "float32")
-        if form != fit.settings.form
-        and _exact_form(choice, form) is None
-        and fit.settings.degree >= least_degree(form, fit.settings)
-    ]
-    formats: tuple[NumberFormat, ...] = ("float32", "q15", "q31")
-    rows += [
-        (f"format {other}", replace(fixed, format=other))
-        for other in formats
-        if other != fit.settings.format and fit.settings.form == "polynomial" and holds(choice, fit.settings, other)
-    ]
-    methods: tuple[FitMethod, ...] = ("lagrange", "least-squares", "minimax")
-    rows += [(f"method {method}", replace(fixed, method=method)) for method in methods if method != fixed.method]
-    if fit.settings.form != "even-odd":  # which is exact there by its make
-        rows.append(
-            (
-                f"exact at zero: {'off' if fixed.exact_at_zero else 'on'}",
-                replace(fixed, exact_at_zero=not fixed.exact_at_zero),
-            )
-        )
-    if fixed.segments > 1:
-        rows.append(
-            (f"continuous: {'off' if fixed.continuous else 'on'}", replace(fixed, continuous=not fixed.continuous))
-        )
-    return tuple(Alternative(label, settings, fit_reference(choice, settings).errors) for label, settings in rows)

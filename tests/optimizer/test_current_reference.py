@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from dqforge.machines.settings import FitForm, FitSettings
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.current_reference import error_curves
-from dqforge.optimizer.reference_fit import ReferenceFit, alternatives, fit_reference
+from dqforge.optimizer.fit_alternatives import alternatives
+from dqforge.optimizer.reference_fit import ReferenceFit, fit_reference
 
 FORMS: list[FitForm] = ["polynomial", "even-odd", "torque-exact", "closed-form"]
 
@@ -190,10 +192,10 @@ def test_step_at_zero_is_the_length_of_the_current_vector_left_there() -> None:
 def test_stated_errors_cover_both_contractions() -> None:
     """The larger of both counts: on these machines now the fused, now the separate operations err more."""
     larger = set()
-    for machine in (IPM, INVERSE_SALIENT):
+    for machine, reach in itertools.product((IPM, INVERSE_SALIENT), (0.2, 0.4, 0.6)):
         for degree in (3, 4, 5, 6):
             choice = CurrentChoice(machine, "mtpa", machine.i_max)
-            breakpoint_ = 0.4 * CurrentChoice(machine, "mtpa", 40.0).largest_torque()
+            breakpoint_ = reach * CurrentChoice(machine, "mtpa", 40.0).largest_torque()
             fit = fitted(machine, degree=degree, method="lagrange", breakpoints=(breakpoint_,))
             torque = in_floats(fit).samples(4000)
             separate, fused = (
