@@ -64,7 +64,8 @@ class Expansion:
 
         middle = 0.5 * (low + high)
         self.middle = arb(middle)
-        radius = math.nextafter(0.5 * (high - low) * (1.0 + 1e-15), math.inf)
+        # The middle is rounded, and so are ends that come from codes: a narrow ball must not lose them.
+        radius = math.nextafter(0.5 * (high - low) * (1.0 + 1e-15) + 1e-15 * abs(middle), math.inf)
         self.radius = arb(radius)
         self.step = arb(0, radius)
         self.ball = arb(middle, radius)

@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from flint import arb
 
 
+_LARGEST = 2.0**127
+"""Half of the range of floats: results below overflow nowhere."""
+
+
 @dataclass(frozen=True, slots=True)
 class Rounded:
     """An intermediate result on an interval: a ball that holds its exact values, and a bound of its rounding error."""
@@ -48,8 +52,13 @@ def _constants() -> tuple[arb, arb]:
 
 
 def _rounded(value: arb, carried: arb) -> Rounded:
-    """Result of one operation whose operands' errors move it by ``carried``."""
+    """Result of one operation whose operands' errors move it by ``carried``.
+
+    Raises `ZeroDivisionError` where it may exceed the largest float: the model knows no overflow.
+    """
     unit, least = _constants()
+    if not value.abs_upper() + carried < _LARGEST:
+        raise ZeroDivisionError
     return Rounded(value, carried + unit * (value.abs_upper() + carried) + least)
 
 
@@ -172,7 +181,7 @@ class Piece:
         Raises
         ------
         ZeroDivisionError
-            The ball is so wide that a divisor may vanish.
+            The ball is so wide that a divisor may vanish, or a result may leave the range of floats.
         """
         from flint import arb
 
