@@ -27,7 +27,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.clamping import ONE_RAIL, clamping_angle, hand_over
-from dqforge.machines.modulation import SIX_STEP_AMPLITUDE, in_linear_range, inverse_park, modulate, sector_waveforms
+from dqforge.machines.modulation import (
+    SIX_STEP_AMPLITUDE,
+    PhaseWaveforms,
+    in_linear_range,
+    inverse_park,
+    modulate,
+    sector_waveforms,
+)
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray, Machine
 
@@ -183,11 +190,28 @@ def _rotor_axes(theta_e: FloatArray) -> FloatArray:
     return 2.0 / 3.0 * np.stack([np.cos(angle), -np.sin(angle)], axis=-2)
 
 
-def _inverse_inductance(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
-    """Inverse of the incremental inductances in 1/H, shape (N, 2, 2)."""
+def inverse_inductance(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+    """Inverse of the incremental inductances in 1/H, shape (N, 2, 2), at currents in A, shape (N,)."""
     jet = machine.jet(i_d, i_q)
     matrix = np.stack([np.stack([jet.l_dd, jet.l_dq], axis=-1), np.stack([jet.l_qd, jet.l_qq], axis=-1)], axis=-2)
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
+def ripple_squares(wave: PhaseWaveforms, stiffness: FloatArray) -> FloatArray:
+    """Mean squares of the ripple of i_d and i_q, shape (N, 2), in A^2 for v_dc T = 1 V s.
+
+    Multiply by (v_dc / f_sw)^2; half of their sum is the mean square of a phase.
+
+    Parameters
+    ----------
+    wave:
+        Waveforms of N points from `sector_waveforms`.
+    stiffness:
+        Inverse of the incremental inductances in 1/H, shape (N, 2, 2).
+    """
+    axes = stiffness[:, None] @ _rotor_axes(wave.theta_e)
+    through = axes @ flux_moments(np.clip(wave.modulation.duty, 0.0, 1.0))
+    return np.asarray(np.einsum("ng,ngkp,ngkp->nk", wave.weight, through, axes))
 
 
 def _flux_corners(duty: FloatArray, theta_e: FloatArray) -> FloatArray:
@@ -238,7 +262,7 @@ def _largest_torque_ripple(
     current = inverse_park(currents[0][:, None], currents[1][:, None], theta)
     corners = v_dc * t_s * _flux_corners(modulate(name, voltage, current, v_dc).duty, theta)
     # T = 3/2 p psi x i, where psi varies by lambda and i by the stiffness times lambda.
-    stiffness = _inverse_inductance(machine, currents[0], currents[1])
+    stiffness = inverse_inductance(machine, currents[0], currents[1])
     psi_d, psi_q = machine.flux(currents[0], currents[1])
     by_current = (np.stack([-psi_q, psi_d], axis=-1)[:, None, :] @ stiffness)[:, 0, :]
     factor = 1.5 * machine.pole_pairs
@@ -252,11 +276,8 @@ def _chunk_ripple(
 ) -> FloatArray:
     """Rows of `Ripple` for currents and voltages of the shape (2, N), shape (4, N)."""
     wave = sector_waveforms(name, voltages[0], voltages[1], currents[0], currents[1], v_dc)
-    duty, scale = wave.modulation.duty, v_dc * t_s
-    stiffness = _inverse_inductance(machine, currents[0], currents[1])
-    axes = stiffness[:, None] @ _rotor_axes(wave.theta_e)
-    moments = axes @ flux_moments(duty) @ np.swapaxes(axes, -1, -2)
-    square_d, square_q = (scale**2 * np.sum(wave.weight * moments[..., k, k], axis=-1) for k in (0, 1))
+    squares = (v_dc * t_s) ** 2 * ripple_squares(wave, inverse_inductance(machine, currents[0], currents[1]))
+    square_d, square_q = squares[:, 0], squares[:, 1]
     torque = _largest_torque_ripple(name, machine, currents, voltages, v_dc, t_s)
     return np.stack([np.sqrt(0.5 * (square_d + square_q)), np.sqrt(square_d), np.sqrt(square_q), torque])
 
