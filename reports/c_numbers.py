@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from decimal import ROUND_UP, Context
 
 import numpy as np
 
@@ -45,8 +46,11 @@ def rounded_up(value: float, digits: int = 3) -> str:
     """Positive number with significant digits, rounded away from zero: a stated error is never below the found one."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
-    scale = 10.0 ** (digits - 1 - math.floor(math.log10(abs(value))))
-    return f"{math.ceil(value * scale) / scale:.{digits}g}"
+    nearest = f"{value:.{digits}g}"
+    if float(nearest) >= value:
+        return nearest
+    # In decimals, which hold every double exactly: a product with a power of ten may already round downwards.
+    return f"{float(Context(prec=digits, rounding=ROUND_UP).create_decimal(value)):.{digits}g}"
 
 
 def hexadecimal_word(value: np.float32) -> str:

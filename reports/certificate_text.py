@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 
 from dqforge.optimizer.certificate import Certificate
@@ -9,6 +10,9 @@ from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.reference_ir import PlainData
 
 _AGAINST = {"equations": "the equations of the machine", "splines": "the splines through its flux map"}
+
+JSON_DIGITS = 9
+"""Significant digits of numbers in JSON documents."""
 
 _CURRENTS_AND_TORQUE = (("i_d", "A"), ("i_q", "A"), ("torque", "N m"))
 
@@ -23,7 +27,7 @@ def _bound(value: float | None, unit: str, digits: int) -> str:
 
 
 def _share(value: float | None, digits: int) -> str:
-    return _bound(None if value is None else 100.0 * value, "%", digits)
+    return _bound(None if value is None else math.nextafter(100.0 * value, math.inf) if value else 0.0, "%", digits)
 
 
 def proven_text(certificate: Certificate, digits: int = 2) -> str:
@@ -54,5 +58,8 @@ def header_lines(certificate: Certificate, strategy: str) -> list[str]:
 
 
 def plain_certificate(certificate: Certificate | None) -> PlainData | None:
-    """Bounds as plain data; None where nothing is proven."""
-    return None if certificate is None else asdict(certificate)
+    """Bounds as plain data, rounded up to the digits that the document keeps; None where nothing is proven."""
+    if certificate is None:
+        return None
+    plain = asdict(certificate).items()
+    return {name: float(rounded_up(value, JSON_DIGITS)) if isinstance(value, float) else value for name, value in plain}

@@ -22,7 +22,7 @@ from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
-from dqforge.reports.certificate_text import plain_certificate
+from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.surface_header import plain_weakening
 from dqforge.reports.waveform_header import plain_phase_reference
@@ -30,8 +30,6 @@ from dqforge.reports.waveform_tables import plain_waveforms
 
 FORMAT = 1
 """Version of the layout; it rises when a key is renamed or removed."""
-
-_DIGITS = 9
 
 
 def _clean(value: Any) -> Any:
@@ -48,7 +46,7 @@ def _clean(value: Any) -> Any:
     if isinstance(value, np.generic):
         return _clean(value.item())
     if isinstance(value, float):
-        return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+        return float(f"{value:.{JSON_DIGITS}g}") if math.isfinite(value) else None
     return value
 
 

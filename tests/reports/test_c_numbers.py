@@ -54,7 +54,15 @@ def test_words() -> None:
 @given(st.floats(1e-30, 1e30), st.integers(2, 5))
 def test_stated_errors_are_never_rounded_down(value: float, digits: int) -> None:
     stated = float(rounded_up(value, digits))
-    assert value * (1.0 - 1e-12) <= stated <= value * (1.0 + 10.0 ** (1 - digits) + 1e-12)
+    assert value <= stated <= value * (1.0 + 10.0 ** (1 - digits) + 1e-12)
+
+
+def test_numbers_of_few_digits_stay_and_others_rise_by_one_place() -> None:
+    assert rounded_up(0.1) == "0.1"
+    assert rounded_up(float(np.nextafter(1.23, 2.0))) == "1.24"
+    assert rounded_up(1e-300, 2) == "1e-300"
+    assert rounded_up(9.9999) == "10"
+    assert rounded_up(0.0) == "0"
 
 
 def test_comment_marks_that_overlap() -> None:

@@ -6,12 +6,26 @@ import json
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from drives import make_design
 
 from dqforge.machines.settings import LoadPoint, LossSettings
+from dqforge.optimizer.certificate import Certificate
 from dqforge.optimizer.solution import solve_losses
+from dqforge.reports.certificate_text import plain_certificate
 from dqforge.reports.result_json import plain_losses, to_text
+
+
+def test_proven_bounds_are_never_rounded_down() -> None:
+    """Nine digits to nearest would put every second bound below what is proven."""
+    generator = np.random.default_rng(1)
+    for value in 10.0 ** generator.uniform(-12.0, 3.0, 200):
+        certificate = Certificate("equations", value, value, value, value, None, value, None, 7)
+        stated = json.loads(to_text("fit", "test", {"certificate": plain_certificate(certificate)}))["certificate"]
+        assert value <= stated["i_d"] == stated["torque"] <= value * (1.0 + 1.1e-8)
+        assert stated["loss"] is None
+        assert (stated["model"], stated["intervals"]) == ("equations", 7)
 
 
 def test_rows_of_the_loss_comparison_at_zero_d_current() -> None:
