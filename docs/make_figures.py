@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import figures_certificates
 import figures_fixed_point
 import figures_flux_maps
 import figures_gains
@@ -40,6 +41,7 @@ def main() -> None:
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")
     figures_weakening.weakening_errors(folder / "weakening-errors.svg")
+    figures_certificates.proven_bounds(folder / "certificate.svg")
 
 
 if __name__ == "__main__":

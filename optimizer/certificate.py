@@ -13,6 +13,8 @@ What is proven is the distance from the stationary point next to the solver's; t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from heapq import heapify, heappop, heappush
 from itertools import count, pairwise
@@ -79,6 +81,23 @@ class Certificate:
     intervals: int
 
 
+@dataclass(frozen=True, slots=True)
+class IntervalBounds:
+    """Bounds on each interval, arrays of shape (N,) ascending by torque, in the units of `Certificate`.
+
+    ``low`` and ``high`` in N m are the ends. What is not proven is inf; ``loss_relative`` is 0 below 5 % torque.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    i_d: FloatArray
+    i_q: FloatArray
+    torque: FloatArray
+    loss: FloatArray
+    loss_relative: FloatArray
+    voltage_excess: FloatArray
+
+
 def _conditions_beyond(task: Task, interval: Interval, here: list[Condition], torque_error: float) -> list[Condition]:
     """Other conditions that may hold for the torque that is made, for which the least loss is asked."""
     if not task.kinks or not math.isfinite(torque_error):
@@ -139,8 +158,8 @@ class _Open:
         return not self.may_fall and bool(np.all(np.isfinite(self.bounds[high]))) and not bool(np.any(falls & high))
 
 
-def _refine(task: Task, level: FloatArray) -> tuple[FloatArray, int]:
-    """Bounds over the whole domain and the number of intervals, refined where they are worst against a level."""
+def _refine(task: Task, level: FloatArray) -> list[_Open]:
+    """Intervals that make up the domain with their bounds, refined where they are worst against a level."""
     numbers = count()
 
     def opened(interval: Interval) -> _Open:
@@ -154,15 +173,17 @@ def _refine(task: Task, level: FloatArray) -> tuple[FloatArray, int]:
         for low, high in pairwise(np.linspace(piece.low, piece.high, _FIRST_PARTS + 1).tolist())
     ]
     heapify(waiting)
-    worst, settled = np.zeros(6), 0
+    worst = np.zeros(6)
+    settled: list[_Open] = []
     while waiting:
         worst_one = heappop(waiting)
         if worst_one.number + len(waiting) > _MOST_INTERVALS or worst_one.is_settled(np.maximum(level, worst / _CLOSE)):
-            worst, settled = np.maximum(worst, worst_one.bounds), settled + 1
+            worst = np.maximum(worst, worst_one.bounds)
+            settled.append(worst_one)
             continue
         for half in worst_one.interval.halves(worst_one.bounds):
             heappush(waiting, opened(half))
-    return worst, settled
+    return settled
 
 
 def certify(choice: CurrentChoice, reference: Reference, errors: ReferenceErrors) -> Certificate | None:
@@ -185,31 +206,65 @@ def certify(choice: CurrentChoice, reference: Reference, errors: ReferenceErrors
     """
     if not isinstance(choice.machine, LinearMachine | SaturatedMachine):
         return None
-    from flint import ctx
-
     form = None if isinstance(reference, FixedReference) else reference.form
-    before = ctx.prec, ctx.cap
-    ctx.prec, ctx.cap = _BITS, ORDER + 1
-    try:
+    with _ball_arithmetic():
         if isinstance(form, ReluctanceClosedForm) and isinstance(choice.machine, LinearMachine):
             return _square_root(choice.machine, form, float(reference.torque_max))
         return _certify(Task.of(choice, reference), errors)
+
+
+def interval_bounds(choice: CurrentChoice, reference: Reference, errors: ReferenceErrors) -> IntervalBounds:
+    """Bounds interval by interval, of which `certify` states the largest.
+
+    Parameters
+    ----------
+    choice, reference, errors:
+        As for `certify`; the machine is linear or a flux map, and the form is not the square root.
+
+    Raises
+    ------
+    TypeError
+        The machine is neither linear nor a flux map.
+    """
+    with _ball_arithmetic():
+        task = Task.of(choice, reference)
+        parts = sorted(_refine(task, _level(task, _sampled(errors))), key=lambda part: part.interval.low)
+    low, high = (np.array([getattr(part.interval, end) for part in parts]) for end in ("low", "high"))
+    return IntervalBounds(low, high, *np.array([part.bounds for part in parts]).T)
+
+
+@contextmanager
+def _ball_arithmetic() -> Iterator[None]:
+    """Precision and length of series for what follows; the library's own settings come back behind it."""
+    from flint import ctx
+
+    before = ctx.prec, ctx.cap
+    ctx.prec, ctx.cap = _BITS, ORDER + 1
+    try:
+        yield
     finally:
         ctx.prec, ctx.cap = before
 
 
-def _certify(task: Task, errors: ReferenceErrors) -> Certificate | None:
+def _sampled(errors: ReferenceErrors) -> FloatArray:
     over = errors.voltage_excess
-    sampled = np.array(
-        [errors.i_d, errors.i_q, errors.torque, errors.loss, errors.loss_relative, 0.0 if over is None else over]
-    )
+    rest = [errors.i_d, errors.i_q, errors.torque, errors.loss, errors.loss_relative]
+    return np.array([*rest, 0.0 if over is None else over])
+
+
+def _level(task: Task, sampled: FloatArray) -> FloatArray:
+    """Bounds that are good enough, in the order of `Bounds`."""
     i_max, r_s = task.choice.i_max, task.choice.machine.r_s
     most = np.array([i_max, i_max, float(task.reference.torque_max), 1.5 * r_s * i_max**2, 1.0, 1.0])
     slack = 1.0 if isinstance(task.choice.machine, LinearMachine) else _SPLINE_SLACK
-    level = np.maximum(sampled, _RESOLUTION * most) * slack
-    worst, intervals = _refine(task, level)
+    return np.asarray(np.maximum(sampled, _RESOLUTION * most) * slack)
+
+
+def _certify(task: Task, errors: ReferenceErrors) -> Certificate | None:
+    sampled = _sampled(errors)
+    parts = _refine(task, _level(task, sampled))
     # What was found is a bound of nothing, but where it is the rounding of doubles alone it may lie above the bound.
-    worst = np.maximum(worst, sampled)
+    worst = np.maximum(np.max([part.bounds for part in parts], axis=0), sampled)
     i_d, i_q, torque, loss, relative, excess = (value if math.isfinite(value) else None for value in worst.tolist())
     if torque is None:
         return None
@@ -221,8 +276,8 @@ def _certify(task: Task, errors: ReferenceErrors) -> Certificate | None:
         torque_relative=math.nextafter(torque / float(task.reference.torque_max), math.inf),
         loss=loss,
         loss_relative=relative,
-        voltage_excess=None if over is None else excess,
-        intervals=intervals,
+        voltage_excess=None if errors.voltage_excess is None else excess,
+        intervals=len(parts),
     )
 
 

@@ -26,7 +26,7 @@ from dqforge.machines import catalogue
 from dqforge.machines.settings import FitSettings
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.balls import ORDER
-from dqforge.optimizer.certificate import Certificate, certify
+from dqforge.optimizer.certificate import Certificate, certify, interval_bounds
 from dqforge.optimizer.current_choice import CurrentChoice, SpeedPoint
 from dqforge.optimizer.current_reference import CurrentReference, ReferenceErrors, TorqueExact, reference_errors
 from dqforge.optimizer.exact_conditions import Task
@@ -253,7 +253,7 @@ def test_mutated_integer_raises_the_bounds() -> None:
     first, *rest = reference.q.segments
     moved = (*first.constants[:-1], first.constants[-1] + (200 << first.shifts[-1]))
     mutated = replace(reference, q=replace(reference.q, segments=(replace(first, constants=moved), *rest)))
-    certificate = certify(case.choice, mutated, case.fit.errors)
+    certificate = certify(case.choice, mutated, reference_errors(case.choice, mutated))
     assert certificate is not None
     assert certificate.i_q is not None
     assert certificate.i_q >= found_errors(case.choice, mutated, dense_torques(mutated, 0, 6)).i_q > 1.5
@@ -317,12 +317,30 @@ def test_loss_beside_the_kink_is_that_of_the_torque_that_is_made() -> None:
     """A coarse reference whose torque lies beyond the kink where its request does not: dense samples about the kink."""
     case = prove(free(IPM, FAST), polynomial(2, torque_max=100.0))
     (kink,) = Task.of(case.choice, case.fit.reference).kinks
-    torque = np.unique(np.linspace(0.9 * kink, 1.1 * kink, 200_000).astype(np.float32))
+    torque = np.unique(np.linspace(0.9 * kink, 1.1 * kink, 60_000).astype(np.float32))
     found = found_errors(case.choice, case.fit.reference, torque[torque <= case.fit.reference.torque_max])
     for field in fields(Found):
         bound = getattr(case.certificate, field.name)
         assert bound is not None
         assert bound >= getattr(found, field.name)
+
+
+@pytest.mark.parametrize("name", ["polynomial-own", "fast", "baldor-pmsyrm-5k6"])
+def test_intervals_make_up_the_domain_and_each_holds(name: str) -> None:
+    case = proven(name)
+    reference = in_floats(case.fit)
+    parts = interval_bounds(case.choice, reference, case.fit.errors)
+    assert parts.low.size == case.certificate.intervals
+    assert (parts.low[0], parts.high[-1]) == (0.0, reference.torque_max)
+    np.testing.assert_array_equal(parts.low[1:], parts.high[:-1])
+    for name_of_bound in ("i_d", "i_q", "torque", "loss_relative"):
+        assert np.max(getattr(parts, name_of_bound)) == getattr(case.certificate, name_of_bound)
+    for index in np.linspace(0, parts.low.size - 1, 40).astype(int).tolist():
+        inside = np.linspace(parts.low[index], parts.high[index], 21).astype(np.float32)
+        inside = inside[(inside >= parts.low[index]) & (inside < parts.high[index])]
+        found = found_errors(case.choice, reference, np.unique(inside))
+        for field in fields(Found):
+            assert getattr(parts, field.name)[index] >= getattr(found, field.name) - getattr(noise(case), field.name)
 
 
 def test_nothing_is_claimed_of_other_machines() -> None:
