@@ -42,7 +42,7 @@ MapOption = Annotated[
 ]
 ModulationOption = Annotated[
     str,
-    typer.Option("--modulation", metavar="NAME", help="Whose linear range limits the voltage: spwm, svpwm, ddt-gdpwm."),
+    typer.Option("--modulation", metavar="NAME", help="Whose linear range limits the voltage: spwm, svpwm, dpwm1, ..."),
 ]
 MarginOption = Annotated[
     str, typer.Option("--margin", metavar="SHARE", help="Share of the voltage kept free for control, e.g. '5 %'.")
@@ -148,13 +148,12 @@ def run(design: DesignArgument, out: OutOption = Path("out"), no_verify: NoVerif
     from dqforge.reports.files import write_all
     from dqforge.reports.run import run_design
     from dqforge.reports.tables import run_tables
-    from dqforge.reports.weakening_tables import weakening_tables
 
     loaded = _load(design)
     with status("solving, emitting, compiling and comparing"):
         output = run_design(loaded, verify=not no_verify)
     paths = write_all(out, output.files)
-    _show([*weakening_tables(output.solution.weakening), *run_tables(output.solution, output.verification)])
+    _show(run_tables(output.solution, output.verification))
     typer.echo("written: " + " ".join(str(path) for path in paths))
 
 
@@ -239,7 +238,8 @@ def mtpa(
 @app.command()
 def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = None) -> None:
     """Fit the current references and show their errors beside the alternatives."""
-    from dqforge.optimizer.reference_fit import alternatives
+    from dqforge.optimizer.certificate import certify
+    from dqforge.optimizer.fit_alternatives import alternatives
     from dqforge.optimizer.solution import current_choice, solve_fit, solve_weakening
     from dqforge.reports.console import status
     from dqforge.reports.result_json import plain_fit, plain_weakening_fit
@@ -251,6 +251,7 @@ def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = Non
         chosen = solve_fit(loaded)
         found = chosen.fit
         rows = alternatives(current_choice(loaded), found)
+        proof = certify(current_choice(loaded), found.reference, found.errors)
         weakening = solve_weakening(loaded)
     if plot is not None:
         from dqforge.reports.figures import plot_fit
@@ -261,12 +262,12 @@ def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = Non
             "fit",
             loaded.name,
             {
-                "fit": plain_fit(found, rows, chosen.trials),
+                "fit": plain_fit(found, rows, chosen.trials, proof),
                 "weakening": plain_weakening_fit(weakening),
             },
         )
     else:
-        _show([*fit_tables(loaded, found, rows, chosen.trials), *weakening_tables(weakening)])
+        _show([*fit_tables(loaded, found, rows, chosen.trials, proof), *weakening_tables(weakening)])
 
 
 @app.command()

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import figures_fixed_point
 import figures_flux_maps
 import figures_gains
 import figures_losses
+import figures_modulation
 import figures_operating_points
 import figures_waveforms
 import figures_weakening
@@ -26,11 +28,14 @@ def main() -> None:
     design = catalogue.load("paper000-ipmsm-100kw")
     save(plot_mtpa(design, solve_curves(design)), folder / "mtpa.svg")
     save(plot_fit(design, solve_fit(design).fit), folder / "fit.svg")
+    figures_fixed_point.sixteen_bits(folder / "fixed-point.svg")
     figures_flux_maps.flux_map(folder / "flux-map.svg")
     figures_gains.current_loop_step(folder / "current-loop-step.svg")
     figures_gains.observer_error(folder / "observer-error.svg")
     figures_operating_points.operating_points_map(folder / "operating-map.svg")
     figures_losses.modulation_waveforms(folder / "modulation-waveforms.svg")
+    figures_modulation.zero_sequences(folder / "modulation-family.svg")
+    figures_modulation.merits(folder / "modulation-merits.svg")
     figures_losses.loss_comparison(folder / "loss-comparison.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")

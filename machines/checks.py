@@ -160,6 +160,9 @@ def _check_form(sections: DesignFile, machine: Machine, document: YamlDocument) 
     form, path = sections.fit.form, ("fit", "form")
     if sections.fit.torque_error is not None or sections.fit.loss_penalty is not None:
         return  # it is searched for
+    if (form == "even-odd" or sections.fit.flat_at_zero) and sections.fit.degree < 2:
+        reason = "form: even-odd" if form == "even-odd" else "flat_at_zero"
+        raise document.error(f"fit.degree: {reason} needs degree 2 or more; write degree: 3", ("fit", "degree"))
     if not isinstance(machine, LinearMachine):
         if form != "polynomial" and "form" in sections.fit.model_fields_set:
             message = f"fit.form: {form} needs constant inductances, the machine saturates; write form: polynomial"
@@ -168,9 +171,12 @@ def _check_form(sections: DesignFile, machine: Machine, document: YamlDocument) 
     if sections.operation.strategy == "mtpa" and form == "closed-form" and machine.l_d == machine.l_q:
         message = "fit.form: closed-form needs inductance_d and inductance_q to differ; write form: torque-exact"
         raise document.error(message, path)
-    if form == "closed-form" and sections.operation.speed is not None:
+    if form == "even-odd" and machine.psi_pm == 0.0:
+        message = "fit.form: even-odd needs currents that are smooth at zero torque; write form: polynomial"
+        raise document.error(message, path)
+    if form in ("closed-form", "even-odd") and sections.operation.speed is not None:
         other = "polynomial" if machine.psi_pm == 0.0 else "torque-exact"
-        message = f"fit.form: closed-form follows the MTPA locus, which operation.speed leaves; write form: {other}"
+        message = f"fit.form: {form} follows the MTPA locus, which operation.speed leaves; write form: {other}"
         raise document.error(message, path)
     if form == "torque-exact" and machine.psi_pm == 0.0:
         other = "closed-form" if sections.operation.speed is None else "polynomial"

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from dqforge.machines.device import DeviceModel
 
 DeviceKind = Literal["mosfet", "igbt"]
 Topology = Literal["three-wire", "four-leg", "split-capacitor", "diode-neutral", "six-leg"]
@@ -71,6 +74,8 @@ class Inverter:
         Dead time in s.
     i_max:
         Largest permitted current in A (peak), or None when only the machine limits it.
+    device_model:
+        The tables that `device` was made from, where the design names some.
     """
 
     v_dc: float
@@ -80,3 +85,4 @@ class Inverter:
     dead_time: float = 0.0
     i_max: float | None = None
     topology: Topology = "three-wire"
+    device_model: DeviceModel | None = None

@@ -9,7 +9,8 @@ from pathlib import Path
 from dqforge.machines import checks, datasheet
 from dqforge.machines.checks import si_of
 from dqforge.machines.design import Design
-from dqforge.machines.inverter import Inverter, SwitchDevice
+from dqforge.machines.device_reader import read_inverter_device
+from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_reader import read_machine, read_machine_loss
 from dqforge.machines.provenance import input_values, kind_assumptions
 from dqforge.machines.quantities import format_quantity
@@ -18,7 +19,6 @@ from dqforge.machines.schema import (
     ControlSection,
     CurrentLoopSection,
     DesignFile,
-    DeviceSection,
     FitSection,
     InverterSection,
     OperationSection,
@@ -47,7 +47,6 @@ from dqforge.machines.yaml_source import YamlDocument, parse_yaml, read_bytes
 _DEFAULT_MARGIN = CurrentLoopSettings().phase_margin_min
 _DEFAULT_COOLANT = 25.0
 _WAVEFORM = WaveformSettings()
-_DEFAULT_JUNCTION = 175.0  # degC, usual for the power modules of today
 
 
 def load_design(path: str | Path) -> Design:
@@ -103,7 +102,7 @@ class _Build:
         checks.check_machine(sections.machine, machine, document)
         checks.check_inverter(sections, document)
         checks.check_loops(sections, machine, document)
-        inverter = self.inverter(sections.inverter)
+        inverter = self.inverter(sections.inverter, machine.i_max)
         i_max = machine.i_max if inverter.i_max is None else min(machine.i_max, inverter.i_max)
         checks.check_fit(sections, machine, i_max, document)
         checks.check_waveform(sections, document)
@@ -130,18 +129,22 @@ class _Build:
             weakening=weakening,
         )
 
-    def inverter(self, section: InverterSection) -> Inverter:
-        """Inverter in SI units."""
+    def inverter(self, section: InverterSection, machine_limit: float) -> Inverter:
+        """Inverter in SI units; the machine's current limit in A is where tables of a device are made constants."""
         limit = section.max_current
         coolant = si_of(section.coolant_temperature)
+        i_max = None if limit is None else self.reading.peak(limit, "inverter.max_current")
+        largest = machine_limit if i_max is None else min(machine_limit, i_max)
+        device, model = read_inverter_device(section, largest, self.reading)
         return Inverter(
             v_dc=section.v_dc.si,
             f_sw=section.switching_frequency.si,
-            device=None if section.device is None else _device(section.device),
+            device=device,
             coolant_temperature=_DEFAULT_COOLANT if coolant is None else coolant,
             dead_time=si_of(section.dead_time) or 0.0,
-            i_max=None if limit is None else self.reading.peak(limit, "inverter.max_current"),
+            i_max=i_max,
             topology=section.topology,
+            device_model=model,
         )
 
     def control(self, section: ControlSection, machine: Machine, inverter: Inverter, i_max: float) -> ControlSettings:
@@ -211,6 +214,7 @@ class _Build:
             breakpoint_mode=section.breakpoint_mode,
             exact_at_zero=section.exact_at_zero,
             continuous=section.continuous,
+            flat_at_zero=section.flat_at_zero,
             torque_max=si_of(section.torque_max),
             breakpoints=None if section.breakpoints is None else tuple(point.si for point in section.breakpoints),
             budget=budget,
@@ -234,31 +238,8 @@ class _Build:
         if sections.machine.friction is None and (control.speed_loop or control.observer):
             self.remarks.append("machine.friction is taken as 0")
         device = sections.inverter.device
-        if device is not None and device.on_resistance_temperature_coefficient is None:
-            self.remarks.append("inverter.device.on_resistance is taken as independent of temperature")
-        if device is not None and device.max_junction_temperature is None:
-            self.remarks.append(f"inverter.device.max_junction_temperature is {_DEFAULT_JUNCTION:g} degC")
         if device is not None and sections.inverter.coolant_temperature is None:
             self.remarks.append(f"inverter.coolant_temperature is {format_quantity(_DEFAULT_COOLANT, 'degC')}")
-
-
-def _device(section: DeviceSection) -> SwitchDevice:
-    hottest = si_of(section.max_junction_temperature)
-    return SwitchDevice(
-        kind=section.kind,
-        on_resistance=section.on_resistance.si,
-        turn_on_energy=section.turn_on_energy.si,
-        turn_off_energy=section.turn_off_energy.si,
-        reference_current=section.reference_current.si,
-        reference_voltage=section.reference_voltage.si,
-        thermal_resistance=section.thermal_resistance.si,
-        reverse_recovery_energy=si_of(section.reverse_recovery_energy) or 0.0,
-        on_resistance_temperature_coefficient=si_of(section.on_resistance_temperature_coefficient) or 0.0,
-        on_voltage=si_of(section.on_voltage) or 0.0,
-        diode_voltage=si_of(section.diode_voltage) or 0.0,
-        diode_resistance=si_of(section.diode_resistance) or 0.0,
-        max_junction_temperature=_DEFAULT_JUNCTION if hottest is None else hottest,
-    )
 
 
 def _current_loop(section: CurrentLoopSection) -> CurrentLoopSettings:

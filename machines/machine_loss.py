@@ -1,4 +1,4 @@
-"""Losses of a machine beyond the dc copper loss: alternating-current copper loss and iron loss.
+"""Losses of a machine beyond the dc copper loss: alternating-current copper loss, iron loss and magnet loss.
 
 Source of the iron loss: G. Bertotti, "General properties of power losses in soft ferromagnetic materials", IEEE
 Transactions on Magnetics 24(1), 1988, doi:10.1109/20.43994 (hysteresis and eddy-current terms).
@@ -26,15 +26,19 @@ class MachineLoss:
     hysteresis, eddy:
         k_h in W s/(rad Wb^2) and k_c in W s^2/(rad^2 Wb^2): iron loss (k_h |omega_e| + k_c omega_e^2) |psi|^2 with the
         peak dq flux linkage.
+    magnet:
+        k_m in W s^2/(rad^2 A^2): eddy-current loss k_m omega_e^2 |i|^2 of the magnets under the field of the winding,
+        with the peak dq current.
     """
 
     ac_copper: float = 0.0
     hysteresis: float = 0.0
     eddy: float = 0.0
+    magnet: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what is no loss."""
-        for name in ("ac_copper", "hysteresis", "eddy"):
+        for name in ("ac_copper", "hysteresis", "eddy", "magnet"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise InputError(f"machine loss: {name} must be zero or positive, got {value:g}")

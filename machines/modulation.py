@@ -6,8 +6,6 @@ negative rail, and division by v_dc makes the duty cycles of the upper switches,
 
 References
 ----------
-A. M. Hava, R. J. Kerkman, T. A. Lipo, "A high-performance generalized discontinuous PWM algorithm", IEEE Transactions
-on Industry Applications 34(5), 1998, doi:10.1109/28.720446 (GDPWM).
 A. M. Hava, R. J. Kerkman, T. A. Lipo, "Simple analytical and graphical methods for carrier-based PWM-VSI drives", IEEE
 Transactions on Power Electronics 14(1), 1999, doi:10.1109/63.737592 (linear limits, modulation index, waveforms).
 T. D. Nguyen et al., "A direct digital technique implementation of general discontinuous pulse width modulation
@@ -19,22 +17,46 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dqforge.machines.clamping import DISCONTINUOUS, BoolArray, resting_phase, sector_rule
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray
 
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.intp]
+__all__ = [
+    "LINEAR_LIMITS",
+    "MODULATORS",
+    "SIX_STEP_AMPLITUDE",
+    "BoolArray",
+    "Modulation",
+    "PhaseWaveforms",
+    "clamped_phases",
+    "in_linear_range",
+    "inverse_park",
+    "linear_limit",
+    "modulate",
+    "modulation_index",
+    "period_waveforms",
+    "sector_waveforms",
+    "zero_sequence",
+]
+
+MODULATORS: tuple[ModulationName, ...] = get_args(ModulationName)
+"""Names of all modulators, continuous ones first."""
 
 LINEAR_LIMITS: dict[ModulationName, float] = {
+    **dict.fromkeys(MODULATORS, 1.0 / math.sqrt(3.0)),
     "spwm": 0.5,
-    "svpwm": 1.0 / math.sqrt(3.0),
-    "ddt-gdpwm": 1.0 / math.sqrt(3.0),
+    "thipwm4": 6.0 * math.sqrt(3.0 / 343.0),
 }
-"""Largest phase-voltage amplitude (peak) without overmodulation, as a fraction of v_dc (Hava 1999)."""
+"""Largest phase-voltage amplitude (peak) without overmodulation, as a fraction of v_dc (Hava 1999).
+
+With a quarter of third harmonic the phase peaks where cos^2 = 7/12, at 7/6 sqrt(7/12) = 0.891 of the amplitude, so that
+0.5 / 0.891 = 6 sqrt(3/343) = 0.561 is left; with a sixth at sqrt 3 / 2.
+"""
 
 SIX_STEP_AMPLITUDE = 2.0 / math.pi
 """Fundamental phase-voltage amplitude of six-step operation, as a fraction of v_dc."""
@@ -43,10 +65,6 @@ SIX_STEP_AMPLITUDE = 2.0 / math.pi
 _LIMIT_ROUNDING = 1e-12
 
 _PHASE_SHIFT = np.array([0.0, 2.0, -2.0]) * (math.pi / 3.0)
-_SECTOR = math.pi / 3.0
-
-# Eight Gauss points integrate products of three sines over at most 60 degrees to rounding.
-_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +119,7 @@ class PhaseWaveforms:
 def linear_limit(name: ModulationName, v_dc: float) -> float:
     """Largest phase-voltage amplitude in V (peak) that modulator `name` makes without overmodulation from v_dc in V.
 
-    Half of v_dc for SPWM, v_dc / sqrt 3 for SVPWM and DDT-GDPWM (Hava 1999).
+    Half of v_dc for SPWM, 0.561 v_dc for THIPWM4, v_dc / sqrt 3 for all others (Hava 1999).
     """
     return LINEAR_LIMITS[name] * v_dc
 
@@ -109,7 +127,7 @@ def linear_limit(name: ModulationName, v_dc: float) -> float:
 def modulation_index(amplitude: FloatArray, v_dc: float) -> FloatArray:
     """Phase-voltage amplitude (V, peak, any shape) relative to six-step operation, 2 v_dc / pi (Hava 1999).
 
-    The linear range ends at pi/4 = 0.785 for SPWM and at pi / (2 sqrt 3) = 0.907 for SVPWM and DDT-GDPWM.
+    The linear range ends at pi/4 = 0.785 for SPWM, at 0.881 for THIPWM4 and at pi / (2 sqrt 3) = 0.907 for all others.
     """
     return amplitude / (SIX_STEP_AMPLITUDE * v_dc)
 
@@ -126,38 +144,31 @@ def inverse_park(x_d: FloatArray, x_q: FloatArray, theta_e: FloatArray) -> Float
     return np.asarray(phases, dtype=np.float64)
 
 
-def _ddt_clamp(voltage: FloatArray, current: FloatArray) -> tuple[IndexArray, BoolArray]:
-    """Index (...) of the phase that DDT-GDPWM clamps, and True (...) where it is clamped to the positive rail.
+def _third_harmonic(share: float) -> Callable[[FloatArray, FloatArray, float], FloatArray]:
+    """Zero sequence v_dc/2 - share V cos(3 alpha), from cos(3 alpha) V^3 = 4 v_a v_b v_c of balanced references."""
 
-    Of the phases with the highest and the lowest reference, the one with the larger current is clamped, the highest
-    if the currents are equal. Of equal references the first is the highest and the last is the lowest, so that the two
-    are never the same phase.
-    """
-    highest = np.argmax(voltage, axis=-1)
-    lowest = 2 - np.argmin(voltage[..., ::-1], axis=-1)
-    magnitude = np.abs(current)
-    i_highest, i_lowest = (np.take_along_axis(magnitude, k[..., None], axis=-1)[..., 0] for k in (highest, lowest))
-    upper = i_highest >= i_lowest
-    return np.where(upper, highest, lowest), upper
+    def zero_sequence(voltage: FloatArray, _current: FloatArray, v_dc: float) -> FloatArray:
+        square = 2.0 / 3.0 * np.sum(voltage**2, axis=-1)
+        some = square > 0.0
+        third = np.where(some, 4.0 * np.prod(voltage, axis=-1) / np.where(some, square, 1.0), 0.0)
+        return np.asarray(0.5 * v_dc - share * third, dtype=np.float64)
+
+    return zero_sequence
 
 
-def _spwm_zero_sequence(voltage: FloatArray, _current: FloatArray, v_dc: float) -> FloatArray:
+def _spwm(voltage: FloatArray, _current: FloatArray, v_dc: float) -> FloatArray:
     return np.full(voltage.shape[:-1], 0.5 * v_dc, dtype=np.float64)
 
 
-def _svpwm_zero_sequence(voltage: FloatArray, _current: FloatArray, v_dc: float) -> FloatArray:
+def _svpwm(voltage: FloatArray, _current: FloatArray, v_dc: float) -> FloatArray:
     return np.asarray(0.5 * (v_dc - np.max(voltage, axis=-1) - np.min(voltage, axis=-1)))
 
 
-def _ddt_zero_sequence(voltage: FloatArray, current: FloatArray, v_dc: float) -> FloatArray:
-    _, upper = _ddt_clamp(voltage, current)
-    return np.asarray(np.where(upper, v_dc - np.max(voltage, axis=-1), -np.min(voltage, axis=-1)), dtype=np.float64)
-
-
-_ZERO_SEQUENCES: dict[ModulationName, Callable[[FloatArray, FloatArray, float], FloatArray]] = {
-    "spwm": _spwm_zero_sequence,
-    "svpwm": _svpwm_zero_sequence,
-    "ddt-gdpwm": _ddt_zero_sequence,
+_CONTINUOUS: dict[ModulationName, Callable[[FloatArray, FloatArray, float], FloatArray]] = {
+    "spwm": _spwm,
+    "thipwm6": _third_harmonic(1.0 / 6.0),
+    "thipwm4": _third_harmonic(1.0 / 4.0),
+    "svpwm": _svpwm,
 }
 
 
@@ -166,12 +177,16 @@ def zero_sequence(name: ModulationName, voltage: FloatArray, current: FloatArray
 
     ::
 
-        SPWM       V0 = v_dc / 2
-        SVPWM      V0 = (v_dc - V_max - V_min) / 2
-        DDT-GDPWM  V0 = v_dc - V_max   if |I_max| >= |I_min|,   else   -V_min
+        SPWM           V0 = v_dc / 2
+        THIPWM6        V0 = v_dc / 2 - V cos(3 alpha) / 6       alpha the angle of the voltage vector from phase a
+        THIPWM4        V0 = v_dc / 2 - V cos(3 alpha) / 4
+        SVPWM          V0 = (v_dc - V_max - V_min) / 2
+        discontinuous  V0 = v_dc - V_max   where the highest phase rests,   -V_min   where the lowest does
+        DDT-GDPWM      the highest if |I_max| >= |I_min|
 
-    where I_max and I_min are the currents of the phases with the highest and the lowest reference. Paper 000 (14)
-    prints -V_max in the last case, which would clamp no phase.
+    where I_max and I_min are the currents of the phases with the highest and the lowest reference, and
+    `dqforge.machines.clamping` says which rests with the others. Paper 000 (14) prints -V_max in the last case, which
+    would clamp no phase.
 
     Parameters
     ----------
@@ -180,7 +195,7 @@ def zero_sequence(name: ModulationName, voltage: FloatArray, current: FloatArray
     voltage:
         Phase references in V from the star point, shape (..., 3).
     current:
-        Phase currents in A, shape (..., 3); only DDT-GDPWM looks at them.
+        Phase currents in A, shape (..., 3); only GDPWM and DDT-GDPWM look at them.
     v_dc:
         DC-link voltage in V.
 
@@ -189,15 +204,18 @@ def zero_sequence(name: ModulationName, voltage: FloatArray, current: FloatArray
     FloatArray, shape (...)
     """
     voltage, current = np.broadcast_arrays(voltage, current)
-    return _ZERO_SEQUENCES[name](voltage, current, v_dc)
+    if name not in DISCONTINUOUS:
+        return _CONTINUOUS[name](voltage, current, v_dc)
+    _, upper = resting_phase(name, voltage, current)
+    return np.asarray(np.where(upper, v_dc - np.max(voltage, axis=-1), -np.min(voltage, axis=-1)), dtype=np.float64)
 
 
 def clamped_phases(name: ModulationName, voltage: FloatArray, current: FloatArray) -> BoolArray:
-    """Mark the phase that does not switch, shape (..., 3): exactly one with DDT-GDPWM, none with SPWM and SVPWM."""
+    """Mark the phase that does not switch, shape (..., 3): exactly one with discontinuous modulators, else none."""
     voltage, current = np.broadcast_arrays(voltage, current)
-    if name != "ddt-gdpwm":
+    if name not in DISCONTINUOUS:
         return np.zeros(voltage.shape, dtype=np.bool_)
-    phase, _ = _ddt_clamp(voltage, current)
+    phase, _ = resting_phase(name, voltage, current)
     return np.asarray(phase[..., None] == np.arange(3))
 
 
@@ -268,35 +286,20 @@ def period_waveforms(
     return _waveforms(name, v_d, v_q, i_d, i_q, v_dc, theta_e, weight)
 
 
-def _sector_rule(lag: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Angles (..., 24) of the voltage vector in its first sector, in rad, and their weights (..., 24) of sum 1.
-
-    `lag` (...) in rad is the angle by which the current lags the voltage. The sector, 0 to 60 degrees, keeps the order
-    V_a > V_b > V_c. It is split where a phase current is zero and where |i_a| = |i_c|, that is where DDT-GDPWM hands
-    over, and each part gets its own Gauss rule.
-    """
-    current_zero = np.mod(lag + math.pi / 6.0, math.pi / 3.0)
-    hand_over = np.minimum(np.mod(lag + math.pi / 6.0, math.pi / 2.0), _SECTOR)
-    edges = np.sort(np.stack([np.zeros_like(lag), current_zero, hand_over, np.full_like(lag, _SECTOR)], axis=-1))
-    half = 0.5 * np.diff(edges, axis=-1)[..., None]
-    middle = 0.5 * (edges[..., 1:] + edges[..., :-1])[..., None]
-    shape = (*lag.shape, 3 * _GAUSS_NODES.size)
-    return (middle + half * _GAUSS_NODES).reshape(shape), (half * _GAUSS_WEIGHTS / _SECTOR).reshape(shape)
-
-
 def sector_waveforms(
     name: ModulationName, v_d: ArrayLike, v_q: ArrayLike, i_d: ArrayLike, i_q: ArrayLike, v_dc: float
 ) -> PhaseWaveforms:
-    """Waveforms at the 24 angles that average losses over a period to rounding, parameters as in `period_waveforms`.
+    """Waveforms at the angles that average losses over a period to rounding, parameters as in `period_waveforms`.
 
-    The angles cover the 60 degrees in which phase a has the highest and phase c the lowest reference, with Gauss rules
-    between the angles where an integrand has a kink or a jump. Since the phases repeat each other after 120 degrees,
-    and every half wave the other with rails and signs exchanged, `PhaseWaveforms.phase_sum` over this sector is the sum
-    over the phases of the average over the period, for any quantity that is the same in both half waves.
+    The 24 angles cover the 60 degrees in which phase a has the highest and phase c the lowest reference, with Gauss
+    rules between the angles where an integrand has a kink or a jump. Since the phases repeat each other after 120
+    degrees, and every half wave the other with rails and signs exchanged, `PhaseWaveforms.phase_sum` over this sector
+    is the sum over the phases of the average over the period, for any quantity that is the same in both half waves.
+    DPWMMIN and DPWMMAX treat the half waves differently: 48 angles cover 120 degrees there.
 
     Without voltage the direction of the voltage vector is taken as that of the d axis.
     """
     v_d, v_q, i_d, i_q = _operating_points(v_d, v_q, i_d, i_q)
     voltage_angle = np.arctan2(v_q, v_d)
-    alpha, weight = _sector_rule(voltage_angle - np.arctan2(i_q, i_d))
+    alpha, weight = sector_rule(name, voltage_angle - np.arctan2(i_q, i_d))
     return _waveforms(name, v_d, v_q, i_d, i_q, v_dc, alpha - voltage_angle[..., None], weight)

@@ -9,23 +9,20 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from dqforge.machines.inverter import DeviceKind, Topology
+from dqforge.machines.inverter import Topology
+from dqforge.machines.schema_device import DeviceEntry
 from dqforge.machines.schema_entries import (
     About,
     Bandwidth,
     Bits,
     ByteCount,
-    Coefficient,
     Current,
     CurrentGain,
     CurrentIntegralGain,
     DeadTime,
-    Drop,
-    Energy,
     FilterTime,
     Listing,
     Name,
-    OnResistance,
     PhaseCurrent,
     PhaseMargin,
     PointSpeed,
@@ -40,7 +37,6 @@ from dqforge.machines.schema_entries import (
     SpeedGain,
     SpeedIntegralGain,
     Temperature,
-    ThermalResistance,
     Torque,
     Version,
     Voltage,
@@ -80,32 +76,6 @@ _LOSSES = LossSettings(points=())
 _EXPORT = ExportSettings(prefix="motor")
 
 
-class DeviceSection(Section):
-    """One switch position: transistor and antiparallel diode."""
-
-    kind: DeviceKind = Field(description="mosfet (conducts both ways) or igbt (its diode conducts backwards)")
-    on_resistance: OnResistance = Field(description="R_DS(on) or r_CE at 25 degC (Ohm)")
-    on_resistance_temperature_coefficient: Coefficient | None = Field(
-        default=None, description="relative change of on_resistance (1/K; write %/K); default 0"
-    )
-    on_voltage: Drop | None = Field(default=None, description="V_CE0 of an IGBT (V); default 0")
-    diode_voltage: Drop | None = Field(default=None, description="threshold voltage of the diode (V); default 0")
-    diode_resistance: OnResistance | None = Field(
-        default=None, description="differential resistance of the diode (Ohm)"
-    )
-    turn_on_energy: Energy = Field(description="E_on at the reference point (J)")
-    turn_off_energy: Energy = Field(description="E_off at the reference point (J)")
-    reverse_recovery_energy: Energy | None = Field(
-        default=None, description="E_rr at the reference point (J); default 0"
-    )
-    reference_current: Current = Field(description="current of the energies (A)")
-    reference_voltage: Voltage = Field(description="voltage of the energies (V)")
-    thermal_resistance: ThermalResistance = Field(description="junction to coolant, per switch position (K/W)")
-    max_junction_temperature: Temperature | None = Field(
-        default=None, description="largest permitted junction temperature (degC, also without a unit); default 175"
-    )
-
-
 class InverterSection(Section):
     """The inverter."""
 
@@ -122,7 +92,9 @@ class InverterSection(Section):
         default=None,
         description="temperature that thermal_resistance refers to (degC, also without a unit); default 25",
     )
-    device: DeviceSection | None = Field(default=None, description="the switch, needed for losses")
+    device: DeviceEntry | None = Field(
+        default=None, description="the switch, needed for losses: its constants, or a file or name of the library"
+    )
 
 
 class CurrentLoopSection(Section):
@@ -228,6 +200,7 @@ class FitSection(Section):
     )
     exact_at_zero: bool = Field(default=_FIT.exact_at_zero, description="no current at zero torque")
     continuous: bool = Field(default=_FIT.continuous, description="no step at the breakpoints")
+    flat_at_zero: bool = Field(default=_FIT.flat_at_zero, description="no linear term of i_d at zero torque")
     torque_max: Torque | None = Field(
         default=None, description="end of the domain (N m); default the largest torque within the current limit"
     )
@@ -260,7 +233,7 @@ class LossSection(Section):
     strategies: Annotated[Listing[Strategy], Field(min_length=1, max_length=10)] = Field(
         default=_LOSSES.strategies, description="strategies to compare"
     )
-    modulations: Annotated[Listing[ModulationName], Field(min_length=1, max_length=10)] = Field(
+    modulations: Annotated[Listing[ModulationName], Field(min_length=1, max_length=12)] = Field(
         default=_LOSSES.modulations, description="modulations to compare"
     )
 

@@ -12,13 +12,26 @@ WaveformForm = Literal["cheapest", "table", "harmonics"]
 FluxAxes = Literal["magnet-d", "reluctance"]
 FluxScaling = Literal["peak", "rms", "power-invariant"]
 FitMethod = Literal["lagrange", "least-squares", "minimax"]
-FitForm = Literal["polynomial", "torque-exact", "closed-form"]
+FitForm = Literal["polynomial", "even-odd", "torque-exact", "closed-form"]
 NumberFormat = Literal["float32", "q15", "q31"]
 Core = Literal["cortex-m0plus", "cortex-m3", "cortex-m4", "cortex-m7", "cortex-m33"]
 BreakpointMode = Literal["shared", "own"]
 CurrentLoopMethod = Literal["bandwidth", "damping", "magnitude-optimum", "symmetrical-optimum", "given"]
 SpeedLoopMethod = Literal["bandwidth", "damping", "symmetrical-optimum", "given"]
-ModulationName = Literal["spwm", "svpwm", "ddt-gdpwm"]
+ModulationName = Literal[
+    "spwm",
+    "thipwm6",
+    "thipwm4",
+    "svpwm",
+    "dpwm0",
+    "dpwm1",
+    "dpwm2",
+    "dpwm3",
+    "dpwmmin",
+    "dpwmmax",
+    "gdpwm",
+    "ddt-gdpwm",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +70,7 @@ class FitSettings:
     ``breakpoints`` in N m are searched for when None; a given tuple has ``segments - 1`` ascending entries. With a
     ``budget`` form, degree, segments and breakpoints are searched for, and the format where that is None.
     Cycles are those of ``core``. ``full_scale`` is what 1 stands for in fixed point: torque in N m and current in A.
+    ``flat_at_zero`` leaves the linear term of i_d out of its first segment.
     """
 
     form: FitForm = "torque-exact"
@@ -66,6 +80,7 @@ class FitSettings:
     breakpoint_mode: BreakpointMode = "shared"
     exact_at_zero: bool = True
     continuous: bool = True
+    flat_at_zero: bool = False
     torque_max: float | None = None
     breakpoints: tuple[float, ...] | None = None
     budget: FitBudget | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -10,8 +10,10 @@ from pydantic_core import ErrorDetails
 from dqforge.machines.entries import EntryError, not_one_of, spoken, unknown_key
 from dqforge.machines.errors import InputError
 from dqforge.machines.schema import FORMAT_VERSION, DesignFile
+from dqforge.machines.schema_device import TAGS
 from dqforge.machines.yaml_source import KeyPath, YamlDocument, YamlValue, dotted
 
+_Model = TypeVar("_Model", bound=BaseModel)
 # What engineers call the keys elsewhere.
 _SYNONYMS = {
     "motor": "machine",
@@ -100,7 +102,12 @@ _EXAMPLES = {
 
 
 def read_sections(document: YamlDocument) -> DesignFile:
-    """Sections of a design file.
+    """Sections of a design file; raises `InputError` like `read_model`."""
+    return read_model(document, DesignFile)
+
+
+def read_model(document: YamlDocument, model: type[_Model]) -> _Model:
+    """Sections of a file of one kind.
 
     Raises
     ------
@@ -112,10 +119,10 @@ def read_sections(document: YamlDocument) -> DesignFile:
     if empty:
         raise min(empty, key=_place)
     try:
-        return DesignFile.model_validate(document.data)
+        return model.model_validate(document.data)
     except ValidationError as error:
         faults = error.errors(include_url=False, include_input=False)
-    raise min((_complaint(fault, document) for fault in _without_echoes(faults)), key=_place) from None
+    raise min((_complaint(fault, document, model) for fault in _without_echoes(faults)), key=_place) from None
 
 
 def _place(error: InputError) -> tuple[int, int]:
@@ -160,9 +167,10 @@ def _without_echoes(faults: list[ErrorDetails]) -> list[ErrorDetails]:
     ]
 
 
-def _complaint(fault: ErrorDetails, document: YamlDocument) -> InputError:
+def _complaint(fault: ErrorDetails, document: YamlDocument, root: type[BaseModel]) -> InputError:
     """One fault of the model in plain English, with its position."""
-    path: KeyPath = tuple(fault["loc"])
+    tagged: KeyPath = tuple(fault["loc"])
+    path: KeyPath = tuple(part for part in tagged if part not in TAGS)
     cause = fault.get("ctx", {}).get("error")
     if isinstance(cause, EntryError) and path != ("dqforge",):
         part = path if cause.key is None else (*path, cause.key)
@@ -170,20 +178,21 @@ def _complaint(fault: ErrorDetails, document: YamlDocument) -> InputError:
             f"{dotted(path)}: {cause.message}", part if part in document.values else path, key=cause.at_key
         )
     if fault["type"] == "extra_forbidden":
-        return document.error(_unknown(path), path, key=True)
+        return document.error(_unknown(tagged, root), path, key=True)
     if fault["type"] == "missing":
         return document.error(_missing(path), path[:-1], key=not isinstance(path[-1], int))
     value = _lookup(document.data, path)
-    return document.error(f"{dotted(path)}: {_expected(fault, value, path)}", path)
+    return document.error(f"{dotted(path)}: {_expected(fault, value, tagged, root)}", path)
 
 
-def _unknown(path: KeyPath) -> str:
+def _unknown(path: KeyPath, root: type[BaseModel]) -> str:
     """What to say on a key that its section does not have."""
     *section, last = path
     key, inside = str(last), tuple(section)
-    where = f"{dotted(inside)}: " if inside else ""
-    allowed = tuple(_section(inside).model_fields)
-    homes = [dotted(home) or "the top level" for home in _homes(key, DesignFile)]
+    shown_path = dotted(tuple(part for part in inside if part not in TAGS))
+    where = f"{shown_path}: " if shown_path else ""
+    allowed = tuple(_section(inside, root).model_fields)
+    homes = [dotted(home) or "the top level" for home in _homes(key, root)]
     if homes and _SYNONYMS.get(key) not in allowed:
         return f"{where}unknown key '{key}'; it belongs in {' or '.join(homes[:3])}, check the indentation"
     return where + unknown_key(key, allowed, _SYNONYMS)
@@ -228,23 +237,27 @@ _TEMPLATES = {
 }
 
 
-def _expected(fault: ErrorDetails, value: YamlValue, path: KeyPath) -> str:
+def _expected(fault: ErrorDetails, value: YamlValue, path: KeyPath, root: type[BaseModel]) -> str:
     """What was expected instead of a value, and what to write."""
     got = spoken(value)
     if path == ("dqforge",):
         return f"this program reads version {FORMAT_VERSION} of the format, got {got}; write dqforge: {FORMAT_VERSION}"
     if fault["type"] == "literal_error":
-        return not_one_of(value, _choices(path))
+        return not_one_of(value, _choices(path, root))
     template = _TEMPLATES.get(fault["type"], "{got} is not understood here")
     return template.format(got=got, **fault.get("ctx", {}))
 
 
-def _section(path: KeyPath) -> type[BaseModel]:
-    """Model of the section at a path."""
-    model: type[BaseModel] = DesignFile
+def _section(path: KeyPath, root: type[BaseModel]) -> type[BaseModel]:
+    """Model of the section at a path; of two forms of a section the one that its tag names."""
+    model: type[BaseModel] = root
+    forms = [model]
     for part in path:
-        if isinstance(part, str):
-            model = _models_in(model.model_fields[part].annotation)[0]
+        if part in TAGS:
+            model = forms[TAGS.index(str(part))]
+        elif isinstance(part, str):
+            forms = _models_in(model.model_fields[part].annotation)
+            model = forms[0]
     return model
 
 
@@ -254,10 +267,10 @@ def _models_in(annotation: Any) -> list[type[BaseModel]]:
     return [model for inner in get_args(annotation) for model in _models_in(inner)]
 
 
-def _choices(path: KeyPath) -> tuple[str, ...]:
+def _choices(path: KeyPath, root: type[BaseModel]) -> tuple[str, ...]:
     """Values that the ``Literal`` at a path allows."""
     keys = tuple(part for part in path if isinstance(part, str))
-    annotation = _section(keys[:-1]).model_fields[keys[-1]].annotation
+    annotation = _section(keys[:-1], root).model_fields[keys[-1]].annotation
     return _texts_in(annotation)
 
 

@@ -15,11 +15,16 @@ Value = Any
 ORDER = 5
 """Power of the remainder of the Taylor polynomials."""
 
+_TINY = 1e-300
+"""Least bound that is stated: smaller doubles have fewer digits."""
+
 
 def upper(value: Any) -> float:
-    """A double not below a ball's magnitude; inf where it is not finite."""
+    """A double not below a ball's magnitude; inf where it is not finite, and 0 only for what is exactly zero."""
+    if value == 0:
+        return 0.0
     size = float(value.abs_upper())
-    return math.nextafter(size, math.inf) if math.isfinite(size) else math.inf
+    return max(math.nextafter(size, math.inf), _TINY) if math.isfinite(size) else math.inf
 
 
 def exactly(value: float) -> arb:
@@ -59,7 +64,8 @@ class Expansion:
 
         middle = 0.5 * (low + high)
         self.middle = arb(middle)
-        radius = math.nextafter(0.5 * (high - low) * (1.0 + 1e-15), math.inf)
+        # The middle is rounded, and so are ends that come from codes: a narrow ball must not lose them.
+        radius = math.nextafter(0.5 * (high - low) * (1.0 + 1e-15) + 1e-15 * abs(middle), math.inf)
         self.radius = arb(radius)
         self.step = arb(0, radius)
         self.ball = arb(middle, radius)

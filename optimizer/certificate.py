@@ -20,13 +20,12 @@ from typing import Literal
 
 import numpy as np
 
-from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.flux_map import SaturatedMachine
 from dqforge.machines.synchronous import FloatArray, LinearMachine
 from dqforge.optimizer.balls import ORDER, upper
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.current_reference import Reference, ReferenceErrors, ReluctanceClosedForm
-from dqforge.optimizer.exact_conditions import Task
+from dqforge.optimizer.exact_conditions import Condition, Task
 from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.interval_newton import UNKNOWN, Interval, newton, without_currents
 from dqforge.optimizer.near_rest import NARROW, beside
@@ -54,6 +53,13 @@ _RESOLUTION = np.array([1e-9, 1e-9, 1e-9, 1e-5, 1e-9, 1e-9])
 """Shares of current limit, torque, full copper loss, loss and voltage below which no bound is refined."""
 
 
+_TORQUE = 2
+"""Place of the torque error among the bounds."""
+
+_LOSSES = slice(3, 5)
+"""Places of both loss penalties."""
+
+
 @dataclass(frozen=True, slots=True)
 class Certificate:
     """Bounds of `ReferenceErrors`, in the same units; None where none could be proven.
@@ -73,6 +79,22 @@ class Certificate:
     intervals: int
 
 
+def _conditions_beyond(task: Task, interval: Interval, here: list[Condition], torque_error: float) -> list[Condition]:
+    """Other conditions that may hold for the torque that is made, for which the least loss is asked."""
+    if not task.kinks or not math.isfinite(torque_error):
+        return []
+    reached = task.conditions(interval.low - torque_error, interval.high + torque_error)
+    return [condition for condition in reached if condition not in here]
+
+
+def _losses(task: Task, interval: Interval, condition: Condition) -> FloatArray:
+    """Bounds of the loss penalty alone, shape (2,), against the currents that one condition fixes."""
+    try:
+        return newton(task, interval, condition).values()[_LOSSES]
+    except ZeroDivisionError:
+        return np.full(2, math.inf)
+
+
 def _bounds(task: Task, interval: Interval, found: FloatArray) -> tuple[FloatArray, bool]:
     """Bounds on an interval by every condition that may hold there, and whether narrower ones may be much lower.
 
@@ -85,7 +107,10 @@ def _bounds(task: Task, interval: Interval, found: FloatArray) -> tuple[FloatArr
     except ZeroDivisionError:
         if conditions != ["loss"]:
             best = without_currents(task, interval)
-    may_fall = len(conditions) > 1 or not np.all(np.isfinite(best))
+    beyond = _conditions_beyond(task, interval, conditions, float(best[_TORQUE]))
+    for condition in beyond:
+        best[_LOSSES] = np.maximum(best[_LOSSES], _losses(task, interval, condition))
+    may_fall = len(conditions) + len(beyond) > 1 or not np.all(np.isfinite(best))
     if conditions == ["loss"] and np.any(best > _FAR * found):
         try:
             best = np.minimum(best, beside(task, interval).values())
@@ -156,7 +181,7 @@ def certify(choice: CurrentChoice, reference: Reference, errors: ReferenceErrors
     -------
     Certificate
         For every torque between zero and the end of the domain, by symmetry for both signs, with and without fused
-        multiply-add; None for a machine that is neither linear nor a flux map.
+        multiply-add; None for a machine that is neither linear nor a flux map, and where nothing could be proven.
     """
     if not isinstance(choice.machine, LinearMachine | SaturatedMachine):
         return None
@@ -173,7 +198,7 @@ def certify(choice: CurrentChoice, reference: Reference, errors: ReferenceErrors
         ctx.prec, ctx.cap = before
 
 
-def _certify(task: Task, errors: ReferenceErrors) -> Certificate:
+def _certify(task: Task, errors: ReferenceErrors) -> Certificate | None:
     over = errors.voltage_excess
     sampled = np.array(
         [errors.i_d, errors.i_q, errors.torque, errors.loss, errors.loss_relative, 0.0 if over is None else over]
@@ -187,13 +212,13 @@ def _certify(task: Task, errors: ReferenceErrors) -> Certificate:
     worst = np.maximum(worst, sampled)
     i_d, i_q, torque, loss, relative, excess = (value if math.isfinite(value) else None for value in worst.tolist())
     if torque is None:
-        raise NoSolutionError("fit: no bound of the torque error could be proven; use fewer segments or a lower degree")
+        return None
     return Certificate(
         model="equations" if isinstance(task.choice.machine, LinearMachine) else "splines",
         i_d=i_d,
         i_q=i_q,
         torque=torque,
-        torque_relative=torque / float(task.reference.torque_max),
+        torque_relative=math.nextafter(torque / float(task.reference.torque_max), math.inf),
         loss=loss,
         loss_relative=relative,
         voltage_excess=None if over is None else excess,

@@ -33,8 +33,10 @@ class Proportional:
 
     gain: np.float32
 
-    def currents(self, torque: SingleArray, _muladd: MultiplyAdd) -> tuple[SingleArray, SingleArray]:
-        """(i_d, i_q) in A for torque >= 0 in N m, shape (N,)."""
+    def currents(
+        self, _magnitude: SingleArray, torque: SingleArray, _muladd: MultiplyAdd
+    ) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
         return np.zeros_like(torque), self.gain * torque
 
 
@@ -45,9 +47,11 @@ class Polynomials:
     d: SinglePolynomial
     q: SinglePolynomial
 
-    def currents(self, torque: SingleArray, muladd: MultiplyAdd) -> tuple[SingleArray, SingleArray]:
-        """(i_d, i_q) in A for torque >= 0 in N m, shape (N,)."""
-        return self.d.evaluate(torque, muladd), self.q.evaluate(torque, muladd)
+    def currents(
+        self, magnitude: SingleArray, torque: SingleArray, muladd: MultiplyAdd
+    ) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
+        return self.d.evaluate(magnitude, muladd), self.q.evaluate(magnitude, muladd, torque)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +65,11 @@ class TorqueExact:
     magnet: np.float32
     slope: np.float32
 
-    def currents(self, torque: SingleArray, muladd: MultiplyAdd) -> tuple[SingleArray, SingleArray]:
-        """(i_d, i_q) in A for torque >= 0 in N m, shape (N,)."""
-        i_d = self.d.evaluate(torque, muladd)
+    def currents(
+        self, magnitude: SingleArray, torque: SingleArray, muladd: MultiplyAdd
+    ) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
+        i_d = self.d.evaluate(magnitude, muladd)
         return i_d, torque / muladd(np.broadcast_to(self.slope, i_d.shape), i_d, np.asarray(self.magnet))
 
 
@@ -85,9 +91,11 @@ class ClosedForm:
         """Square of ``base`` in A^2, rounded to float."""
         return self.base * self.base
 
-    def currents(self, torque: SingleArray, muladd: MultiplyAdd) -> tuple[SingleArray, SingleArray]:
-        """(i_d, i_q) in A for torque >= 0 in N m, shape (N,)."""
-        i_q = self.q.evaluate(torque, muladd)
+    def currents(
+        self, magnitude: SingleArray, torque: SingleArray, muladd: MultiplyAdd
+    ) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
+        i_q = self.q.evaluate(magnitude, muladd, torque)
         root = np.sqrt(muladd(i_q, i_q, np.asarray(self.base_squared)))
         return (self.base - root if self.sign > 0 else root - self.base), i_q
 
@@ -99,10 +107,12 @@ class ReluctanceClosedForm:
     gain: np.float32
     sign: int
 
-    def currents(self, torque: SingleArray, _muladd: MultiplyAdd) -> tuple[SingleArray, SingleArray]:
-        """(i_d, i_q) in A for torque >= 0 in N m, shape (N,)."""
-        i_q = np.sqrt(self.gain * torque)
-        return (-i_q if self.sign > 0 else i_q), i_q
+    def currents(
+        self, magnitude: SingleArray, torque: SingleArray, _muladd: MultiplyAdd
+    ) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
+        i_q = np.sqrt(self.gain * magnitude)
+        return (-i_q if self.sign > 0 else i_q), np.where(torque < 0.0, -i_q, i_q)
 
 
 Form = Proportional | Polynomials | TorqueExact | ClosedForm | ReluctanceClosedForm
@@ -121,13 +131,19 @@ class CurrentReference:
         NaN gives the reference of zero torque. ``fused`` models a compiler that contracts products and sums.
         """
         torque = np.asarray(torque, dtype=np.float32)
-        # Written as in the emitted C, which leaves the sign of -0 alone and sends NaN past both comparisons.
+        # Written as in the emitted C: the sign of -0 stays, NaN fails both comparisons.
         with np.errstate(invalid="ignore", under="ignore"):
-            magnitude = np.where(torque < 0.0, -torque, torque)
-            magnitude = np.where(magnitude > self.torque_max, self.torque_max, magnitude)
-            magnitude = np.where(np.isnan(magnitude), np.float32(0.0), magnitude)
-            i_d, i_q = self.form.currents(magnitude, fused_multiply_add if fused else multiply_add)
-            return i_d, np.where(torque < 0.0, -i_q, i_q)
+            magnitude = np.abs(torque)
+            clamped = np.where(torque < 0.0, -self.torque_max, self.torque_max)
+            torque = np.where(magnitude > self.torque_max, clamped, torque)
+            torque = np.where(np.isnan(torque), np.float32(0.0), torque)
+            plain = self.form.currents(np.abs(torque), torque, multiply_add)
+            if not fused:
+                return plain
+            inside = magnitude <= self.torque_max  # beyond it the emitted C holds results as constants
+            contracted = self.form.currents(np.abs(torque), torque, fused_multiply_add)
+            i_d, i_q = (np.where(inside, one, other) for one, other in zip(contracted, plain, strict=True))
+            return i_d, i_q
 
     def samples(self, count: int) -> SingleArray:
         """Torques in [0, torque_max]: evenly and logarithmically spaced, and both neighbours of each breakpoint."""

@@ -131,7 +131,7 @@ class Task:
         speed = self.choice.speed
         if speed is None:
             return i_d * 0, i_d * 0, i_d * 0
-        omega, r_s = exactly(machine.pole_pairs * speed.omega_m), exactly(machine.r_s)
+        omega, r_s = exactly(speed.omega_m) * machine.pole_pairs, exactly(machine.r_s)
         scale = 1 / (exactly(speed.v_max) * exactly(speed.v_max))
         v_d, v_q = i_d * r_s - jet.psi_q * omega, i_q * r_s + jet.psi_d * omega
         by_d = (v_d * (r_s - jet.l_qd * omega) + v_q * (jet.l_dd * omega)) * (2 * scale)

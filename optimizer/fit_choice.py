@@ -2,40 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import product
 
 import numpy as np
 
 from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.settings import FitBudget, FitForm, FitSettings
+from dqforge.machines.settings import FitBudget, FitForm, FitSettings, NumberFormat
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.breakpoints import SegmentErrors, round_significant, segment_errors
+from dqforge.optimizer.cost_model import AXES, constant_bytes, estimated_cycles, reference_bytes
 from dqforge.optimizer.current_choice import CurrentChoice
-from dqforge.optimizer.current_reference import ClosedForm, Reference, ReferenceErrors
+from dqforge.optimizer.current_reference import ReferenceErrors
 from dqforge.optimizer.fitting import Curve, SideConditions
-from dqforge.optimizer.fixed_reference import FixedReference
-from dqforge.optimizer.reference_fit import AXES, ReferenceFit, domain_end, fit_reference, possible_forms
-from dqforge.optimizer.single_precision import SinglePolynomial
+from dqforge.optimizer.fixed_scales import holds
+from dqforge.optimizer.reference_fit import (
+    ReferenceFit,
+    domain_end,
+    fit_reference,
+    least_degree,
+    possible_forms,
+)
 
-_DEGREES = (1, 2, 3, 4, 5, 6)
+_DEGREES = 6
 _SEGMENTS = (1, 2, 3, 4)
 _HOPELESS_TORQUE, _HOPELESS_LOSS = 5.0, 16.0
 """Errors of the quick fit over the budget from which on the fit by the wanted method is not tried: it gains less. The
 most that tests find is 4.2 for the torque and 10 for the loss, which goes with the square of the current error."""
-
-_FLOAT_BYTES = 4
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
     """One form that was tried.
 
-    ``cycles`` are estimated for a Cortex-M4F, ``flash`` in bytes counts the constants. ``errors`` are those of the
-    float32 arithmetic; ``quick`` says that they belong to a quick fit, which shows that none could keep the budget.
+    ``cycles`` are estimated for the core, ``flash`` in bytes counts the constants. ``errors`` are those of the
+    arithmetic; ``quick`` says that they belong to a quick fit, which shows that none could keep the budget.
     """
 
     form: FitForm
+    format: NumberFormat
     degree: int
     segments: int
     cycles: float
@@ -50,50 +57,6 @@ class FitChoice:
 
     fit: ReferenceFit
     trials: tuple[Trial, ...]
-
-
-def estimated_cycles(form: FitForm, degree: int, segments: int) -> float:
-    """Cycles of both currents on a Cortex-M4F, an estimate to rank forms by.
-
-    Fitted to compiled instances: two polynomials of degree 2, 3, 4 that share one breakpoint take 28, 35, 42 cycles;
-    one of degree 4 with a division 50; a square root costs what a division does.
-    """
-    branches = 2.0 * (segments - 2) - (2.0 if segments == 1 else 0.0)
-    base = {"polynomial": 14.0 + 7.0 * degree, "torque-exact": 36.0 + 3.5 * degree, "closed-form": 38.0 + 3.5 * degree}
-    return base[form] + branches
-
-
-def constant_bytes(form: FitForm, degree: int, segments: int) -> int:
-    """Bytes of the constants of a form whose axes share their breakpoints."""
-    polynomials = len(AXES[form])
-    extra = {"polynomial": 0, "torque-exact": 2, "closed-form": 2}[form]
-    # The first segment of each polynomial has no constant, the first start is zero.
-    floats = polynomials * (segments * (degree + 1) - 1) + (segments - 1) + extra
-    return _FLOAT_BYTES * (floats + 1)
-
-
-def _fixed_bytes(reference: FixedReference) -> int:
-    """Bytes of the different integers of a reference in fixed point; constants are as wide as the products."""
-    segments = [s for polynomial in (reference.d, reference.q) if polynomial is not None for s in polynomial.segments]
-    words = {reference.end, *(segment.start for segment in segments), *(segment.leading for segment in segments)}
-    constants = {constant for segment in segments for constant in segment.constants}
-    return 4 * len(words - {0}) + reference.width // 4 * len(constants)
-
-
-def reference_bytes(reference: Reference) -> int:
-    """Bytes of the different constants of a reference that is emitted, the end of its domain included."""
-    if isinstance(reference, FixedReference):
-        return _fixed_bytes(reference)
-    constants = {float(reference.torque_max)}
-    for name in reference.form.__dataclass_fields__:
-        value = getattr(reference.form, name)
-        if isinstance(value, SinglePolynomial):
-            constants.update(float(constant) for constant in (*value.coefficients.flat, *value.starts))
-        elif name != "sign":
-            constants.add(float(value))
-    if isinstance(reference.form, ClosedForm):
-        constants.add(float(reference.form.base_squared))
-    return _FLOAT_BYTES * len(constants - {0.0})
 
 
 def _keeps(errors: ReferenceErrors, budget: FitBudget) -> bool:
@@ -126,7 +89,7 @@ class QuickFits:
 
     def fit(self, wanted: FitSettings) -> ReferenceFit:
         """Quick fit by the form, degree and number of segments that are wanted."""
-        wanted = replace(wanted, method="least-squares")
+        wanted = replace(wanted, method="least-squares", format="float32")
         if wanted.breakpoint_mode == "shared" or len(AXES[wanted.form]) == 1:
             edges = self.errors(wanted.form, wanted.degree).best_edges(wanted.segments)
             wanted = replace(wanted, breakpoints=tuple(round_significant(edge) for edge in edges[1:-1]))
@@ -139,6 +102,28 @@ def _from_rest(curve: Curve) -> Curve:
 
 def _difference(curve: Curve, constant: float, argument: FloatArray) -> FloatArray:
     return curve(argument) - constant
+
+
+def _candidates(
+    choice: CurrentChoice, settings: FitSettings
+) -> Iterator[tuple[float, int, FitForm, NumberFormat, int, int]]:
+    """Cycles, bytes, form, format, degree and segments of everything that the machine and the full scales permit."""
+    end = domain_end(choice, settings)
+    formats: tuple[NumberFormat, ...] = ("float32", "q15", "q31") if settings.format is None else (settings.format,)
+    for number_format in formats:
+        if settings.format is None and not holds(choice, settings, number_format, end):
+            continue
+        for form in possible_forms(choice, number_format):
+            for degree, segments in product(range(least_degree(form, settings), _DEGREES + 1), _SEGMENTS):
+                cycles = estimated_cycles(form, degree, segments, number_format, settings.core)
+                yield (
+                    cycles,
+                    constant_bytes(form, degree, segments, number_format),
+                    form,
+                    number_format,
+                    degree,
+                    segments,
+                )
 
 
 def choose_fit(choice: CurrentChoice, settings: FitSettings, budget: FitBudget) -> FitChoice:
@@ -162,37 +147,35 @@ def choose_fit(choice: CurrentChoice, settings: FitSettings, budget: FitBudget) 
     NoSolutionError
         No candidate keeps the budget; says which came closest.
     """
-    candidates = sorted(
-        (estimated_cycles(form, degree, segments), constant_bytes(form, degree, segments), form, degree, segments)
-        for form in possible_forms(choice)
-        for degree in _DEGREES
-        for segments in _SEGMENTS
-    )
+    candidates = sorted(_candidates(choice, settings))
     quick_fits = QuickFits(choice, settings)
     trials: list[Trial] = []
-    for cycles, flash, form, degree, segments in candidates:
+    for cycles, flash, form, number_format, degree, segments in candidates:
         if budget.flash is not None and flash > budget.flash:
             continue
-        wanted = replace(settings, form=form, degree=degree, segments=segments, breakpoints=None)
+        wanted = replace(settings, form=form, format=number_format, degree=degree, segments=segments, breakpoints=None)
         fit = quick_fits.fit(wanted)
-        if fit.d is None and fit.q is None:
-            trials.append(
-                Trial(form, degree, segments, cycles, reference_bytes(fit.reference), fit.errors, quick=False)
-            )
-            return FitChoice(fit, tuple(trials))  # exact without any polynomial
+        if fit.d is None and fit.q is None:  # exact without any polynomial, but for the rounding of fixed point
+            fit = fit_reference(choice, wanted)
+            size = reference_bytes(fit.reference)
+            trials.append(Trial(form, number_format, degree, segments, cycles, size, fit.errors, quick=False))
+            if number_format == "float32" or _keeps(fit.errors, budget):
+                return FitChoice(fit, tuple(trials))
+            continue
         quick = is_hopeless(fit.errors, budget)
         if not quick:
             fit = fit_reference(choice, wanted)
-        trials.append(Trial(form, degree, segments, cycles, flash, fit.errors, quick=quick))
+        trials.append(Trial(form, number_format, degree, segments, cycles, flash, fit.errors, quick=quick))
         if not quick and _keeps(fit.errors, budget):
             return FitChoice(fit, tuple(trials))
     if not trials:
         raise NoSolutionError(f"fit.flash: no form has its constants in {budget.flash} bytes; permit more")
     best = min(trials, key=lambda trial: _excess(trial.errors, budget))
+    torque, loss = 100.0 * best.errors.torque_relative, 100.0 * best.errors.loss_relative
     raise NoSolutionError(
-        f"fit: no form of degree up to {_DEGREES[-1]} with up to {_SEGMENTS[-1]} segments keeps the budget;"
-        f" {best.form} of degree {best.degree} with {best.segments} segments comes closest, with a torque error of"
-        f" {100.0 * best.errors.torque_relative:.2g} % and a loss penalty of {100.0 * best.errors.loss_relative:.2g} %"
+        f"fit: no form of degree up to {_DEGREES} with up to {_SEGMENTS[-1]} segments keeps the budget;"
+        f" {best.form} of degree {best.degree} with {best.segments} segments in {best.format} comes closest,"
+        f" with a torque error of {torque:.2g} % and a loss penalty of {loss:.2g} %"
     )
 
 

@@ -16,7 +16,7 @@ from numpy.polynomial import chebyshev
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.settings import FitMethod
 from dqforge.machines.synchronous import FloatArray
-from dqforge.optimizer.piecewise import PiecewisePolynomial, local_coefficients
+from dqforge.optimizer.piecewise import PiecewisePolynomial, local_coefficients, power_of_series
 
 Curve = Callable[[FloatArray], FloatArray]
 IndexArray = np.ndarray[tuple[int, ...], np.dtype[np.intp]]
@@ -35,10 +35,14 @@ _EXCHANGE_GOAL = 1.0002
 
 @dataclass(frozen=True, slots=True)
 class SideConditions:
-    """Equalities that a fit keeps: zero value at the start of the domain, continuity at the breakpoints."""
+    """Equalities that a fit keeps: zero value at the start of the domain, continuity at the breakpoints.
+
+    ``absent`` are the powers above 0 that the first segment does not have, as a curve that is even or odd lacks them.
+    """
 
     exact_at_zero: bool
     continuous: bool
+    absent: tuple[int, ...] = ()
 
 
 def chebyshev_nodes(count: int) -> FloatArray:
@@ -68,6 +72,8 @@ def condition_rows(segments: int, degree: int, side: SideConditions) -> FloatArr
     rows = []
     if side.exact_at_zero:
         rows.append(np.concatenate([left, np.zeros((segments - 1) * width)]))
+    rest = np.zeros((segments - 1) * width)
+    rows += [np.concatenate([power_of_series(degree, power), rest]) for power in side.absent]
     if side.continuous:
         for seam in range(segments - 1):
             row = np.zeros(segments * width)
@@ -87,7 +93,14 @@ def _interpolate(curve: Curve, edges: FloatArray, degree: int, side: SideConditi
     free = chebyshev_nodes(degree + 1)
     tied = np.concatenate([[-1.0], chebyshev_nodes(degree)])
     left_value = 0.0
-    for segment in range(edges.size - 1):
+    first = 0
+    if side.absent:  # as many nodes as the coefficients that are left
+        basis = null_space(condition_rows(1, degree, SideConditions(side.exact_at_zero, False, side.absent)))
+        nodes = chebyshev_nodes(basis.shape[1])
+        values = curve(to_domain(nodes, edges[:2])[0])
+        series[0] = basis @ np.linalg.solve(chebyshev.chebvander(nodes, degree) @ basis, values)
+        first, left_value = 1, float(np.sum(series[0]))
+    for segment in range(first, edges.size - 1):
         is_tied = side.exact_at_zero if segment == 0 else side.continuous
         nodes = tied if is_tied else free
         values = curve(to_domain(nodes, edges[segment : segment + 2])[0])
@@ -287,6 +300,7 @@ def fit_curve(
     coefficients = local_coefficients(series, edges)
     if side.exact_at_zero:
         coefficients[0, 0] = 0.0  # it is zero but for the rounding of the solution; the firmware drops the addition
+    coefficients[0, list(side.absent)] = 0.0
     return PiecewisePolynomial(edges, coefficients)
 
 

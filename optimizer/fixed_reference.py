@@ -68,8 +68,8 @@ class FixedReference:
 
     def nearest(self, torque: NDArray[Any]) -> CodeArray:
         """Codes of torques in N m, shape (N,), saturated; not-a-number becomes 0."""
-        scaled = np.nan_to_num(np.asarray(torque, dtype=np.float64) / self.torque_base) * self.scale.one
-        return np.clip(np.rint(scaled), -self.scale.one, self.scale.one - 1.0).astype(np.int64)
+        share = np.clip(np.nan_to_num(np.asarray(torque, dtype=np.float64) / self.torque_base), -1.0, 1.0)
+        return np.minimum(np.rint(share * self.scale.one), self.scale.one - 1.0).astype(np.int64)
 
     def currents(self, torque: NDArray[Any], *, fused: bool = False) -> tuple[FloatArray, FloatArray]:  # noqa: ARG002
         """(i_d, i_q) in A at the codes nearest to torques in N m, shape (N,); integers know no contraction."""

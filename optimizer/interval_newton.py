@@ -116,7 +116,11 @@ def newton(task: Task, interval: Interval, condition: Condition) -> Bounds:
         )
         missed = second.abs_upper() + at.c_d.abs_upper() * rounding_d + at.c_q.abs_upper() * rounding_q
         along = (at.t_q * inverse).abs_upper() * missed, (at.t_d * inverse).abs_upper() * missed
-        needed = [d.abs_upper() + a for d, a in zip(distance, along, strict=True)]
+        # The box holds the rounded currents as well, and what lies along the curve of constant torque from there.
+        needed = [
+            max(d.abs_upper(), rounding) + a
+            for d, a, rounding in zip(distance, along, (rounding_d, rounding_q), strict=True)
+        ]
         if all(bool(need < room) for need, room in zip(needed, reach, strict=True)):
             torque = error.abs_upper() + at.t_d.abs_upper() * rounding_d + at.t_q.abs_upper() * rounding_q
             loss, relative = _penalty(task, at, box, missed, inverse, condition)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dqforge.machines.clamping import MEAN_SWITCHED_SHARE
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.modulation import in_linear_range
@@ -28,9 +29,6 @@ from dqforge.machines.synchronous import FloatArray, Machine, copper_loss
 from dqforge.optimizer.local_terms import LossCoefficients
 
 _MEAN_OF_RECTIFIED_SINE = 2.0 / math.pi
-
-_SWITCHED_SHARE: dict[ModulationName, float] = {"spwm": 1.0, "svpwm": 1.0, "ddt-gdpwm": 0.5}
-"""Share of the rectified phase current that is switched; see `loss_coefficients` for the limits of the last one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,8 +89,10 @@ def loss_coefficients(
     -----
     Equal to `loss_budget` for MOSFETs with continuous modulators, and for IGBTs whose diode has the transistor's
     parameters. Transistor and diode of an IGBT bridge share the current evenly here; what the duty cycle shifts between
-    them is in truth 3/2 |v| |i| cos(phi) (V_CE0 - V_F0) / v_dc, and likewise for the resistances. DDT-GDPWM switches
-    half of the rectified current where the load angle is within 30 degrees of 0 or 180, and more beyond.
+    them is in truth 3/2 |v| |i| cos(phi) (V_CE0 - V_F0) / v_dc, and likewise for the resistances. GDPWM and DDT-GDPWM
+    switch half of the rectified current where the load angle is within 30 degrees of 0 or 180, and more beyond. The
+    other discontinuous modulators count with two thirds, the mean over all load angles; in truth their share depends on
+    the load angle (`dqforge.machines.clamping.switching_loss_factor`).
     """
     omega_e = machine.pole_pairs * np.asarray(omega_m, dtype=np.float64)
     square = 1.5 * machine.r_s * extra.copper_factor(omega_e)
@@ -118,7 +118,7 @@ def _switching(inverter: Inverter, modulation: ModulationName) -> float:
     """Switching loss over |i| in W/A."""
     device = required_device(inverter)
     energy = device.switching_energy / (device.reference_current * device.reference_voltage) * inverter.v_dc
-    return 3.0 * inverter.f_sw * energy * _MEAN_OF_RECTIFIED_SINE * _SWITCHED_SHARE[modulation]
+    return 3.0 * inverter.f_sw * energy * _MEAN_OF_RECTIFIED_SINE * MEAN_SWITCHED_SHARE.get(modulation, 1.0)
 
 
 def drive_losses(

@@ -77,6 +77,11 @@ def _loss_beside(task: Task, interval: Interval, currents: tuple[arb, arb], erro
     """
     i_d, i_q = currents
     scale, square = 1.5 * exactly(task.choice.machine.r_s), i_d * i_d + i_q * i_q
+    machine = task.choice.machine
+    if isinstance(machine, LinearMachine) and machine.psi_pm == 0.0:
+        apart, least = _apart(interval, machine.saliency).abs_upper(), 2 * (i_d * i_q).abs_lower()
+        more = apart * apart
+        return upper(more * scale), upper(more / least) if least > 0 else math.inf
     low, high = interval.low + float(error.lower()), interval.high + float(error.upper())
     if low <= 0.0 or high > _WIDEST * low:
         return upper(square * scale), math.inf
@@ -93,6 +98,20 @@ def _loss_beside(task: Task, interval: Interval, currents: tuple[arb, arb], erro
     if not more.is_finite() or not least > 0:
         return upper(square * scale), math.inf
     return upper(more * scale), upper(more / least)
+
+
+def _apart(interval: Interval, saliency: float) -> arb:
+    """Ball of what |i_d| and |i_q| differ by: without a magnet |i|^2 is its square above the least, 2 |i_d i_q|."""
+    sign = 1 if saliency > 0.0 else -1
+
+    def difference(torque: Value) -> list[Value]:
+        i_d, i_q = interval.piece.currents(torque)
+        return [i_q + i_d * sign]
+
+    expansion = Expansion(interval.low, interval.high)
+    (apart,) = expansion.enclose(difference)
+    rounding_d, rounding_q = interval.piece.rounding(expansion.ball)
+    return widened(apart, rounding_d + rounding_q)
 
 
 def _exact_near_rest(task: Task, low: float, high: float) -> tuple[arb, arb]:

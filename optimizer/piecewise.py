@@ -79,6 +79,12 @@ def _chebyshev_to_local(degree: int) -> FloatArray:
     return matrix
 
 
+def power_of_series(degree: int, power: int) -> FloatArray:
+    """Row that gives the coefficient of (s + 1)^power from a Chebyshev series in s, shape (n + 1,)."""
+    row: FloatArray = _chebyshev_to_local(degree)[:, power]
+    return row
+
+
 def local_coefficients(chebyshev: FloatArray, edges: FloatArray) -> FloatArray:
     """Convert Chebyshev series on each segment, shape (S, n + 1), to ascending powers of t - edges[s]."""
     degree = chebyshev.shape[1] - 1

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.settings import FitForm, FitMethod, FitSettings, NumberFormat
+from dqforge.machines.settings import FitForm, FitSettings, NumberFormat
 from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
 from dqforge.optimizer.breakpoints import search, segment_errors
+from dqforge.optimizer.cost_model import AXES
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.current_reference import (
     ClosedForm,
@@ -26,13 +27,10 @@ from dqforge.optimizer.current_reference import (
 )
 from dqforge.optimizer.edge_levelling import level_edges
 from dqforge.optimizer.fitting import Curve, SideConditions, fit_curve, squared_error_integral
-from dqforge.optimizer.fixed_fit import CodeScale, fit_fixed
-from dqforge.optimizer.fixed_reference import FIXED_WIDTHS, FixedReference
+from dqforge.optimizer.fixed_reference import FIXED_WIDTHS
+from dqforge.optimizer.fixed_scales import code_scale, in_fixed_point, on_codes
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.single_precision import SinglePolynomial
-
-AXES: dict[FitForm, tuple[str, ...]] = {"polynomial": ("d", "q"), "torque-exact": ("d",), "closed-form": ("q",)}
-"""The axes that each form holds as polynomials."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,15 +48,6 @@ class ReferenceFit:
     d: PiecewisePolynomial | None
     q: PiecewisePolynomial | None
     reference: Reference
-    errors: ReferenceErrors
-
-
-@dataclass(frozen=True, slots=True)
-class Alternative:
-    """One row of the table of alternatives: what was changed, and the errors that result."""
-
-    label: str
-    settings: FitSettings
     errors: ReferenceErrors
 
 
@@ -95,7 +84,7 @@ def find_edges(curves: dict[str, Curve], settings: FitSettings, end: float) -> d
     return edges
 
 
-def _exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None:
+def exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None:
     """The form that needs no polynomial, where the machine and the strategy have one."""
     machine = choice.closed_form
     if machine is None:
@@ -108,29 +97,43 @@ def _exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None
     return None
 
 
+def least_degree(form: FitForm, settings: FitSettings) -> int:
+    """Least degree of a form: 2 where i_d has no linear term."""
+    return 2 if form == "even-odd" or (settings.flat_at_zero and "d" in AXES[form]) else 1
+
+
 def possible_forms(choice: CurrentChoice, number_format: NumberFormat = "float32") -> tuple[FitForm, ...]:
     """Forms that can hold the currents of a choice in a number format.
 
-    ``torque-exact`` needs constant inductances and a magnet, ``closed-form`` the MTPA locus that these have. Fixed
-    point has polynomials only: it is for cores on which a division or a square root costs more than all the rest.
+    ``torque-exact`` needs constant inductances and a magnet, ``closed-form`` and ``even-odd`` the MTPA locus that these
+    have. Fixed point has plain polynomials only: it is for cores on which a division or a root costs more than all the
+    rest.
     """
     machine = choice.machine
     if not isinstance(machine, LinearMachine) or number_format != "float32":
         return ("polynomial",)
     if machine.psi_pm == 0.0:
         return ("polynomial",) if choice.speed is not None else ("polynomial", "closed-form")
-    return ("polynomial", "torque-exact") if choice.speed is not None else ("polynomial", "torque-exact", "closed-form")
+    if choice.speed is not None:
+        return ("polynomial", "torque-exact")
+    return ("polynomial", "even-odd", "torque-exact", "closed-form")
 
 
-def _require_form(choice: CurrentChoice, form: FitForm, number_format: NumberFormat) -> None:
+def _require_form(choice: CurrentChoice, settings: FitSettings, number_format: NumberFormat) -> None:
+    form = settings.form
     possible = possible_forms(choice, number_format)
     if form in possible:
+        if settings.degree < least_degree(form, settings):
+            what = "form: even-odd" if form == "even-odd" else "flat_at_zero"
+            raise InputError(f"fit.degree: {what} needs degree 2 or more, got {settings.degree}; write degree: 3")
         return
     machine = choice.machine
     if number_format != "float32":
         reason = f"divides or takes a root, which {number_format} does not offer"
     elif not isinstance(machine, LinearMachine):
         reason = "needs constant inductances, the machine is a flux map"
+    elif form == "even-odd" and machine.psi_pm == 0.0:
+        reason = "needs currents that are smooth at zero torque, without a magnet they are not"
     elif form == "torque-exact":
         reason = "divides by the magnet torque, which this machine does not have"
     else:
@@ -141,7 +144,7 @@ def _require_form(choice: CurrentChoice, form: FitForm, number_format: NumberFor
 def _assemble(machine: Machine, form: FitForm, fits: dict[str, PiecewisePolynomial]) -> Form:
     """Round the polynomials of a form, and the machine constants beside them, to float."""
     single = {axis: SinglePolynomial.from_double(fit) for axis, fit in fits.items()}
-    if form == "polynomial":
+    if form in ("polynomial", "even-odd"):
         return Polynomials(single["d"], single["q"])
     if form == "torque-exact":
         slope = -1.5 * machine.pole_pairs * machine.saliency
@@ -183,10 +186,10 @@ def fit_reference(choice: CurrentChoice, settings: FitSettings) -> ReferenceFit:
     """
     end = domain_end(choice, settings)
     number_format = settings.format or "float32"
-    exact = _exact_form(choice, settings.form)
+    exact = exact_form(choice, settings.form)
     fits: dict[str, PiecewisePolynomial] = {}
     if exact is None or exact[0] == "reluctance":
-        _require_form(choice, settings.form, number_format)
+        _require_form(choice, settings, number_format)
     if exact is None:
         if settings.breakpoints is not None and settings.breakpoints and settings.breakpoints[-1] >= end:
             raise InputError(f"fit.breakpoints must lie below the largest torque, {end:.4g} N m")
@@ -197,7 +200,7 @@ def fit_reference(choice: CurrentChoice, settings: FitSettings) -> ReferenceFit:
         name, form = exact
     reference: Reference = CurrentReference(form, np.float32(end))
     if number_format != "float32":
-        reference = _in_fixed_point(choice, settings, end, fits)
+        reference = in_fixed_point(choice, settings, end, fits)
     return ReferenceFit(
         settings, name, end, fits.get("d"), fits.get("q"), reference, reference_errors(choice, reference)
     )
@@ -215,60 +218,43 @@ def _fits(choice: CurrentChoice, settings: FitSettings, end: float) -> dict[str,
     shifted = {axis: _less(curve, at_rest[axis]) for axis, curve in curves.items()}
     side = SideConditions(settings.exact_at_zero, settings.continuous)
     edges = find_edges(shifted, settings, end)
+    if settings.form == "even-odd":
+        return _even_odd_fits(choice.machine, shifted, edges, settings)
     if settings.format in FIXED_WIDTHS:
-        scale = _code_scale(choice, settings, end)
-        edges = {axis: _on_codes(found, scale) for axis, found in edges.items()}
+        scale = code_scale(choice, settings, end)
+        edges = {axis: on_codes(found, scale) for axis, found in edges.items()}
     fits = {
-        axis: fit_curve(curve, edges[axis], settings.degree, settings.method, side) for axis, curve in shifted.items()
+        axis: fit_curve(
+            curve, edges[axis], settings.degree, settings.method, replace(side, absent=_absent(axis, settings))
+        )
+        for axis, curve in shifted.items()
     }
     return {axis: _raised(fit, at_rest[axis]) for axis, fit in fits.items()}
 
 
-def _code_scale(choice: CurrentChoice, settings: FitSettings, end: float) -> CodeScale:
-    """Full scales of a fixed-point format, checked against what it must hold."""
-    if settings.full_scale is None or settings.format is None:
-        raise InputError(f"fit.format: {settings.format} needs the bases of torque and current; give full_scale")
-    torque_base, current_base = settings.full_scale
-    if end > torque_base * (1.0 + 1e-9):
-        raise InputError(
-            f"control.per_unit.torque: {torque_base:.4g} N m is full scale in {settings.format}, but the references go"
-            f" up to {end:.4g} N m; write torque: {_rounded_up(end)} N m, or a smaller fit.torque_max"
-        )
-    largest = float(np.max(np.abs(choice.currents(np.linspace(0.0, end, 101)))))
-    if largest > current_base * (1.0 + 1e-9):
-        raise InputError(
-            f"control.per_unit.current: {current_base:.4g} A is full scale in {settings.format}, but the references go"
-            f" up to {largest:.4g} A; write current: {_rounded_up(largest)} A, or a smaller fit.torque_max"
-        )
-    return CodeScale(torque_base, current_base, FIXED_WIDTHS[settings.format])
+def _absent(axis: str, settings: FitSettings) -> tuple[int, ...]:
+    return (1,) if settings.flat_at_zero and axis == "d" else ()
 
 
-def _rounded_up(value: float) -> str:
-    """Two significant digits, not below the value."""
-    unit = 10.0 ** (np.floor(np.log10(value)) - 1.0)
-    return f"{np.ceil(value / unit * (1.0 - 1e-12)) * unit:.6g}"
+def _even_odd_fits(
+    machine: Machine, curves: dict[str, Curve], edges: dict[str, FloatArray], settings: FitSettings
+) -> dict[str, PiecewisePolynomial]:
+    """i_d of degree n without its linear term, then i_q of degree n + 1 without its square.
 
+    At the MTPA i_d is even and i_q odd in the torque, so that the terms are small and their coefficients better spent
+    higher up. i_q is fitted to what gives the torque together with the i_d that was fitted: an error of i_d then costs
+    no torque, and a loss of second order only.
+    """
+    slope = -1.5 * machine.pole_pairs * machine.saliency
+    d = fit_curve(
+        curves["d"], edges["d"], settings.degree, settings.method, SideConditions(True, settings.continuous, (1,))
+    )
 
-def _on_codes(edges: FloatArray, scale: CodeScale) -> FloatArray:
-    """Segment edges whose inner ones are whole codes."""
-    inner = [float(scale.arguments(np.array(scale.code(edge)))) for edge in edges[1:-1]]
-    return np.array([0.0, *inner, edges[-1]])
+    def matched(torque: FloatArray) -> FloatArray:
+        return torque / (machine.torque_per_ampere + slope * d(torque))
 
-
-def _in_fixed_point(
-    choice: CurrentChoice, settings: FitSettings, end: float, fits: dict[str, PiecewisePolynomial]
-) -> FixedReference:
-    """Integers of polynomials, or of the straight line where the exact reference is one."""
-    scale, curves = _code_scale(choice, settings, end), choice.curves(end)
-    machine = choice.machine
-    if not fits:
-        line = np.array([[0.0, 1.0 / machine.torque_per_ampere]])
-        fits = {"q": PiecewisePolynomial(np.array([0.0, end]), line)}
-    found = {
-        axis: fit_fixed(fit, curves[axis], scale, exact_at_zero=settings.exact_at_zero, continuous=settings.continuous)
-        for axis, fit in fits.items()
-    }
-    return FixedReference(found.get("d"), found["q"], scale.argument, scale.result)
+    side = SideConditions(True, settings.continuous, (2,))
+    return {"d": d, "q": fit_curve(matched, edges["q"], settings.degree + 1, settings.method, side)}
 
 
 def _less(curve: Curve, constant: float) -> Curve:
@@ -279,54 +265,3 @@ def _raised(fit: PiecewisePolynomial, constant: float) -> PiecewisePolynomial:
     coefficients = fit.coefficients.copy()
     coefficients[:, 0] += constant
     return PiecewisePolynomial(fit.edges, coefficients)
-
-
-def _fixed_breakpoints(fit: ReferenceFit) -> FitSettings:
-    """The settings of a fit with its breakpoints written in, where it has one set of them."""
-    polynomial = fit.d or fit.q
-    shared = fit.settings.breakpoint_mode == "shared" or fit.d is None or fit.q is None
-    if polynomial is None or not shared:
-        return fit.settings
-    return replace(fit.settings, breakpoints=tuple(float(edge) for edge in polynomial.breakpoints))
-
-
-def _holds(fit: ReferenceFit, number_format: NumberFormat) -> bool:
-    """Whether the full scales hold what a fit goes up to; floats hold everything."""
-    scale = fit.settings.full_scale
-    return number_format == "float32" or (scale is not None and fit.torque_max <= scale[0] * (1.0 + 1e-9))
-
-
-def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative, ...]:
-    """What other forms, methods and side conditions would give: one change at a time against ``fit``.
-
-    Other forms search their own breakpoints; other methods and side conditions keep those of ``fit``, so that the
-    price of each option is seen alone. Empty where the reference needs no polynomial.
-    """
-    if fit.d is None and fit.q is None:
-        return ()
-    fixed = _fixed_breakpoints(fit)
-    rows: list[tuple[str, FitSettings]] = []
-    rows += [
-        (f"form {form}", replace(fit.settings, form=form))
-        for form in possible_forms(choice, fit.settings.format or "float32")
-        if form != fit.settings.form and _exact_form(choice, form) is None
-    ]
-    formats: tuple[NumberFormat, ...] = ("float32", "q15", "q31")
-    rows += [
-        (f"format {other}", replace(fixed, format=other))
-        for other in formats
-        if other != fit.settings.format and fit.settings.form == "polynomial" and _holds(fit, other)
-    ]
-    methods: tuple[FitMethod, ...] = ("lagrange", "least-squares", "minimax")
-    rows += [(f"method {method}", replace(fixed, method=method)) for method in methods if method != fixed.method]
-    rows.append(
-        (
-            f"exact at zero: {'off' if fixed.exact_at_zero else 'on'}",
-            replace(fixed, exact_at_zero=not fixed.exact_at_zero),
-        )
-    )
-    if fixed.segments > 1:
-        rows.append(
-            (f"continuous: {'off' if fixed.continuous else 'on'}", replace(fixed, continuous=not fixed.continuous))
-        )
-    return tuple(Alternative(label, settings, fit_reference(choice, settings).errors) for label, settings in rows)

@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from flint import arb
 
 
+_LARGEST = 2.0**127
+"""Half of the range of floats: results below overflow nowhere."""
+
+
 @dataclass(frozen=True, slots=True)
 class Rounded:
     """An intermediate result on an interval: a ball that holds its exact values, and a bound of its rounding error.
@@ -51,8 +55,13 @@ def _constants() -> tuple[arb, arb]:
 
 
 def rounded(value: Value, carried: Value) -> Rounded:
-    """Result of one operation whose operands' errors move it by ``carried``."""
+    """Result of one operation whose operands' errors move it by ``carried``.
+
+    Raises `ZeroDivisionError` where it may exceed the largest float: the model knows no overflow.
+    """
     unit, least = _constants()
+    if not value.abs_upper() + carried < _LARGEST:
+        raise ZeroDivisionError
     return Rounded(value, carried + unit * (value.abs_upper() + carried) + least)
 
 
@@ -97,7 +106,7 @@ def horner(starts: Any, coefficients: Any, index: int, torque: Rounded) -> Round
     value = exact(row[-1])
     for power in range(len(row) - 2, -1, -1):
         value = product(value, x)
-        if power > 0 or row[0] != 0.0:
+        if row[power] != 0.0:
             value = rounded_sum(value, exact(row[power]))
     return value
 
@@ -178,7 +187,7 @@ class Piece:
         Raises
         ------
         ZeroDivisionError
-            The ball is so wide that a divisor may vanish.
+            The ball is so wide that a divisor may vanish, or a result may leave the range of floats.
         """
         from flint import arb
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 
 SingleArray = NDArray[np.float32]
@@ -42,6 +43,21 @@ def fused_multiply_add(factor: SingleArray, other: SingleArray, addend: SingleAr
     return odd.view(np.float64).astype(np.float32)
 
 
+def _round_in_turn(row: FloatArray, width: float) -> None:
+    """Round ascending coefficients on [0, width] in place, the constant apart, which holds the value at the start."""
+    for power in range(row.size - 1, 0, -1):
+        rounded = float(np.float32(row[power]))
+        change, row[power] = rounded - row[power], rounded
+        row[1:power] += change * _monic_chebyshev(power, width)[1:power]
+
+
+def _monic_chebyshev(degree: int, width: float) -> FloatArray:
+    """Ascending coefficients on [0, width] of the monic polynomial with the least largest value, shape (n + 1,)."""
+    powers = np.polynomial.chebyshev.cheb2poly(np.eye(degree + 1)[degree])
+    shifted = np.polynomial.Polynomial(powers)(np.polynomial.Polynomial([-1.0, 2.0 / width])).coef
+    return np.asarray(shifted / shifted[-1], dtype=np.float64)
+
+
 @dataclass(frozen=True, slots=True)
 class SinglePolynomial:
     """A piecewise polynomial with float32 coefficients, evaluated by Horner's rule in t - start.
@@ -51,7 +67,7 @@ class SinglePolynomial:
     starts:
         First edge of each segment, shape (S,); the first is 0.
     coefficients:
-        Ascending powers, shape (S, n + 1). A constant that is zero is neither stored nor added in the emitted C.
+        Ascending powers, shape (S, n + 1). One that is zero is neither stored nor added in the emitted C.
     """
 
     starts: SingleArray
@@ -59,16 +75,29 @@ class SinglePolynomial:
 
     @classmethod
     def from_double(cls, piecewise: PiecewisePolynomial) -> SinglePolynomial:
-        """Round every coefficient and every edge to the nearest float."""
-        return cls(piecewise.edges[:-1].astype(np.float32), piecewise.coefficients.astype(np.float32))
+        """Floats for every edge and coefficient, the coefficients in turn.
 
-    def evaluate(self, argument: SingleArray, muladd: MultiplyAdd) -> SingleArray:
-        """Value at non-negative float32 arguments, shape (N,), with the given multiply-add."""
+        The highest is rounded first; those below make up for what that changed, along the Chebyshev polynomial of its
+        degree, and are rounded after it. Segments that lack a power keep lacking it and are rounded plainly.
+        """
+        coefficients = piecewise.coefficients.copy()
+        for row, width in zip(coefficients, np.diff(piecewise.edges).tolist(), strict=True):
+            if np.all(row[1:] != 0.0):
+                _round_in_turn(row, width)
+        return cls(piecewise.edges[:-1].astype(np.float32), coefficients.astype(np.float32))
+
+    def evaluate(self, argument: SingleArray, muladd: MultiplyAdd, odd_in: SingleArray | None = None) -> SingleArray:
+        """Value at non-negative float32 arguments, shape (N,), with the given multiply-add.
+
+        With ``odd_in``, the arguments with their signs, the curve is continued as an odd function: where the constant
+        of the first segment is zero its last product takes the signed argument, elsewhere the result is negated.
+        """
         segment = np.searchsorted(self.starts[1:], argument, side="right")
         local = argument - self.starts[segment]
         rows = self.coefficients[segment]
+        through_zero = (segment == 0) & (rows[:, 0] == 0.0)
         value = rows[:, -1]
-        for power in range(rows.shape[1] - 2, 0, -1):
-            value = muladd(value, local, rows[:, power])
-        constant = rows[:, 0]
-        return np.where(constant == 0.0, value * local, muladd(value, local, constant))
+        for power in range(rows.shape[1] - 2, -1, -1):
+            factor = local if odd_in is None or power > 0 else np.where(through_zero, odd_in, local)
+            value = np.where(rows[:, power] == 0.0, value * factor, muladd(value, factor, rows[:, power]))
+        return value if odd_in is None else np.where((odd_in < 0.0) & ~through_zero, -value, value)

@@ -9,8 +9,10 @@ import numpy as np
 from dqforge.machines.design import Design
 from dqforge.machines.settings import Strategy
 from dqforge.machines.synchronous import LinearMachine, Machine
+from dqforge.optimizer.certificate import Certificate, certify
 from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.current_choice import CurrentChoice, OperatingPoints, SpeedPoint
+from dqforge.optimizer.fit_alternatives import Alternative, alternatives
 from dqforge.optimizer.fit_choice import FitChoice, Trial, choose_fit
 from dqforge.optimizer.gains import LoopGains, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loss_budget import LossComparison, compare
@@ -18,7 +20,7 @@ from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
 from dqforge.optimizer.phase_reference import PhaseFit, fit_phases
-from dqforge.optimizer.reference_fit import Alternative, ReferenceFit, alternatives, domain_end, fit_reference
+from dqforge.optimizer.reference_fit import ReferenceFit, domain_end, fit_reference
 from dqforge.optimizer.surface_fit import WeakeningFit, fit_weakening
 from dqforge.optimizer.waveform_comparison import WaveformComparison, compare_waveforms, limits_of, require_phases
 
@@ -53,7 +55,8 @@ class Solution:
     """Everything that a design asks for.
 
     ``losses`` is None where it asks for no comparison; ``waveforms`` and ``phases`` are None for machines with a
-    sinusoidal back-EMF. ``trials`` are the forms that were tried for a budget. ``weakening`` is None where no
+    sinusoidal back-EMF. ``certificate`` bounds the errors of the fit, None where that could not be proven;
+    ``trials`` are the forms that were tried for a budget. ``weakening`` is None where no
     two-dimensional reference is asked for.
     """
 
@@ -66,6 +69,7 @@ class Solution:
     waveforms: WaveformComparison | None = None
     phases: PhaseFit | None = None
     trials: tuple[Trial, ...] = ()
+    certificate: Certificate | None = None
     weakening: WeakeningFit | None = None
 
 
@@ -181,6 +185,7 @@ def solve(design: Design) -> Solution:
         design=design,
         curves=solve_curves(design),
         fit=fit,
+        certificate=certify(current_choice(design), fit.reference, fit.errors),
         trials=chosen.trials,
         alternatives=alternatives(current_choice(design), fit),
         gains=solve_gains(design),

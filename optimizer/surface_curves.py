@@ -91,7 +91,10 @@ def _level_curve(
         method="highs-ds",
     )
     if found.status != 0:
-        raise NoSolutionError(f"field_weakening: a linear programme stopped with '{found.message}'")
+        raise NoSolutionError(
+            "field_weakening: the torque limit cannot be fitted over all those speeds; lower field_weakening.speed"
+            f" (the linear programme ended with: {found.message})"
+        )
     return found.x[:-1] / scale, float(found.x[-1])
 
 

@@ -95,6 +95,10 @@ class Balls:
 
     __rmul__ = __mul__
 
+    def __lt__(self, limit: float) -> bool:
+        """Whether everything in all of the balls lies below a number."""
+        return bool(np.all(self.upper() < limit))
+
     def squared(self) -> Balls:
         """Square, which is not negative."""
         low, high = self.abs_lower().mid, self.abs_upper().mid

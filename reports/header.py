@@ -21,7 +21,7 @@ from dqforge.reports.templating import render
 _COMPILING = {
     "float32": (
         "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated errors hold either way.",
-        "Plain C99 and C++11; sqrtf is the only library function that may be used.",
+        "Plain C99 and C++11; fabsf and sqrtf are the only library functions that may be used.",
     ),
     "fixed": (
         "Plain C99 and C++11 in integers, no library function; right shifts must keep the sign (checked below).",

@@ -13,6 +13,7 @@ from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.optimizer.gains import LoopGains
 from dqforge.optimizer.solution import Solution
+from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.figures_losses import POINTS_SHOWN
 from dqforge.reports.figures_reference import ROUNDING
 from dqforge.reports.header import header_context
@@ -36,11 +37,12 @@ from dqforge.reports.html_tables import (
 )
 from dqforge.reports.html_text import count, degrees, number, quantity, share, symbols
 from dqforge.reports.html_waveforms import candidates_table, comparison_text, rules_table
-from dqforge.reports.labels import MODULATION_LABELS, operation_text, point_text, watts
+from dqforge.reports.labels import FORMAT_TEXT, MODULATION_LABELS, operation_text, point_text, watts
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.templating import render
 from dqforge.reports.verify import Verification
-from dqforge.reports.weakening_tables import domain_text, errors_text, weakening_html
+from dqforge.reports.weakening_tables import weakening_html
+from dqforge.reports.weakening_text import domain_text, errors_text
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -101,15 +103,15 @@ def _loops(solution: Solution) -> list[LoopGains]:
 
 
 def verification_text(verification: Verification | None) -> tuple[str, str]:
-    """(short outcome, sentence) of the comparison of the compiled header with the float32 model."""
+    """(short outcome, sentence) of the comparison of the compiled header with the model."""
     if verification is None:
-        return "not verified", "The header of this run was not compiled and not compared with the float32 model."
+        return "not verified", "The header of this run was not compiled and not compared with its model."
     total = count(verification.vectors + verification.sweep)
     done = " and ".join(standard.upper() for standard in verification.languages)
     text = (
         f"The header was compiled as {done} with all warnings as errors. {total} results of the compiled evaluator, "
         f"those of {verification.vectors} test vectors and of {count(verification.sweep)} further torques, equal the "
-        "float32 model bit for bit."
+        "model bit for bit."
     )
     for check in verification.checks:
         if check.missing:
@@ -144,6 +146,7 @@ def _compared(verification: Verification | None) -> str:
 def tiles(solution: Solution, verification: Verification | None) -> list[Tile]:
     """The key numbers."""
     fit, chosen = solution.fit, solution.curves.chosen
+    arithmetic = FORMAT_TEXT[fit.settings.format or "float32"]
     current = float(np.hypot(chosen.i_d[-1], chosen.i_q[-1]))
     limit = f"with {number(current)} of {number(solution.design.i_max)} A (peak)"
     found = [
@@ -151,7 +154,7 @@ def tiles(solution: Solution, verification: Verification | None) -> list[Tile]:
         Tile(
             "Torque error of the reference",
             quantity(ceiling(fit.errors.torque), "N m", 3),
-            f"{share(ceiling(fit.errors.torque_relative, 2))} of the largest torque, in single precision",
+            f"{share(ceiling(fit.errors.torque_relative, 2))} of the largest torque, in {arithmetic}",
         ),
     ]
     saving = copper_saving(solution)
@@ -180,6 +183,17 @@ def _penalty_text(solution: Solution) -> str:
     )
 
 
+def _proof_text(solution: Solution) -> str:
+    """Whether the errors of the summary are proven."""
+    proof = solution.certificate
+    if proof is None:
+        return "both are sampled"
+    torque = quantity(ceiling(proof.torque), "N m", 3)
+    if proof.loss_relative is None:
+        return f"proven are {torque}"
+    return f"proven are {torque} and {share(ceiling(proof.loss_relative, 2))}"
+
+
 def summary(solution: Solution, verification: Verification | None) -> Markup:
     """One paragraph with the key numbers."""
     fit, errors, design = solution.fit, solution.fit.errors, solution.design
@@ -191,7 +205,7 @@ def summary(solution: Solution, verification: Verification | None) -> Markup:
         ),
         (
             f"The torque errs by at most {quantity(ceiling(errors.torque), 'N m', 3)}, {_penalty_text(solution)}; "
-            "both are sampled."
+            f"{_proof_text(solution)}."
         ),
     ]
     saving = copper_saving(solution)
@@ -281,7 +295,7 @@ def _reference_part(solution: Solution) -> PlainData:
         "coefficients": coefficient_table(plain),
         "constants": constant_rows(plain),
         "alternatives": alternatives_table(fit, solution.alternatives) if solution.alternatives else None,
-        "trials": trials_table(solution.trials) if solution.trials else None,
+        "trials": trials_table(solution.trials, solution.design.fit.core) if solution.trials else None,
     }
 
 
@@ -304,7 +318,7 @@ def _sections(design: Design, *, losses: bool, waveforms: bool) -> list[tuple[st
 
 def report_context(solution: Solution, verification: Verification | None) -> PlainData:
     """Everything that the template prints."""
-    design, errors = solution.design, solution.fit.errors
+    design, errors, proof = solution.design, solution.fit.errors, solution.certificate
     return {
         "name": design.name,
         "about": design.about,
@@ -320,6 +334,8 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         "reference": _reference_part(solution),
         "errors": {
             "samples": count(errors.samples),
+            "proven": "" if proof is None else symbols(proven_text(proof, 3)),
+            "proven_title": "" if proof is None else proof_title(proof),
             "torque": (
                 f"{quantity(ceiling(errors.torque), 'N m', 3)} "
                 f"({share(ceiling(errors.torque_relative, 2))} of the largest torque)"

@@ -10,19 +10,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.machines.design import Design
+from dqforge.machines.settings import Core
 from dqforge.machines.synchronous import FloatArray, LinearMachine, copper_loss
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
+from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_point import to_q
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.observer import ObserverError, steady_state_error
-from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
+from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.html_text import NARROW, decibel, degrees, number, quantity, raised, share, symbols, unit_text
-from dqforge.reports.labels import MODULATION_LABELS, obstacle, point_text, watts
+from dqforge.reports.labels import MODULATION_LABELS, core_name, obstacle, point_text, watts
 from dqforge.reports.reference_ir import PlainData
 
 if TYPE_CHECKING:
@@ -143,20 +145,33 @@ def _power_text(power: int) -> str:
     return f"x{raised(power)}, {unit}" if power > 1 else ("constant, A" if power == 0 else f"x, {unit}")
 
 
+def _integer_table(segments: Sequence[PlainData], headings: Sequence[str]) -> HtmlTable:
+    """Integers of each step of Horner's rule as the firmware holds them, one column per segment and axis."""
+    rows = [Row(("start with", *(f"{row['leading']}" for row in segments)))]
+    for step in range(max(len(row["steps"]) for row in segments)):
+        cells = [row["steps"][step] if step < len(row["steps"]) else None for row in segments]
+        texts = ["" if cell is None else f"{cell[0]:+d}, >> {cell[1]}" for cell in cells]
+        rows.append(Row((f"step {step + 1}: times x", *texts)))
+    return HtmlTable("Integers; x is the code of the torque minus the start", _headings("", *headings), tuple(rows))
+
+
 def coefficient_table(plain: PlainData) -> HtmlTable | None:
-    """Float32 coefficients as the firmware holds them, highest power last, one column per segment and axis."""
-    segments = [(axis, index, row) for axis in ("d", "q") for index, row in enumerate(plain.get(axis, ()))]
+    """Coefficients as the firmware holds them, highest power last, one column per segment and axis."""
+    segments = [(axis, index, row) for axis in ("d", "q") for index, row in enumerate(plain.get(axis) or ())]
     if not segments:
         return None
-    headings = []
+    is_float, headings = plain["format"] == "float32", []
     for axis, index, row in segments:
         following = plain[axis][index + 1 :]
         end = following[0]["start"] if following else plain["torque_max"]
-        headings.append(f"i_{axis}: {number(row['start'])} to {number(end)} N m")
-    count = len(segments[0][2]["coefficients"])
+        domain = f"{number(row['start'])} to {number(end)} N m" if is_float else f"codes {row['start']} to {end}"
+        headings.append(f"i_{axis}: {domain}")
+    if not is_float:
+        return _integer_table([row for _, _, row in segments], headings)
+    lists = [row["coefficients"] for _, _, row in segments]
     rows = tuple(
-        Row((_power_text(power), *(number(row["coefficients"][power], 9) for _, _, row in segments)))
-        for power in range(count)
+        Row((_power_text(power), *(number(row[power], 9) if power < len(row) else "" for row in lists)))
+        for power in range(max(len(row) for row in lists))
     )
     return HtmlTable(
         "Coefficients in single precision; x is the torque minus the start of the segment, in N m",
@@ -205,13 +220,14 @@ def alternatives_table(fit: ReferenceFit, alternatives: Sequence[Alternative]) -
     return HtmlTable("The price of each option: largest errors found", _headings(*columns), (chosen, *rows))
 
 
-def trials_table(trials: Sequence[Trial]) -> HtmlTable:
+def trials_table(trials: Sequence[Trial], core: Core) -> HtmlTable:
     """The forms tried for a budget in order of cost; the last is the chosen one."""
-    columns = ("", "degree", "segments", "cycles", "constants", "torque error", "extra loss")
+    columns = ("", "format", "degree", "segments", "cycles", "constants", "torque error", "extra loss")
     rows = tuple(
         Row(
             (
-                trial.form + (" (interpolated)" if trial.quick else ""),
+                trial.form + (" (quick fit)" if trial.quick else ""),
+                trial.format,
                 f"{trial.degree}",
                 f"{trial.segments}",
                 f"{trial.cycles:.0f}",
@@ -223,7 +239,7 @@ def trials_table(trials: Sequence[Trial]) -> HtmlTable:
         )
         for trial in trials
     )
-    return HtmlTable("Forms tried for the budget, by estimated cycles on a Cortex-M4F", _headings(*columns), rows)
+    return HtmlTable(f"Forms tried for the budget, by estimated cycles on {core_name(core)}", _headings(*columns), rows)
 
 
 def _loop_cells(gains: LoopGains, bases: tuple[float, float], q_formats: tuple[int, int] | None) -> tuple[str, ...]:

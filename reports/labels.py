@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 
 from dqforge.machines.design import Design
+from dqforge.machines.modulation import MODULATORS
 from dqforge.machines.quantities import format_quantity
-from dqforge.machines.settings import LoadPoint
+from dqforge.machines.settings import Core, LoadPoint, NumberFormat
 from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.loss_budget import LossBudget
 
 _SPACE = "\u00a0"  # does not break
 
 STRATEGY_LABELS = {"mtpa": "MTPA", "id0": "$i_d$ = 0"}
-MODULATION_LABELS = {"spwm": "SPWM", "svpwm": "SVPWM", "ddt-gdpwm": "DDT-GDPWM"}
+MODULATION_LABELS = {name: name.upper() for name in MODULATORS}
 
 
 def point_text(point: LoadPoint) -> str:
@@ -44,3 +45,19 @@ def operation_text(design: Design) -> str:
         return ""
     limit = voltage_limit(design.inverter, operation.modulation, operation.voltage_margin)
     return f"{format_quantity(operation.omega_m, 'rpm', 4)} within {format_quantity(limit.v_max, 'V', 4)} (phase peak)"
+
+
+FORMAT_TEXT: dict[NumberFormat, str] = {"float32": "single precision", "q15": "Q15", "q31": "Q31"}
+
+_CORES: dict[Core, str] = {
+    "cortex-m0plus": "a Cortex-M0+",
+    "cortex-m3": "a Cortex-M3",
+    "cortex-m4": "a Cortex-M4F",
+    "cortex-m7": "a Cortex-M7",
+    "cortex-m33": "a Cortex-M33",
+}
+
+
+def core_name(core: Core) -> str:
+    """A core with its article, as ARM writes it."""
+    return _CORES[core]

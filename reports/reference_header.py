@@ -11,8 +11,9 @@ from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_numbers import rounded_up
+from dqforge.reports.certificate_text import header_lines
 from dqforge.reports.labels import operation_text
-from dqforge.reports.reference_ir import PlainData, shortest
+from dqforge.reports.reference_ir import PlainData, ladders, shortest
 
 _VECTOR_SEED = 20_260_501
 """Seed of the random test vectors; any fixed number does."""
@@ -20,6 +21,10 @@ _VECTOR_SEED = 20_260_501
 _FORM_TEXT = {
     "proportional": ("i_d = 0 and i_q proportional to the torque (exact)",),
     "polynomial": ("i_d and i_q are polynomials of the torque",),
+    "even-odd": (
+        "i_d and i_q are polynomials of the torque; i_d has no linear term, i_q no square and one degree more;",
+        "i_q is fitted to the torque that it makes together with this i_d",
+    ),
     "torque-exact": (
         "i_d is a polynomial of the torque; i_q is the torque over (magnet + slope i_d),",
         "so the torque has no error but rounding",
@@ -32,31 +37,25 @@ _FORM_TEXT = {
 }
 
 
-def _ladders(plain: PlainData, saturates: dict[str, bool]) -> list[list[PlainData]]:
-    """Branch ladders of the evaluator: one for both axes where they share their breakpoints, else one per axis."""
+def _fixed_ladders(plain: PlainData, saturates: dict[str, bool]) -> list[list[PlainData]]:
+    """Branch ladders in fixed point: one for both axes where they share their breakpoints, else one per axis."""
     axes = [axis for axis in ("d", "q") if plain.get(axis) is not None]
     starts = {axis: tuple(segment["start"] for segment in plain[axis]) for axis in axes}
     groups = [axes] if len(set(starts.values())) == 1 else [[axis] for axis in axes]
-    ladders = []
-    is_float = plain["format"] == "float32"
+    found = []
     for group in groups:
         edges = starts[group[0]]
-        ladders.append(
+        found.append(
             [
                 {
                     "start": start,
                     "end": edges[index + 1] if index + 1 < len(edges) else plain["torque_max"],
-                    "polynomials": [
-                        (f"i_{axis}", plain[axis][index]["coefficients"])
-                        if is_float
-                        else (axis, plain[axis][index], saturates[axis])
-                        for axis in group
-                    ],
+                    "polynomials": [(axis, plain[axis][index], saturates[axis]) for axis in group],
                 }
                 for index, start in enumerate(edges)
             ]
         )
-    return ladders if axes else []
+    return found
 
 
 def _arithmetic(reference: Reference) -> str:
@@ -72,6 +71,13 @@ def error_text(solution: Solution) -> list[str]:
     voltage = errors.voltage_excess
     over = [] if voltage is None else [f"phase voltage at most {rounded_up(100.0 * voltage)} % above its limit."]
     torque_percent, loss_percent = (rounded_up(100.0 * v) for v in (errors.torque_relative, errors.loss_relative))
+    certificate = solution.certificate
+    if certificate is not None:
+        return [
+            *header_lines(certificate, solution.design.strategy),
+            f"Largest errors found in {errors.samples} evaluations ({_arithmetic(solution.fit.reference)}):",
+            f"i_d {i_d} A, i_q {i_q} A, torque {torque} N m, copper loss {loss} W.",
+        ]
     return [
         f"Largest errors found in {errors.samples} evaluations ({_arithmetic(solution.fit.reference)};",
         "sampled, not proven):",
@@ -113,6 +119,7 @@ def reference_context(solution: Solution, plain: PlainData) -> PlainData:
         f"{fit.settings.method}, degree {fit.settings.degree}, {fit.settings.segments} segment(s) "
         f"over 0 to {fit.torque_max:.6g} N m;"
     )
+    is_float = plain["format"] == "float32"
     has_polynomials = fit.d is not None or fit.q is not None
     base_squared = (
         {"base_squared": shortest(np.float32(plain["base"]) * np.float32(plain["base"]))} if "base" in plain else {}
@@ -123,11 +130,11 @@ def reference_context(solution: Solution, plain: PlainData) -> PlainData:
         | {
             **_fixed_context(fit.reference),
             "uses_sqrt": plain["form"] in ("closed-form", "reluctance"),
-            "ladders": _ladders(plain, _saturates(fit.reference)),
+            "ladders": ladders(plain) if is_float else _fixed_ladders(plain, _saturates(fit.reference)),
             "comment": [
                 *_argument_text(fit.reference),
-                f"Strategy {solution.design.strategy}{f' at {where}' if where else ''}; form {plain['form']}:",
-                *_FORM_TEXT[plain["form"]],
+                f"Strategy {solution.design.strategy}{f' at {where}' if where else ''}; form {fit.form}:",
+                *_FORM_TEXT[fit.form],
                 *([shape] if has_polynomials else []),
                 *error_text(solution),
             ],

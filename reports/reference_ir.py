@@ -7,7 +7,7 @@ back the same; fixed point has integers.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from dqforge.optimizer.current_reference import (
 )
 from dqforge.optimizer.fixed_polynomial import FixedPolynomial, FixedSegment
 from dqforge.optimizer.fixed_reference import FIXED_WIDTHS, FixedReference
-from dqforge.optimizer.single_precision import SingleArray, SinglePolynomial
+from dqforge.optimizer.single_precision import SingleArray, SinglePolynomial, multiply_add
 
 PlainData = dict[str, Any]
 
@@ -184,3 +184,35 @@ def from_plain(plain: Mapping[str, Any]) -> Reference:
         case other:
             raise InputError(f"reference.form {other!r} is unknown; run the design again")
     return CurrentReference(form, _number(plain, "torque_max"))
+
+
+def ladders(plain: PlainData) -> list[PlainData]:
+    """Branch ladders of the evaluator: one for both axes where they share their breakpoints, else one per axis.
+
+    Each holds its segments, and what they give at the end of the domain and without torque.
+    """
+    axes = [axis for axis in ("d", "q") if axis in plain]
+    starts = {axis: tuple(segment["start"] for segment in plain[axis]) for axis in axes}
+    groups = [axes] if len(set(starts.values())) == 1 else [[axis] for axis in axes]
+    return [_ladder(plain, group) for group in groups] if axes else []
+
+
+def _ladder(plain: PlainData, axes: Sequence[str]) -> PlainData:
+    reference = from_plain(plain)
+    assert isinstance(reference, CurrentReference)
+    form = reference.form
+    ends = np.array([plain["torque_max"], 0.0], dtype=np.float32)
+    values = {f"i_{axis}": getattr(form, axis).evaluate(ends, multiply_add) for axis in axes}
+    edges = [segment["start"] for segment in plain[axes[0]]]
+    return {
+        "segments": [
+            {
+                "start": start,
+                "end": edges[index + 1] if index + 1 < len(edges) else plain["torque_max"],
+                "polynomials": [(f"i_{axis}", plain[axis][index]["coefficients"]) for axis in axes],
+            }
+            for index, start in enumerate(edges)
+        ],
+        "at_end": [(name, shortest(value[0])) for name, value in values.items()],
+        "at_rest": [(name, shortest(value[1])) for name, value in values.items()],
+    }

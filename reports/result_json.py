@@ -11,15 +11,18 @@ import numpy as np
 
 from dqforge import __version__
 from dqforge.machines.design import Design
+from dqforge.optimizer.certificate import Certificate
 from dqforge.optimizer.current_choice import OperatingPoints
+from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_point import to_q
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.piecewise import PiecewisePolynomial
-from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
+from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
+from dqforge.reports.certificate_text import plain_certificate
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.surface_header import plain_weakening
 from dqforge.reports.waveform_header import plain_phase_reference
@@ -91,8 +94,13 @@ def _plain_polynomial(polynomial: PiecewisePolynomial | None) -> PlainData | Non
     return {"edges_Nm": polynomial.edges, "coefficients_local": polynomial.coefficients}
 
 
-def plain_fit(fit: ReferenceFit, rows: tuple[Alternative, ...], trials: tuple[Trial, ...] = ()) -> PlainData:
-    """The fit in double, its float32 constants, its errors, and the alternatives with theirs."""
+def plain_fit(
+    fit: ReferenceFit,
+    rows: tuple[Alternative, ...],
+    trials: tuple[Trial, ...] = (),
+    certificate: Certificate | None = None,
+) -> PlainData:
+    """The fit in double, its emitted constants, its errors found and proven, and the alternatives with theirs."""
     return {
         "form": fit.form,
         "method": fit.settings.method,
@@ -103,6 +111,7 @@ def plain_fit(fit: ReferenceFit, rows: tuple[Alternative, ...], trials: tuple[Tr
         "q": _plain_polynomial(fit.q),
         "reference": to_plain(fit.reference),
         "errors": asdict(fit.errors),
+        "certificate": plain_certificate(certificate),
         "trials": [asdict(trial) for trial in trials],
         "alternatives": [{"label": row.label, "errors": asdict(row.errors)} for row in rows],
     }
@@ -204,7 +213,7 @@ def plain_solution(solution: Solution) -> PlainData:
             "reference": to_plain(solution.fit.reference),
         },
         "mtpa": plain_curves(solution.curves),
-        "fit": plain_fit(solution.fit, solution.alternatives, solution.trials),
+        "fit": plain_fit(solution.fit, solution.alternatives, solution.trials, solution.certificate),
         "gains": plain_gains(design, solution.gains),
         "losses": plain_losses(solution.losses),
         "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),

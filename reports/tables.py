@@ -9,9 +9,12 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.quantities import format_quantity
+from dqforge.machines.settings import Core
 from dqforge.machines.synchronous import LinearMachine
+from dqforge.optimizer.certificate import Certificate
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
+from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_point import to_q
 from dqforge.optimizer.gains import LoopGains, per_unit
@@ -19,12 +22,14 @@ from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.mtpa import PerUnitBase
 from dqforge.optimizer.observer import steady_state_error
 from dqforge.optimizer.piecewise import PiecewisePolynomial
-from dqforge.optimizer.reference_fit import Alternative, ReferenceFit
+from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.reports.c_numbers import rounded_up
+from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.cross import TargetVerification
-from dqforge.reports.labels import obstacle, operation_text
+from dqforge.reports.labels import core_name, obstacle, operation_text
 from dqforge.reports.verify import Verification
+from dqforge.reports.weakening_text import domain_text, errors_text
 
 POOR_FIT = 0.01
 """Relative copper-loss penalty from which a fit is called poor."""
@@ -127,12 +132,13 @@ def _voltage_notes(design: Design, fit: ReferenceFit) -> tuple[str, ...]:
     return (f"for {where}; the fit takes at most {rounded_up(100.0 * excess)} % more voltage",)
 
 
-def trial_table(trials: tuple[Trial, ...]) -> Table:
+def trial_table(trials: tuple[Trial, ...], core: Core) -> Table:
     """What was tried for a budget, in order of cost."""
-    columns = ("form", "degree", "segments", "cycles", "constants B", "torque error %", "loss penalty %")
+    columns = ("form", "format", "degree", "segments", "cycles", "constants B", "torque error %", "loss penalty %")
     rows = tuple(
         (
-            trial.form + (" (interpolated)" if trial.quick else ""),
+            trial.form + (" (quick fit)" if trial.quick else ""),
+            trial.format,
             f"{trial.degree}",
             f"{trial.segments}",
             f"{trial.cycles:.0f}",
@@ -142,25 +148,30 @@ def trial_table(trials: tuple[Trial, ...]) -> Table:
         )
         for trial in trials
     )
-    note = "tried in order of the cycles estimated for a Cortex-M4F; the last keeps the budget at least cost"
+    note = f"tried in order of the cycles estimated for {core_name(core)}; the last keeps the budget at least cost"
     return Table("Forms tried for the budget", columns, rows, (note,))
 
 
 def fit_tables(
-    design: Design, fit: ReferenceFit, rows: tuple[Alternative, ...], trials: tuple[Trial, ...] = ()
+    design: Design,
+    fit: ReferenceFit,
+    rows: tuple[Alternative, ...],
+    trials: tuple[Trial, ...] = (),
+    certificate: Certificate | None = None,
 ) -> list[Table]:
-    """Errors of the fit beside its alternatives, and its coefficients."""
+    """Errors of the fit beside its alternatives, what is proven of it, and its coefficients."""
     columns = ("", "i_d error A", "i_q error A", "torque error %", "loss penalty %", "step at zero A")
     chosen = (f"chosen: {fit.form}", *_error_cells(fit.errors))
     others = tuple((row.label, *_error_cells(row.errors)) for row in rows)
     note = (
-        "largest values found in the float32 arithmetic of the header (sampled, not proven); torque error in % of "
+        "largest values found in the arithmetic of the header; torque error in % of "
         f"{fit.torque_max:.4g} N m, loss penalty in % of the least copper loss from 5 % torque upwards"
     )
-    notes = (note, *_voltage_notes(design, fit), *_poor_fit_notes(design, fit))
+    proof = () if certificate is None else (f"{proof_title(certificate)}: {proven_text(certificate, 3)}",)
+    notes = (note, *proof, *_voltage_notes(design, fit), *_poor_fit_notes(design, fit))
     tables = [Table(f"{design.name}: current reference, {fit.settings.method}", columns, (chosen, *others), notes)]
     if trials:
-        tables.append(trial_table(trials))
+        tables.append(trial_table(trials, design.fit.core))
     coefficients = [*_coefficient_rows("i_d", fit.d), *_coefficient_rows("i_q", fit.q)]
     if coefficients:
         headings = ("axis", "from N m", "to N m", "coefficients of T - from, highest power first, A/(N m)^k")
@@ -284,14 +295,17 @@ def verification_text(verification: Verification | None) -> str:
         if check.missing
     ]
     count = verification.vectors + verification.sweep
-    return f"{count} results equal the float32 model bit for bit, compiled as {done}{''.join(missing)}"
+    return f"{count} results equal the model bit for bit, compiled as {done}{''.join(missing)}"
 
 
 def target_text(outcome: TargetVerification) -> str:
     """One line on a run on an emulated core."""
+    low, high = outcome.cycles
+    most = outcome.cycles_largest
     return (
         f"all test vectors hold bit for bit on an emulated {outcome.target}; both currents of the reference take "
-        f"{outcome.instructions:.1f} instructions (mean of {outcome.vectors} vectors) and {outcome.flash} bytes"
+        f"{outcome.instructions:.1f} instructions (mean of {outcome.costed} vectors), an estimated {low:.0f}-{high:.0f}"
+        f" cycles (at most {most[0]}-{most[1]}; zero wait states) and {outcome.flash} bytes"
     )
 
 
@@ -329,8 +343,13 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
         *([("  holds at", where)] if where else []),
         ("  largest errors", _errors_text(fit.errors)),
     ]
+    if solution.certificate is not None:
+        rows.append(("  proven bounds", proven_text(solution.certificate)))
     if fit.errors.loss_relative > POOR_FIT:
         rows.append(("  warning", _poor_fit_text(solution.design, fit)))
+    if solution.weakening is not None:
+        rows.append(("field weakening", domain_text(solution.weakening)))
+        rows.append(("  largest errors", errors_text(solution.weakening)))
     rows += [
         (f"{loop.loop} loop", _loop_text(loop)) for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None
     ]

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dqforge.machines.quantities import format_quantity
 from dqforge.optimizer.surface_fit import SurfaceTrial, WeakeningFit
-from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.html_tables import HtmlTable, Row
 from dqforge.reports.html_text import symbols
 from dqforge.reports.tables import Table
+from dqforge.reports.weakening_text import domain_text, errors_text, percent
 
 _COLUMNS = (
     "degree in torque",
@@ -22,35 +21,12 @@ _COLUMNS = (
 )
 
 
-def _percent(value: float) -> str:
-    return f"{rounded_up(100.0 * max(value, 0.0))} %"
-
-
-def domain_text(fit: WeakeningFit) -> str:
-    """Speed, range of the flux linkage, and size in one line."""
-    region = fit.region
-    return (
-        f"up to {format_quantity(fit.settings.omega_m, 'rpm', 4)}, {format_quantity(region.flux_min, 'Wb', 4)} to"
-        f" {format_quantity(region.flux_max, 'Wb', 4)}; {fit.reference.coefficients} coefficients,"
-        f" below {fit.reference.flash} B on a Cortex-M4F (estimate)"
-    )
-
-
-def errors_text(fit: WeakeningFit) -> str:
-    """The largest errors in one line."""
-    errors = fit.errors
-    return (
-        f"torque {_percent(errors.torque_relative)}, voltage +{_percent(errors.flux_excess)},"
-        f" current +{_percent(errors.current_excess)}, copper loss +{_percent(errors.loss_relative)}"
-    )
-
-
 def _cells(trial: SurfaceTrial) -> tuple[str, ...]:
     errors = trial.errors
     shown: tuple[str, ...] = ("",) * 4
     if errors is not None:
         values = (errors.torque_relative, errors.flux_excess, errors.current_excess, errors.loss_relative)
-        shown = tuple(_percent(value) for value in values)
+        shown = tuple(percent(value) for value in values)
     size = (f"{trial.degrees[0]}", f"{trial.degrees[1]}", f"{trial.coefficients}", f"{trial.flash} B")
     return (*size, f"{trial.grid_error:.2f}", *shown)
 

@@ -80,7 +80,7 @@ def test_run_writes_everything_and_verify_agrees(run: Run, tmp_path: Path) -> No
         "report.html",
         "result.json",
     }
-    assert "20256 results equal the float32 model bit for bit, compiled as C99 and C++11" in outcome.out
+    assert "20256 results equal the model bit for bit, compiled as C99 and C++11" in outcome.out
     assert "mtpa with ddt-gdpwm: 781 W" in outcome.out
     verified = run("verify", "out")
     assert verified.code == 0
@@ -121,7 +121,7 @@ def test_changed_header_fails_verification(run: Run, tmp_path: Path) -> None:
     text = header.read_text()
     header.write_text(re.sub(r"0\.6294F", "0.6295F", text, count=1))
     assert "does not give the results of its test vectors" in one_line(run("verify", "out"), 1)
-    header.write_text(text.replace("i_q = t /", "i_q = t //"))
+    header.write_text(text.replace("i_q = torque /", "i_q = torque //"))
     assert "does not compile as c99" in one_line(run("verify", "out"), 1)
 
 

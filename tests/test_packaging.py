@@ -34,6 +34,8 @@ def expected_files() -> set[str]:
     for package in PACKAGES:
         names |= {f"dqforge/{package}/{path.name}" for path in (ROOT / package).glob("*.py")}
     names |= {f"dqforge/machines/library/{path.name}" for path in (ROOT / "machines" / "library").glob("*.yaml")}
+    devices = ROOT / "machines" / "library" / "devices"
+    names |= {f"dqforge/machines/library/devices/{path.name}" for path in devices.glob("*.yaml")}
     names |= {f"dqforge/reports/templates/{path.name}" for path in (ROOT / "reports" / "templates").glob("*.j2")}
     return names
 

@@ -15,9 +15,10 @@ from dqforge.machines.synchronous import FloatArray, Machine
 from dqforge.optimizer.breakpoints import search
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.edge_levelling import level_edges
+from dqforge.optimizer.fit_alternatives import alternatives
 from dqforge.optimizer.fit_choice import choose_fit
 from dqforge.optimizer.fitting import Curve, SideConditions, fit_curve, largest_error
-from dqforge.optimizer.reference_fit import alternatives, fit_reference
+from dqforge.optimizer.reference_fit import fit_reference
 
 pytestmark = pytest.mark.benchmark
 

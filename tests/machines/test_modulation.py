@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dqforge.machines.clamping import DISCONTINUOUS
 from dqforge.machines.modulation import (
+    MODULATORS,
     clamped_phases,
     in_linear_range,
     inverse_park,
@@ -23,7 +25,7 @@ from dqforge.machines.modulation import (
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray
 
-NAMES: tuple[ModulationName, ...] = ("spwm", "svpwm", "ddt-gdpwm")
+NAMES = MODULATORS
 
 names = st.sampled_from(NAMES)
 angles = st.floats(-math.pi, math.pi)
@@ -43,6 +45,12 @@ def phases(amplitude: float, angle: float) -> FloatArray:
     [
         ("spwm", [5.0, 0.0, -5.0], 50.0),
         ("svpwm", [5.0, 0.0, -5.0], 45.0),  # (100 - 40 - (-30)) / 2
+        ("dpwmmax", [5.0, 0.0, -5.0], 60.0),
+        ("dpwmmin", [5.0, 0.0, -5.0], 30.0),
+        ("dpwm1", [5.0, 0.0, -5.0], 60.0),  # |v_a| > |v_c|
+        ("dpwm3", [5.0, 0.0, -5.0], 30.0),  # |v_a| > |v_c|: phase c
+        ("dpwm0", [5.0, 0.0, -5.0], 30.0),  # phase a is 18 degrees past its peak: c rests
+        ("dpwm2", [5.0, 0.0, -5.0], 60.0),
         ("ddt-gdpwm", [6.0, -1.0, -5.0], 60.0),  # |i_a| > |i_c|: phase a to the positive rail, 100 - 40
         ("ddt-gdpwm", [5.0, 1.0, -6.0], 30.0),  # |i_a| < |i_c|: phase c to the negative rail, -(-30)
         ("ddt-gdpwm", [5.0, 0.0, -5.0], 60.0),  # equal currents: the positive rail
@@ -109,7 +117,7 @@ def test_other_modulators_clamp_nothing_and_duty_is_not_clipped(name: Modulation
     wave = period_waveforms(name, 0.0, 1.02 * linear_limit(name, 100.0), 0.0, 1.0, 100.0)
     duty = wave.modulation.duty
     assert np.any(duty > 1.0 + 1e-3) or np.any(duty < -1e-3)
-    assert np.all(np.sum(wave.modulation.clamped, axis=-1) == (1 if name == "ddt-gdpwm" else 0))
+    assert np.all(np.sum(wave.modulation.clamped, axis=-1) == (1 if name in DISCONTINUOUS else 0))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -122,9 +130,12 @@ def test_linear_range_ends_where_a_duty_cycle_reaches_a_rail(name: ModulationNam
     assert in_linear_range(name, amplitudes, 100.0).tolist() == [True, True, True, False, False]
 
 
-@pytest.mark.parametrize(("name", "index"), [("spwm", 0.785), ("svpwm", 0.907), ("ddt-gdpwm", 0.907)])
+@pytest.mark.parametrize(
+    ("name", "index"),
+    [("spwm", 0.785), ("thipwm4", 0.881), *((name, 0.907) for name in NAMES if name not in {"spwm", "thipwm4"})],
+)
 def test_modulation_index_at_the_end_of_the_linear_range(name: ModulationName, index: float) -> None:
-    """Hava 1999: 0.785 and 0.907 of the six-step voltage."""
+    """Hava 1999: 0.785, 0.881 and 0.907 of the six-step voltage."""
     assert modulation_index(np.array(linear_limit(name, 540.0)), 540.0) == pytest.approx(index, abs=5e-4)
 
 

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from modulators import CONTINUOUS, duties, rest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import Inverter, SwitchDevice
-from dqforge.machines.modulation import linear_limit
+from dqforge.machines.modulation import MODULATORS, linear_limit
 from dqforge.machines.semiconductors import (
     BridgeLoad,
     bridge_load,
@@ -33,7 +34,7 @@ IGBT = SwitchDevice(
 )
 V_DC = 500.0
 THIRD = 2.0 * math.pi / 3.0
-NAMES: tuple[ModulationName, ...] = ("spwm", "svpwm", "ddt-gdpwm")
+NAMES = MODULATORS
 
 
 def inverter(device: SwitchDevice, **changes: float) -> Inverter:
@@ -50,26 +51,16 @@ def phases_at(angle: float) -> list[float]:
     return [math.cos(angle), math.cos(angle - THIRD), math.cos(angle + THIRD)]
 
 
-def zero_sequence_at(name: ModulationName, v: list[float], i: list[float]) -> tuple[float, int | None]:
-    """Zero sequence from the negative rail and the clamped phase, straight from the definitions."""
-    high, low = v.index(max(v)), v.index(min(v))
-    if name == "spwm":
-        return V_DC / 2, None
-    if name == "svpwm":
-        return (V_DC - v[high] - v[low]) / 2, None
-    return (V_DC - v[high], high) if abs(i[high]) >= abs(i[low]) else (-v[low], low)
-
-
 def averaged(name: ModulationName, v_amplitude: float, i_amplitude: float, lag: float, quantity: str) -> float:
     """Integrate one quantity over the six sectors of a period by adaptive quadrature."""
 
     def integrand(angle: float) -> float:
-        v = [v_amplitude * x for x in phases_at(angle)]
         i = [i_amplitude * x for x in phases_at(angle - lag)]
-        v0, clamped = zero_sequence_at(name, v, i)
+        place, duty = rest(name, angle, lag), duties(name, v_amplitude / V_DC, angle, lag)
+        clamped = None if place is None else place[0]
         total = 0.0
         for k in range(3):
-            u = (v[k] + v0) / V_DC
+            u = duty[k]
             share = u if i[k] > 0 else 1.0 - u
             total += {
                 "unclamped": 0.0 if k == clamped else abs(i[k]),
@@ -119,7 +110,7 @@ def test_switching_factor_of_ddt_at_any_angle(lag: float, theta: float, v: float
     assert ddt / spwm == pytest.approx(ddt_factor(lag), rel=1e-9)
 
 
-@pytest.mark.parametrize("name", ["spwm", "svpwm"])
+@pytest.mark.parametrize("name", CONTINUOUS)
 def test_switching_loss_of_continuous_modulators(name: ModulationName) -> None:
     """Paper 000 (11) for each of three legs: 2 sqrt2 / pi I_rms = 2/pi of the peak."""
     expected = 3 * 20e3 * 1.4e-3 * (2.0 / math.pi * 120.0 / 200.0) * (V_DC / 400.0)
@@ -150,7 +141,7 @@ def test_igbt_conduction_with_spwm_against_the_classical_closed_forms(v: float, 
     assert result.threshold == pytest.approx(threshold, rel=1e-11)
 
 
-@pytest.mark.parametrize("name", ["svpwm", "ddt-gdpwm"])
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "spwm"])
 @pytest.mark.parametrize("lag", [0.2, 0.9, 1.5, 2.8, -0.6])
 def test_igbt_conduction_against_quadrature(name: ModulationName, lag: float) -> None:
     v, i = 0.9 * linear_limit(name, V_DC), 90.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,10 @@ from dqforge.machines.settings import FitForm, FitSettings
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.current_reference import error_curves
-from dqforge.optimizer.reference_fit import ReferenceFit, alternatives, fit_reference
+from dqforge.optimizer.fit_alternatives import alternatives
+from dqforge.optimizer.reference_fit import ReferenceFit, fit_reference
 
-FORMS: list[FitForm] = ["polynomial", "torque-exact", "closed-form"]
+FORMS: list[FitForm] = ["polynomial", "even-odd", "torque-exact", "closed-form"]
 
 
 def fitted(machine: LinearMachine, **settings_: Any) -> ReferenceFit:
@@ -141,6 +143,7 @@ def test_alternatives_change_one_thing_at_a_time() -> None:
     rows = {row.label: row for row in alternatives(CurrentChoice(IPM, "mtpa", 283.0), fit)}
     assert set(rows) == {
         "form polynomial",
+        "form even-odd",
         "form closed-form",
         "method lagrange",
         "method least-squares",
@@ -158,7 +161,7 @@ def test_alternatives_change_one_thing_at_a_time() -> None:
     ratio=st.floats(0.2, 5.0),
     psi_pm=st.floats(0.01, 1.0),
     i_max=st.floats(5.0, 500.0),
-    degree=st.integers(1, 5),
+    degree=st.integers(2, 5),
     form=st.sampled_from(FORMS),
 )
 def test_any_machine_gives_finite_sound_references(
@@ -189,10 +192,10 @@ def test_step_at_zero_is_the_length_of_the_current_vector_left_there() -> None:
 def test_stated_errors_cover_both_contractions() -> None:
     """The larger of both counts: on these machines now the fused, now the separate operations err more."""
     larger = set()
-    for machine in (IPM, INVERSE_SALIENT):
+    for machine, reach in itertools.product((IPM, INVERSE_SALIENT), (0.2, 0.4, 0.6)):
         for degree in (3, 4, 5, 6):
             choice = CurrentChoice(machine, "mtpa", machine.i_max)
-            breakpoint_ = 0.4 * CurrentChoice(machine, "mtpa", 40.0).largest_torque()
+            breakpoint_ = reach * CurrentChoice(machine, "mtpa", 40.0).largest_torque()
             fit = fitted(machine, degree=degree, method="lagrange", breakpoints=(breakpoint_,))
             torque = in_floats(fit).samples(4000)
             separate, fused = (
@@ -207,3 +210,66 @@ def test_stated_errors_cover_both_contractions() -> None:
 def test_a_breakpoint_at_the_end_of_the_domain_is_refused() -> None:
     with pytest.raises(InputError, match="below the largest torque"):
         fitted(IPM, torque_max=200.0, breakpoints=(200.0,))
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_both_signs_of_the_torque_give_the_same_bits_but_the_sign_of_i_q(form: FitForm) -> None:
+    """Even and odd bit for bit, at zero, in the domain and beyond it, with and without contraction."""
+    reference = fitted(IPM, form=form, degree=3).reference
+    end = float(reference.torque_max)
+    torque = np.concatenate([np.linspace(0.0, 1.1 * end, 301), [1e-45, 1e-38, 1e30, np.inf]]).astype(np.float32)
+    for fused in (False, True):
+        (d, q), (d_less, q_less) = (reference.currents(signed, fused=fused) for signed in (torque, -torque))
+        np.testing.assert_array_equal(d.view(np.uint32), d_less.view(np.uint32))
+        np.testing.assert_array_equal(q.view(np.uint32), (-q_less).view(np.uint32))
+        assert not np.signbit(q).any()
+
+
+@pytest.mark.parametrize("method", ["lagrange", "least-squares", "minimax"])
+@pytest.mark.parametrize("segments", [1, 2])
+def test_even_odd_has_no_odd_terms_and_its_torque_does_not_err_where_i_d_does(method: str, segments: int) -> None:
+    """At most two thirds of the torque error of polynomials of the same degree, although i_d errs by more."""
+    settings_ = {"degree": 3, "segments": segments, "method": method, "torque_max": 200.0}
+    fit = fitted(IPM, form="even-odd", **settings_)
+    assert fit.d is not None
+    assert fit.q is not None
+    assert tuple(fit.d.coefficients[0, :2]) == (0.0, 0.0)
+    assert fit.q.coefficients[0, 0] == fit.q.coefficients[0, 2] == 0.0
+    assert (fit.d.degree, fit.q.degree) == (3, 4)
+    np.testing.assert_allclose(fit.d.jumps(), 0.0, atol=1e-9)
+    np.testing.assert_allclose(fit.q.jumps(), 0.0, atol=1e-9)
+    plain = fitted(IPM, form="polynomial", **settings_)
+    assert fit.errors.torque < 0.65 * plain.errors.torque
+    assert fit.errors.i_d > plain.errors.i_d
+
+
+def test_even_odd_matches_the_torque_as_well_as_its_i_q_can() -> None:
+    """The torque error is what the minimax error of the matched i_q makes, by the machine's torque equation."""
+    fit = fitted(IPM, form="even-odd", degree=3, segments=1, torque_max=200.0)
+    assert fit.d is not None
+    assert fit.q is not None
+    torque = np.linspace(0.0, 200.0, 2001)
+    i_d = fit.d(torque)
+    per_ampere = 1.5 * IPM.pole_pairs * (IPM.psi_pm + (IPM.l_d - IPM.l_q) * i_d)
+    error = (fit.q(torque) - torque / per_ampere) * per_ampere
+    assert float(np.max(np.abs(error))) == pytest.approx(fit.errors.torque, rel=2e-3)
+
+
+def test_even_odd_is_for_smooth_currents_only() -> None:
+    with pytest.raises(InputError, match="even-odd needs currents that are smooth at zero torque"):
+        fitted(RELUCTANCE, form="even-odd")
+    with pytest.raises(InputError, match=r"fit.degree: form: even-odd needs degree 2 or more, got 1"):
+        fitted(IPM, form="even-odd", degree=1)
+    with pytest.raises(InputError, match=r"fit.degree: flat_at_zero needs degree 2 or more, got 1"):
+        fitted(IPM, flat_at_zero=True, degree=1)
+
+
+@pytest.mark.parametrize("segments", [1, 3])
+def test_flat_at_zero_leaves_out_the_linear_term_of_i_d_alone(segments: int) -> None:
+    flat = fitted(IPM, form="polynomial", degree=3, segments=segments, flat_at_zero=True)
+    assert flat.d is not None
+    assert flat.q is not None
+    assert flat.d.coefficients[0, 1] == 0.0 != flat.q.coefficients[0, 1]
+    assert np.all(flat.d.coefficients[1:, 1] != 0.0)
+    exact = fitted(IPM, form="torque-exact", degree=3, segments=1, flat_at_zero=True).errors
+    assert exact.loss_relative < fitted(IPM, form="torque-exact", degree=3, segments=1).errors.loss_relative

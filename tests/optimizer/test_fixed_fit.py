@@ -125,7 +125,7 @@ def test_sixteen_bits_cost_less_than_one_code(degree: int) -> None:
     small, large, real = fitted("q15", degree), fitted("q31", degree), fitted("float32", degree)
     code = SCALES[1] / 2.0**15
     for axis in ("i_d", "i_q"):
-        assert getattr(large.errors, axis) == pytest.approx(getattr(real.errors, axis), rel=1e-2)
+        assert getattr(large.errors, axis) == pytest.approx(getattr(real.errors, axis), rel=2e-2)
         assert getattr(small.errors, axis) <= getattr(real.errors, axis) + 0.8 * code
     assert small.errors.samples == in_integers(small).end + 1
 

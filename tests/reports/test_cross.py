@@ -20,6 +20,7 @@ from dqforge.optimizer.solution import solve, solve_phases
 from dqforge.reports import cross
 from dqforge.reports.cross import TARGETS, verify_on_target
 from dqforge.reports.header import header_files
+from dqforge.reports.tables import target_text
 from dqforge.reports.waveform_header import waveform_files
 
 
@@ -94,8 +95,7 @@ def test_what_is_missing_or_wrong_is_named(monkeypatch: pytest.MonkeyPatch) -> N
         verify_on_target(polynomial(3), "drive", "cortex-m4")
 
 
-def test_the_count_is_that_of_the_vectors_alone_however_many_there_are() -> None:
-    """The timer's 24 bits wrap after some 600 000 instructions."""
+def test_more_vectors_change_the_mean_little() -> None:
     few, many = (
         verify_on_target(
             header_files(solve(make_design(IPM, vectors=count, fit=FitSettings(form="polynomial", degree=3)))),
@@ -105,14 +105,32 @@ def test_the_count_is_that_of_the_vectors_alone_however_many_there_are() -> None
         for count in (256, 4096)
     )
     assert many.vectors >= 4096
+    assert many.costed == 1024
     assert many.instructions == pytest.approx(few.instructions, rel=0.05)  # rarer end points cost less
 
 
-def test_the_count_is_a_whole_number_of_instructions() -> None:
-    """A mean over whole counts; single steps of the emulator gave the same to the resolution of the timer."""
+def test_cycles_enclose_and_exceed_the_instructions_where_the_tables_say_so() -> None:
+    for target in TARGETS:
+        outcome = verify_on_target(polynomial(3), "drive", target)
+        low, high = outcome.cycles
+        assert low < high or target == "cortex-m0plus"
+        assert outcome.cycles_largest[0] >= low
+        assert outcome.cycles_largest[1] >= high
+        assert high > outcome.instructions
+        assert (low > outcome.instructions) == (target != "cortex-m7")
+        assert f"{low:.0f}-{high:.0f} cycles" in target_text(outcome)
+
+
+def test_the_mean_is_one_over_whole_instructions() -> None:
     outcome = verify_on_target(polynomial(3), "drive", "cortex-m4")
-    total = outcome.instructions * outcome.vectors
-    assert total == pytest.approx(round(total), abs=0.1)
+    total = outcome.instructions * outcome.costed
+    assert total == pytest.approx(round(total), abs=1e-6)
+
+
+def test_vectors_that_are_gone_are_named() -> None:
+    files = polynomial(3)
+    with pytest.raises(VerificationError, match="holds no test vectors"):
+        verify_on_target(files | {"drive_vectors.h": b"/* empty */\n"}, "drive", "cortex-m4")
 
 
 def test_a_failing_emulator_is_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:

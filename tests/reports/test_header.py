@@ -31,6 +31,9 @@ CASES: dict[str, tuple[LinearMachine, FitSettings]] = {
         IPM,
         FitSettings(form="polynomial", degree=1, segments=4, exact_at_zero=False, continuous=False),
     ),
+    "even-odd": (IPM, FitSettings(form="even-odd", degree=3, segments=1)),
+    "even-odd-two": (INVERSE_SALIENT, FitSettings(form="even-odd", degree=2)),
+    "flat-at-zero": (IPM, FitSettings(degree=3, segments=1, flat_at_zero=True)),
     "closed-form": (IPM, FitSettings(form="closed-form", degree=3)),
     "closed-form-inverse": (INVERSE_SALIENT, FitSettings(form="closed-form", degree=3)),
     "one-segment": (IPM, FitSettings(segments=1, degree=6)),
@@ -146,8 +149,8 @@ def test_verification_sees_a_change_of_one_unit_in_the_last_place(found: Solutio
     files = header_files(found)
     reference = in_floats(found.fit)
     for pattern, replacement in (
-        (rb"i_q = t / \(-0\.001452F", b"i_q = t / (-0.0014520001F"),
-        (rb"-i_q : i_q", b"i_q : i_q"),
+        (rb"i_q = torque / \(-0\.001452F", b"i_q = torque / (-0.0014520001F"),
+        (rb"-DRIVE_TORQUE_MAX_NM :", b"DRIVE_TORQUE_MAX_NM :"),
         (rb"t < [0-9.]+F", b"t < 70.0F"),
     ):
         with pytest.raises(VerificationError, match="test vectors"):

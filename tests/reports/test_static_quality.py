@@ -41,6 +41,7 @@ def headers() -> dict[str, dict[str, bytes]]:
     fits = {
         "polynomial": (IPM, FitSettings(form="polynomial", degree=3)),
         "polynomial own": (IPM, FitSettings(form="polynomial", degree=2, breakpoint_mode="own", segments=3)),
+        "even-odd": (IPM, FitSettings(form="even-odd", degree=3, segments=1)),
         "torque-exact": (IPM, FitSettings()),
         "closed-form": (INVERSE_SALIENT, FitSettings(form="closed-form", degree=3)),
         "proportional": (SURFACE, FitSettings()),

@@ -1,0 +1,102 @@
+"""The devices that ship: every value has its source, and they agree with their data sheets and with the paper."""
+
+from __future__ import annotations
+
+import pytest
+
+from dqforge.machines import catalogue, device_catalogue
+from dqforge.machines.device_yaml import device_values, read_device_yaml
+from dqforge.machines.errors import InputError
+
+NAMES = ["microchip-mscsm70am10ct3ag", "sirectifier-sii400s12", "ti-csd19505ktt", "wolfspeed-c2m0045170d"]
+
+
+def test_names() -> None:
+    assert device_catalogue.names() == NAMES
+    with pytest.raises(InputError, match="did you mean ti-csd19505ktt"):
+        device_catalogue.load("csd19505ktt")
+    with pytest.raises(InputError, match="there are microchip"):
+        device_catalogue.load("../template")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_value_has_an_origin(name: str) -> None:
+    values = device_values(device_catalogue.read_text(name), name)
+    assert len(values) > 10
+    for path, value in values:
+        assert value.source or value.inferred, f"{path} does not say where it comes from"
+        if value.inferred:
+            assert value.note, f"{path} does not say how it was inferred"
+
+
+def test_igbt_agrees_with_its_saturation_voltages() -> None:
+    """V_CEsat 1.9 (2.1) V and V_F 2.0 (1.8) V at 300 A and 25 (125) degC stand in the data sheet on their own."""
+    device = device_catalogue.load("sirectifier-sii400s12")
+    assert device.on_voltage(300.0, [25.0, 125.0]).value == pytest.approx([1.9, 2.1])
+    assert device.diode_voltage(300.0, [25.0, 125.0]).value == pytest.approx([2.0, 1.8])
+    assert device.turn_on_energy(300.0, 600.0, 125.0).value == pytest.approx(32e-3)
+
+
+def test_module_of_paper_000_has_the_losses_of_its_design() -> None:
+    """Made constants at the paper's point it is the inline device of the shipped design but for the heat sink."""
+    inline = catalogue.load("paper000-ipmsm-100kw").inverter.device
+    device = device_catalogue.load("microchip-mscsm70am10ct3ag").switch_device(206.55, 500.0, 112.32)
+    assert inline is not None
+    assert device.on_resistance == pytest.approx(inline.on_resistance, rel=1e-12)
+    assert device.switching_energy == pytest.approx(inline.switching_energy, rel=1e-12)
+
+
+def test_mosfets() -> None:
+    silicon, carbide = (device_catalogue.load(name) for name in NAMES[2:])
+    assert carbide.on_resistance(50.0, [25.0, 87.5, 150.0]).value == pytest.approx([45e-3, 67.5e-3, 90e-3])
+    assert carbide.turn_on_energy(50.0, 1200.0, 150.0).value == pytest.approx(4.7e-3)
+    # The estimate that the head of the file derives, recomputed from the charges.
+    charge, gate = (25.0 - 15.0 + 11.0) * 1e-9, 5.0 + 1.4
+    plateau = 2.6 + 100.0 / 262.0
+    crossing = [0.5 * 40.0 * 100.0 * charge * gate / drive for drive in (10.0 - plateau, plateau)]
+    found = silicon.turn_on_energy(100.0, 40.0, 25.0).value
+    assert found == pytest.approx(crossing[0] + 40.0 * 214e-9, rel=5e-3)
+    assert silicon.turn_off_energy(100.0, 40.0, 25.0).value == pytest.approx(crossing[1], rel=5e-3)
+
+
+BASE = device_catalogue.read_text("sirectifier-sii400s12").decode()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("32 mJ", "-32 mJ", "turn_on.curves[0].points[0].energy: '-32 mJ' must be zero or positive"),
+        ("32 mJ", "32 J", "look like mJ"),
+        ("{value: 600 V, source", "{value: 0.1 V, source", "turn_on.voltage"),
+        ("{value: 125 degC, source: data sheet}\n", "{value: 25 degC, source: data sheet}\n", "each once"),
+        ("kind: igbt", "kind: thyristor", "expected one of mosfet, igbt"),
+        ("recovery:", "recovers:", "did you mean 'recovery'"),
+        ("    resistance: {value: 3 mOhm, source: \"data sheet, r_CE\"}\n", "", "write either resistance"),
+        ("value: 0.055 K/W", "value: 0.055 kg", "thermal.resistance"),
+    ],
+)  # fmt: skip
+def test_faults_have_a_position(old: str, new: str, words: str) -> None:
+    assert old in BASE
+    with pytest.raises(InputError) as caught:
+        read_device_yaml(BASE.replace(old, new, 1).encode(), "d.yaml")
+    assert words in str(caught.value)
+    assert caught.value.line is not None
+
+
+def test_igbt_needs_its_diode() -> None:
+    start, end = BASE.index("diode:\n"), BASE.index("turn_on:\n")
+    with pytest.raises(InputError, match="no data for the diode; write diode:"):
+        read_device_yaml((BASE[:start] + BASE[end:]).encode(), "d.yaml")
+
+
+def test_points_and_gate_resistance() -> None:
+    text = BASE.replace(
+        "turn_off:\n",
+        """  over_gate_resistance:
+    - temperature: 125 degC
+      points: [{resistance: 2 Ohm, energy: 20 mJ}, {resistance: 4.7 Ohm, energy: 30 mJ}]
+turn_off:
+""",
+    )
+    device = read_device_yaml(text.encode(), "d.yaml")
+    assert device.turn_on_energy(300.0, 600.0, 125.0, 2.0).value == pytest.approx(32e-3 * 2.0 / 3.0)
