@@ -284,6 +284,13 @@ def certify_surface(region: WeakeningRegion, reference: WeakeningReference) -> S
     """
     if not isinstance(region.machine, LinearMachine | SaturatedMachine):
         return None
+    try:
+        return _certify(region, reference)
+    except ZeroDivisionError:  # intermediate results may be too large for single precision
+        return None
+
+
+def _certify(region: WeakeningRegion, reference: WeakeningReference) -> SurfaceCertificate | None:
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         domain, largest = _Domain.of(region, reference), largest_torque(region)
         if largest is None:
