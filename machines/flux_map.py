@@ -154,6 +154,12 @@ class FluxMap:
         coefficients = self._table[row * in_q.corners.size + column].reshape(4, 4, 2)
         return coefficients, float(in_d.corners[row]), float(in_q.corners[column])
 
+    def cubics(self, row: NDArray[np.intp], column: NDArray[np.intp]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Bicubics of many cells, all of shape (n,): as `cell`, coefficients of shape (4, 4, 2, n) and two corners."""
+        in_d, in_q = self._axes
+        rows = self._table.take(row * in_q.corners.size + column, axis=0)
+        return np.ascontiguousarray(rows.T).reshape(4, 4, 2, -1), in_d.corners[row], in_q.corners[column]
+
     def _gather(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Coefficients by powers of q and d, shape (4, 4, 2, n), and the currents counted from the cells' corners."""
         in_d, in_q = self._axes

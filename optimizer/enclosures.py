@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -70,7 +70,7 @@ def _cubic(row: list[Value], x: Value, order: int) -> list[Value]:
     return found
 
 
-def _derivatives(table: list[list[Value]], i_d: Value, i_q: Value) -> list[Value]:
+def bicubic(table: Any, i_d: Value, i_q: Value) -> list[Value]:
     """Value and derivatives by d, q, dd, dq, qq of a bicubic, rows by powers of q, columns by powers of d."""
     along_d = [_cubic(row, i_d, 2) for row in table]
     value, by_q, by_qq = _cubic([row[0] for row in along_d], i_q, 2)
@@ -87,7 +87,7 @@ def _cell(flux_map: FluxMap, row: int, column: int) -> JetFunction:
     tables = [[[arb(float(c)) for c in row] for row in coefficients[:, :, flux]] for flux in range(2)]
 
     def jet(i_d: Value, i_q: Value) -> Jet:
-        d, q = (_derivatives(table, i_d - at_d, i_q - at_q) for table in tables)
+        d, q = (bicubic(table, i_d - at_d, i_q - at_q) for table in tables)
         return Jet(d[0], q[0], d[1], d[2], q[1], q[2], d[3], d[4], d[5], q[3], q[4], q[5])
 
     return jet

@@ -68,6 +68,18 @@ def _voltage_kinks(choice: CurrentChoice, end: float) -> tuple[list[float], bool
     return kinks, bool(states[0])
 
 
+def torque_parts(jet: Jet, i_d: Value, i_q: Value, k: Value) -> tuple[Value, ...]:
+    """Torque in N m, its gradient and its Hessian (dd, dq, qq) by the currents; ``k`` is 1.5 times the pole pairs."""
+    return (
+        (jet.psi_d * i_q - jet.psi_q * i_d) * k,
+        (jet.l_dd * i_q - jet.l_qd * i_d - jet.psi_q) * k,
+        (jet.psi_d + jet.l_dq * i_q - jet.l_qq * i_d) * k,
+        (jet.d_dd * i_q - jet.q_dd * i_d - jet.l_qd * 2) * k,
+        (jet.l_dd + jet.d_dq * i_q - jet.l_qq - jet.q_dq * i_d) * k,
+        (jet.l_dq * 2 + jet.d_qq * i_q - jet.q_qq * i_d) * k,
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Task:
     """What is certified: the machine with its conditions, and where each holds."""
@@ -103,12 +115,8 @@ class Task:
 
     def local(self, jet: Jet, i_d: Value, i_q: Value, condition: Condition) -> Local:
         """Torque and condition with their derivatives."""
-        machine, k = self.choice.machine, exactly(1.5 * self.choice.machine.pole_pairs)
-        t_d = (jet.l_dd * i_q - jet.l_qd * i_d - jet.psi_q) * k
-        t_q = (jet.psi_d + jet.l_dq * i_q - jet.l_qq * i_d) * k
-        t_dd = (jet.d_dd * i_q - jet.q_dd * i_d - jet.l_qd * 2) * k
-        t_dq = (jet.l_dd + jet.d_dq * i_q - jet.l_qq - jet.q_dq * i_d) * k
-        t_qq = (jet.l_dq * 2 + jet.d_qq * i_q - jet.q_qq * i_d) * k
+        machine = self.choice.machine
+        torque, t_d, t_q, t_dd, t_dq, t_qq = torque_parts(jet, i_d, i_q, exactly(1.5 * machine.pole_pairs))
         voltage = self._voltage(machine, jet, i_d, i_q)
         if condition == "loss":
             second = (t_q * i_d - t_d * i_q, t_q + t_dq * i_d - t_dd * i_q, t_qq * i_d - t_d - t_dq * i_q)
@@ -116,7 +124,6 @@ class Task:
             second = voltage
         else:
             second = (i_d, exactly(1.0) + i_d * 0, i_d * 0)
-        torque = (jet.psi_d * i_q - jet.psi_q * i_d) * k
         return Local(torque, t_d, t_q, t_dd, t_dq, t_qq, *second, *voltage)
 
     def _voltage(self, machine: Machine, jet: Jet, i_d: Value, i_q: Value) -> tuple[Value, Value, Value]:

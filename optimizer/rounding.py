@@ -35,12 +35,15 @@ _LARGEST = 2.0**127
 
 @dataclass(frozen=True, slots=True)
 class Rounded:
-    """An intermediate result on an interval: a ball that holds its exact values, and a bound of its rounding error."""
+    """An intermediate result on an interval: a ball that holds its exact values, and a bound of its rounding error.
 
-    value: arb
-    error: arb
+    Either balls of python-flint or `dqforge.optimizer.vector_balls.Balls`, of which one is many intervals.
+    """
 
-    def size(self) -> arb:
+    value: Value
+    error: Value
+
+    def size(self) -> Value:
         """Upper bound of the rounded result's magnitude."""
         return self.value.abs_upper() + self.error
 
@@ -51,7 +54,7 @@ def _constants() -> tuple[arb, arb]:
     return arb(2.0**-24), arb(2) ** -149
 
 
-def _rounded(value: arb, carried: arb) -> Rounded:
+def rounded(value: Value, carried: Value) -> Rounded:
     """Result of one operation whose operands' errors move it by ``carried``.
 
     Raises `ZeroDivisionError` where it may exceed the largest float: the model knows no overflow.
@@ -62,16 +65,19 @@ def _rounded(value: arb, carried: arb) -> Rounded:
     return Rounded(value, carried + unit * (value.abs_upper() + carried) + least)
 
 
-def _product(left: Rounded, right: Rounded) -> Rounded:
+def product(left: Rounded, right: Rounded) -> Rounded:
+    """Rounded product of two intermediate results."""
     carried = left.value.abs_upper() * right.error + right.size() * left.error
-    return _rounded(left.value * right.value, carried)
+    return rounded(left.value * right.value, carried)
 
 
-def _sum(left: Rounded, right: Rounded) -> Rounded:
-    return _rounded(left.value + right.value, left.error + right.error)
+def rounded_sum(left: Rounded, right: Rounded) -> Rounded:
+    """Rounded sum of two intermediate results."""
+    return rounded(left.value + right.value, left.error + right.error)
 
 
-def _exact(value: float) -> Rounded:
+def exact(value: float) -> Rounded:
+    """A constant, which has no rounding error."""
     from flint import arb
 
     return Rounded(arb(float(value)), arb(0))
@@ -83,25 +89,25 @@ def _quotient(top: Rounded, bottom: Rounded) -> Rounded:
     if not least > 0:
         raise ZeroDivisionError
     value = top.value / bottom.value
-    return _rounded(value, (top.error + value.abs_upper() * bottom.error) / least)
+    return rounded(value, (top.error + value.abs_upper() * bottom.error) / least)
 
 
 def _root(square: Rounded) -> Rounded:
     """Square root of what is positive; the difference of two roots is that of the squares over their sum."""
     least = square.value.abs_lower() - square.error
     carried = square.error / least.sqrt() if least > 0 else square.error.sqrt()
-    return _rounded(square.value.sqrt(), carried)
+    return rounded(square.value.sqrt(), carried)
 
 
-def _horner(starts: Any, coefficients: Any, index: int, torque: Rounded) -> Rounded:
+def horner(starts: Any, coefficients: Any, index: int, torque: Rounded) -> Rounded:
     """Rounded Horner steps of one segment, as `SinglePolynomial.evaluate` has them."""
-    x = torque if index == 0 else _sum(torque, _exact(-float(starts[index])))
+    x = torque if index == 0 else rounded_sum(torque, exact(-float(starts[index])))
     row = [float(c) for c in coefficients[index]]
-    value = _exact(row[-1])
+    value = exact(row[-1])
     for power in range(len(row) - 2, -1, -1):
-        value = _product(value, x)
+        value = product(value, x)
         if row[power] != 0.0:
-            value = _sum(value, _exact(row[power]))
+            value = rounded_sum(value, exact(row[power]))
     return value
 
 
@@ -190,24 +196,24 @@ class Piece:
         given = Rounded(torque, arb(0))
         match self.reference.form:
             case Proportional(gain):
-                return arb(0), _product(_exact(float(gain)), given).error
+                return arb(0), product(exact(float(gain)), given).error
             case Polynomials(d, q):
                 return self._steps(d, given).error, self._steps(q, given).error
             case TorqueExact(d, magnet, slope):
                 i_d = self._steps(d, given)
-                divisor = _sum(_product(_exact(float(slope)), i_d), _exact(float(magnet)))
+                divisor = rounded_sum(product(exact(float(slope)), i_d), exact(float(magnet)))
                 return i_d.error, _quotient(given, divisor).error
             case ClosedForm(q, base, _) as form:
                 i_q = self._steps(q, given)
-                root = _root(_sum(_product(i_q, i_q), _exact(float(form.base_squared))))
-                return _sum(_exact(float(base)), Rounded(-root.value, root.error)).error, i_q.error
+                root = _root(rounded_sum(product(i_q, i_q), exact(float(form.base_squared))))
+                return rounded_sum(exact(float(base)), Rounded(-root.value, root.error)).error, i_q.error
             case ReluctanceClosedForm(gain, _):
-                error = _root(_product(_exact(float(gain)), given)).error
+                error = _root(product(exact(float(gain)), given)).error
                 return error, error
 
     def _steps(self, polynomial: SinglePolynomial, torque: Rounded) -> Rounded:
         index = self._index([float(start) for start in polynomial.starts])
-        return _horner(polynomial.starts, polynomial.coefficients, index, torque)
+        return horner(polynomial.starts, polynomial.coefficients, index, torque)
 
     def _fixed_rounding(self, polynomial: FixedPolynomial | None, torque: arb) -> arb:
         from flint import arb

@@ -11,6 +11,7 @@ from dqforge.machines.settings import WeakeningSettings
 from dqforge.machines.synchronous import FloatArray, Machine
 from dqforge.optimizer.flux_surface import WeakeningRegion, weakening_region
 from dqforge.optimizer.single_precision import SinglePolynomial
+from dqforge.optimizer.surface_certificate import SurfaceCertificate, certify_surface
 from dqforge.optimizer.surface_curves import Mtpa, fit_limit, fit_mtpa, in_double
 from dqforge.optimizer.surface_reference import SingleSurface, SurfaceErrors, WeakeningReference, surface_errors
 from dqforge.optimizer.surface_solver import Aims, level
@@ -76,13 +77,17 @@ class SurfaceTrial:
 
 @dataclass(frozen=True, slots=True)
 class WeakeningFit:
-    """A two-dimensional reference with its domain, its errors, and what was tried."""
+    """A two-dimensional reference with its domain, its errors, what was tried, and proven bounds of the errors.
+
+    ``certificate`` is None for machines that are neither linear nor flux maps, and where no bound could be proven.
+    """
 
     settings: WeakeningSettings
     region: WeakeningRegion
     reference: WeakeningReference
     errors: SurfaceErrors
     trials: tuple[SurfaceTrial, ...]
+    certificate: SurfaceCertificate | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +208,8 @@ def fit_weakening(machine: Machine, i_max: float, v_max: float, settings: Weaken
         trials.append(SurfaceTrial(degrees, reference.coefficients, reference.flash, worst, errors))
         if errors is not None and _keeps(errors, settings):
             trials[-1] = replace(trials[-1], chosen=True)
-            return WeakeningFit(settings, region, reference, errors, tuple(trials))
+            certificate = certify_surface(region, reference)
+            return WeakeningFit(settings, region, reference, errors, tuple(trials), certificate)
     raise NoSolutionError(_refusal(trials, settings))
 
 

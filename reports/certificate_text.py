@@ -9,7 +9,8 @@ from dqforge.optimizer.certificate import Certificate
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.reference_ir import PlainData
 
-_AGAINST = {"equations": "the equations of the machine", "splines": "the splines through its flux map"}
+AGAINST = {"equations": "the equations of the machine", "splines": "the splines through its flux map"}
+"""What the ``model`` of a certificate is called."""
 
 JSON_DIGITS = 9
 """Significant digits of numbers in JSON documents."""
@@ -19,7 +20,7 @@ _CURRENTS_AND_TORQUE = (("i_d", "A"), ("i_q", "A"), ("torque", "N m"))
 
 def proof_title(certificate: Certificate) -> str:
     """Against what the bounds hold, and for what."""
-    return f"proven for every torque, rounding included, against {_AGAINST[certificate.model]}"
+    return f"proven for every torque, rounding included, against {AGAINST[certificate.model]}"
 
 
 def _bound(value: float | None, unit: str, digits: int) -> str:

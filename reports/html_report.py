@@ -42,7 +42,7 @@ from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.templating import render
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_tables import weakening_html
-from dqforge.reports.weakening_text import domain_text, errors_text
+from dqforge.reports.weakening_text import domain_text, errors_text, proof_text
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -268,6 +268,7 @@ def _weakening_part(solution: Solution) -> PlainData | None:
     return {
         "domain": domain_text(fit),
         "errors": errors_text(fit),
+        "proven": proof_text(fit),
         "samples": count(fit.errors.samples),
         "table": weakening_html(fit),
         "prefix": prefix,

@@ -14,9 +14,9 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.single_precision import SingleArray, SinglePolynomial
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.optimizer.surface_reference import SingleSurface, WeakeningReference
-from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.reference_ir import PlainData, shortest
 from dqforge.reports.templating import render
+from dqforge.reports.weakening_text import error_lines
 
 _SEED = 20_260_611
 _MOST_SEGMENTS, _MOST_TERMS = 8, 16
@@ -143,11 +143,6 @@ def _ladder(variable: str, plain: PlainData, targets: Mapping[str, str]) -> Plai
 
 
 def _comment(fit: WeakeningFit) -> list[str]:
-    errors, region = fit.errors, fit.region
-    torque, flux, current, loss = (
-        rounded_up(100.0 * max(value, 0.0))
-        for value in (errors.torque_relative, errors.flux_excess, errors.current_excess, errors.loss_relative)
-    )
     return [
         "torque_Nm: torque in N m, either sign, held to what the flux linkage and the current limit allow.",
         "flux_Wb: available flux linkage in Wb, largest phase-voltage amplitude over |electrical speed| in rad/s;",
@@ -156,10 +151,7 @@ def _comment(fit: WeakeningFit) -> list[str]:
         "i_d_A, i_q_A: current references in A (peak). Not-a-number as torque gives no torque; as flux linkage",
         "no torque at FLUX_MIN, which keeps the voltage limit at every speed up to the largest.",
         "",
-        f"The torque errs by at most {torque} % of the largest one, {region.torque_max:.6g} N m;",
-        f"flux linkage (voltage) exceeds the available one by {flux} %, the current its limit by {current} %;",
-        f"copper loss is up to {loss} % above the least, from 5 % of the largest torque upwards",
-        f"({errors.samples} evaluations, with and without fused multiply-add; sampled, not proven).",
+        *error_lines(fit),
         f"{fit.reference.coefficients} coefficients; on a Cortex-M4F below {fit.reference.flash} bytes (estimate).",
     ]
 

@@ -29,7 +29,7 @@ from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.cross import TargetVerification
 from dqforge.reports.labels import core_name, obstacle, operation_text
 from dqforge.reports.verify import Verification
-from dqforge.reports.weakening_text import domain_text, errors_text
+from dqforge.reports.weakening_text import domain_text, errors_text, proof_text
 
 POOR_FIT = 0.01
 """Relative copper-loss penalty from which a fit is called poor."""
@@ -350,6 +350,9 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
     if solution.weakening is not None:
         rows.append(("field weakening", domain_text(solution.weakening)))
         rows.append(("  largest errors", errors_text(solution.weakening)))
+        proven = proof_text(solution.weakening)
+        if proven is not None:
+            rows.append(("  proven bounds", proven))
     rows += [
         (f"{loop.loop} loop", _loop_text(loop)) for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None
     ]

@@ -6,7 +6,7 @@ from dqforge.optimizer.surface_fit import SurfaceTrial, WeakeningFit
 from dqforge.reports.html_tables import HtmlTable, Row
 from dqforge.reports.html_text import symbols
 from dqforge.reports.tables import Table
-from dqforge.reports.weakening_text import domain_text, errors_text, percent
+from dqforge.reports.weakening_text import domain_text, errors_text, percent, proof_text
 
 _COLUMNS = (
     "degree in torque",
@@ -37,7 +37,9 @@ def weakening_tables(fit: WeakeningFit | None) -> list[Table]:
         return []
     note = "error over budget on the grid of the fit; measured in float32 where that is below 0.95; the last is emitted"
     rows = tuple(_cells(trial) for trial in fit.trials)
-    notes = (domain_text(fit), f"largest errors: {errors_text(fit)}", note)
+    proven = proof_text(fit)
+    bounds = "no bounds are proven" if proven is None else f"proven bounds: {proven}"
+    notes = (domain_text(fit), f"largest errors: {errors_text(fit)}", bounds, note)
     return [Table("Field weakening: surfaces tried for the budget", _COLUMNS, rows, notes)]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dqforge.machines.quantities import format_quantity
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.c_numbers import rounded_up
+from dqforge.reports.certificate_text import AGAINST
 
 
 def percent(value: float) -> str:
@@ -29,3 +30,42 @@ def errors_text(fit: WeakeningFit) -> str:
         f"torque {percent(errors.torque_relative)}, voltage +{percent(errors.flux_excess)},"
         f" current +{percent(errors.current_excess)}, copper loss +{percent(errors.loss_relative)}"
     )
+
+
+def proof_text(fit: WeakeningFit) -> str | None:
+    """The proven bounds in one line; None where nothing is proven."""
+    proof = fit.certificate
+    if proof is None:
+        return None
+    return (
+        f"torque {percent(proof.torque_relative)}, voltage +{percent(proof.flux_excess)},"
+        f" current +{percent(proof.current_excess)}, against {AGAINST[proof.model]}"
+    )
+
+
+def error_lines(fit: WeakeningFit) -> list[str]:
+    """Proven bounds and sampled errors as lines of at most 110 characters for the comment of the evaluator."""
+    errors, proof, most = fit.errors, fit.certificate, f"{fit.region.torque_max:.6g} N m"
+    evaluations = f"{errors.samples} evaluations, with and without fused multiply-add"
+    loss = (
+        f"copper loss is up to {percent(errors.loss_relative)} above the least, from 5 % of the largest torque upwards"
+    )
+    if proof is None:
+        return [
+            f"The torque errs by at most {percent(errors.torque_relative)} of the largest one, {most};",
+            f"flux linkage (voltage) exceeds the available one by {percent(errors.flux_excess)},"
+            f" the current its limit by {percent(errors.current_excess)};",
+            f"{loss}",
+            f"({evaluations}; sampled, not proven).",
+        ]
+    return [
+        f"Bounds of the errors, proven for every torque and flux linkage, against {AGAINST[proof.model]},",
+        "rounding included, with and without fused multiply-add; in brackets what was found by sampling:",
+        f"the torque errs by at most {rounded_up(proof.torque)} N m, {percent(proof.torque_relative)} of {most}"
+        f" ({percent(errors.torque_relative)});",
+        f"flux linkage (voltage) exceeds the available one by {percent(proof.flux_excess)}"
+        f" ({percent(errors.flux_excess)}),",
+        f"the current its limit by {percent(proof.current_excess)} ({percent(errors.current_excess)}).",
+        f"Sampled, not proven: {loss}",
+        f"({evaluations}).",
+    ]
