@@ -2,8 +2,8 @@
 
 The other way to a budget, and a check of the averaged one: no averages over carrier periods, and currents that are not
 taken to be sinusoidal. Between switching instants machine and inverter are linear with constant coefficients in rotor
-coordinates, where the voltage vector of a switching state turns backwards; the matrix exponential carries currents and voltage from
-one instant to the next without error, and the periodic steady state is the fixed point of the whole period.
+coordinates, where the voltage vector of a switching state turns backwards; the matrix exponential carries currents and
+voltage from one instant to the next without error, and the periodic steady state is the fixed point of the period.
 """
 
 from __future__ import annotations
