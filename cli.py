@@ -290,17 +290,51 @@ def tune(design: DesignArgument, json: JsonOption = False, plot: PlotOption = No
 
 
 @app.command()
-def losses(design: DesignArgument, json: JsonOption = False, plot: PlotOption = None) -> None:
-    """Compare the losses of strategies and modulators."""
+def losses(
+    design: DesignArgument,
+    json: JsonOption = False,
+    plot: PlotOption = None,
+    chart: MapOption = None,
+    mission: Annotated[
+        Path | None, typer.Option("--mission", metavar="FILE", help="Text file with time, speed and torque.")
+    ] = None,
+    strategies: Annotated[
+        str | None, typer.Option("--strategies", metavar="A,B", help="mtpa, id0, least-loss; default the design's.")
+    ] = None,
+    modulations: Annotated[
+        str | None, typer.Option("--modulations", metavar="A,B", help="Names, or all; default the design's.")
+    ] = None,
+    frequencies: Annotated[
+        str | None, typer.Option("--frequencies", metavar="F,F", help="Carriers, e.g. '8 kHz, 16 kHz'.")
+    ] = None,
+    margin: MarginOption = "0 %",
+) -> None:
+    """Compare the losses of strategies, modulators and frequencies at points, over a map or over a mission."""
     from dqforge.machines.errors import InputError
+
+    loaded = _load_for(design, plot)
+    if chart is not None or mission is not None:
+        from dqforge.reports.drive_losses import LossRequest, answer
+
+        reply = answer(loaded, LossRequest(chart, mission, strategies, modulations, frequencies, margin))
+        _plot(reply.figure, plot)
+        if json:
+            _print_json("losses", loaded.name, reply.plain)
+        else:
+            _show(reply.tables)
+        return
+    if strategies is not None or modulations is not None or frequencies is not None:
+        raise InputError("--strategies, --modulations and --frequencies go with --map or --mission; add one of them")
     from dqforge.optimizer.solution import solve_losses
     from dqforge.reports.result_json import plain_losses
     from dqforge.reports.tables import losses_tables
 
-    loaded = _load_for(design, plot)
     comparison = solve_losses(loaded)
     if comparison is None:
-        raise InputError("the design asks for no comparison; add a section 'losses' with 'points'", source=design)
+        raise InputError(
+            "the design asks for no comparison; add a section 'losses' with 'points', or ask with --map or --mission",
+            source=design,
+        )
     if plot is not None:
         from dqforge.reports.figures import plot_losses
 

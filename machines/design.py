@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dqforge.machines.inverter import Inverter
+from dqforge.machines.machine_budget import WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.settings import (
@@ -45,6 +46,7 @@ class Design:
     ``phase_machine`` holds that back-EMF, None for all others. ``values`` lists each quantity with its origin,
     ``assumptions`` the sentences on what the file leaves open,
     ``digest`` is the SHA-256 of the file's bytes in hexadecimal. ``weakening`` asks for two-dimensional references.
+    ``winding`` says how warm the losses make the winding, None where its temperature is given.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Design:
     assumptions: tuple[str, ...]
     digest: str
     weakening: WeakeningSettings | None = None
+    winding: WindingHeat | None = None
 
     @property
     def strategy(self) -> Strategy:

@@ -76,6 +76,8 @@ class Inverter:
         Largest permitted current in A (peak), or None when only the machine limits it.
     device_model:
         The tables that `device` was made from, where the design names some.
+    capacitor_esr:
+        Series resistance of the DC-link capacitor in Ohm at the carrier frequency.
     """
 
     v_dc: float
@@ -86,3 +88,4 @@ class Inverter:
     i_max: float | None = None
     topology: Topology = "three-wire"
     device_model: DeviceModel | None = None
+    capacitor_esr: float = 0.0

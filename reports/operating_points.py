@@ -75,7 +75,8 @@ def _limit(design: Design, request: Request) -> VoltageLimit:
     return voltage_limit(design.inverter, name, float(match[1]) / 100.0)
 
 
-def _map_size(text: str) -> tuple[int, int]:
+def map_size(text: str) -> tuple[int, int]:
+    """Numbers of torques and speeds of the option --map; an `InputError` where it is not understood."""
     match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", text.strip(), re.IGNORECASE)
     sizes = (int(match[1]), int(match[2])) if match else (0, 0)
     if not all(2 <= size <= _MOST_CELLS for size in sizes):
@@ -101,7 +102,7 @@ def answer(design: Design, request: Request) -> Reply:
     if request.chart is not None:
         if request.speed is not None or request.torque is not None:
             raise InputError("--map spans all speeds and torques; leave --speed and --torque out")
-        return _map(design, limit, request, *_map_size(request.chart))
+        return _map(design, limit, request, *map_size(request.chart))
     return _points(design, limit, request)
 
 
@@ -165,7 +166,7 @@ def _points(design: Design, limit: VoltageLimit, request: Request) -> Reply:
     return Reply(tables, {"operating_points": plain_points(points, losses, most, limit, name)}, figure)
 
 
-def _fastest(design: Design, figures: Characteristics, limit: VoltageLimit) -> float:
+def fastest_speed(design: Design, figures: Characteristics, limit: VoltageLimit) -> float:
     """Speed in rad/s at which a map ends: that of the mechanics, or three times the base speed."""
     if design.machine.omega_m_max is not None:
         return design.machine.omega_m_max
@@ -180,7 +181,7 @@ def _fastest(design: Design, figures: Characteristics, limit: VoltageLimit) -> f
 def _map(design: Design, limit: VoltageLimit, request: Request, torques: int, speeds: int) -> Reply:
     machine, i_max = design.machine, design.i_max
     figures = characteristics(machine, limit.v_max, i_max)
-    fastest = _fastest(design, figures, limit)
+    fastest = fastest_speed(design, figures, limit)
     omega = np.linspace(0.0, fastest, speeds)
     chart = operating_map(
         machine,
