@@ -53,18 +53,18 @@ def error_lines(fit: WeakeningFit) -> list[str]:
     if proof is None:
         return [
             f"The torque errs by at most {percent(errors.torque_relative)} of the largest one, {most};",
-            f"flux linkage (voltage) exceeds the available one by {percent(errors.flux_excess)},"
-            f" the current its limit by {percent(errors.current_excess)};",
+            f"flux linkage (voltage) exceeds the available one by {percent(errors.flux_excess)},",
+            f"the current its limit by {percent(errors.current_excess)};",
             f"{loss}",
             f"({evaluations}; sampled, not proven).",
         ]
+    torque = f"{percent(proof.torque_relative)} of {most} ({percent(errors.torque_relative)})"
+    flux = f"{percent(proof.flux_excess)} ({percent(errors.flux_excess)})"
     return [
         f"Bounds of the errors, proven for every torque and flux linkage, against {AGAINST[proof.model]},",
         "rounding included, with and without fused multiply-add; in brackets what was found by sampling:",
-        f"the torque errs by at most {rounded_up(proof.torque)} N m, {percent(proof.torque_relative)} of {most}"
-        f" ({percent(errors.torque_relative)});",
-        f"flux linkage (voltage) exceeds the available one by {percent(proof.flux_excess)}"
-        f" ({percent(errors.flux_excess)}),",
+        f"the torque errs by at most {rounded_up(proof.torque)} N m, {torque};",
+        f"flux linkage (voltage) exceeds the available one by {flux},",
         f"the current its limit by {percent(proof.current_excess)} ({percent(errors.current_excess)}).",
         f"Sampled, not proven: {loss}",
         f"({evaluations}).",
