@@ -11,7 +11,8 @@ from dqforge.machines.checks import si_of
 from dqforge.machines.design import Design
 from dqforge.machines.device_reader import read_inverter_device
 from dqforge.machines.inverter import Inverter
-from dqforge.machines.machine_reader import read_machine, read_machine_loss
+from dqforge.machines.loss_reader import read_machine_loss, read_winding_heat
+from dqforge.machines.machine_reader import read_machine
 from dqforge.machines.provenance import input_values, kind_assumptions
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
@@ -114,7 +115,7 @@ class _Build:
             name=sections.name,
             about=sections.about,
             machine=machine,
-            machine_loss=read_machine_loss(sections.machine, document),
+            machine_loss=read_machine_loss(sections.machine, self.reading),
             phase_machine=found.phases,
             inverter=inverter,
             control=control,
@@ -127,6 +128,7 @@ class _Build:
             assumptions=(*kind_assumptions(sections), *self.remarks),
             digest=self.reading.digest(),
             weakening=weakening,
+            winding=read_winding_heat(sections.machine, inverter.coolant_temperature),
         )
 
     def inverter(self, section: InverterSection, machine_limit: float) -> Inverter:
@@ -145,6 +147,7 @@ class _Build:
             i_max=i_max,
             topology=section.topology,
             device_model=model,
+            capacitor_esr=si_of(section.capacitor_esr) or 0.0,
         )
 
     def control(self, section: ControlSection, machine: Machine, inverter: Inverter, i_max: float) -> ControlSettings:

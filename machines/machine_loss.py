@@ -61,6 +61,9 @@ class MachineLoss:
         eddy: float = 0.0,
         resistance_ratio: float = 1.0,
         resistance_frequency: float = 1.0,
+        magnet: float = 0.0,
+        magnet_frequency: float = 1.0,
+        magnet_current: float = 1.0,
     ) -> MachineLoss:
         """Coefficients from a measurement or a computation.
 
@@ -72,12 +75,15 @@ class MachineLoss:
             The two parts of the iron loss there, in W.
         resistance_ratio, resistance_frequency:
             AC over dc resistance at an electrical frequency in Hz.
+        magnet, magnet_frequency, magnet_current:
+            Magnet loss in W at an electrical frequency in Hz and a current in A (peak).
         """
         omega, square = 2.0 * math.pi * frequency, flux * flux
         return cls(
             ac_copper=(resistance_ratio - 1.0) / (2.0 * math.pi * resistance_frequency) ** 2,
             hysteresis=hysteresis / (omega * square) if hysteresis else 0.0,
             eddy=eddy / (omega * omega * square) if eddy else 0.0,
+            magnet=magnet / (2.0 * math.pi * magnet_frequency * magnet_current) ** 2,
         )
 
 

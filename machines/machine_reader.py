@@ -15,7 +15,6 @@ from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.flux_map import FluxMap, SaturatedMachine
-from dqforge.machines.machine_loss import MachineLoss
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machine_reader import read_phase_machine
 from dqforge.machines.quantities import format_quantity
@@ -24,7 +23,7 @@ from dqforge.machines.saturation import SaturationModel
 from dqforge.machines.schema_machine import FluxMapSection, MachineSection, SaturationSection
 from dqforge.machines.settings import MachineModel
 from dqforge.machines.synchronous import LinearMachine, Machine
-from dqforge.machines.yaml_source import KeyPath, YamlDocument
+from dqforge.machines.yaml_source import KeyPath
 
 _COPPER = 0.00393
 """Relative change of the resistance of copper per kelvin, at 20 degC (IEC 60034-1 uses 1/(235 + 20) K)."""
@@ -103,33 +102,6 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
     machine = SaturatedMachine(flux_map=flux_map, **common)
     _check_range(machine, reading)
     return MachineReading(machine)
-
-
-def read_machine_loss(section: MachineSection, document: YamlDocument) -> MachineLoss:
-    """Losses of the machine beyond the dc copper loss.
-
-    Raises
-    ------
-    InputError
-        The iron loss has no part, or no flux linkage.
-    """
-    iron, resistance = section.iron_loss, section.ac_resistance
-    if iron is not None and iron.hysteresis is None and iron.eddy is None:
-        message = "machine.iron_loss needs hysteresis or eddy; write e.g. eddy: 40 W"
-        raise document.error(message, ("machine", "iron_loss"), key=True)
-    if iron is not None and iron.flux.si == 0.0:
-        raise document.error(
-            "machine.iron_loss.flux must be positive; write the flux linkage at which the losses hold",
-            ("machine", "iron_loss", "flux"),
-        )
-    return MachineLoss.measured(
-        frequency=iron.frequency.si if iron else 0.0,
-        flux=datasheet.peak_flux(iron.flux.si, iron.flux.kind or "peak") if iron else 0.0,
-        hysteresis=(si_of(iron.hysteresis) or 0.0) if iron else 0.0,
-        eddy=(si_of(iron.eddy) or 0.0) if iron else 0.0,
-        resistance_ratio=resistance.ratio.si if resistance else 1.0,
-        resistance_frequency=resistance.frequency.si if resistance else 1.0,
-    )
 
 
 def _check_model(section: MachineSection, reading: Reading) -> None:

@@ -23,6 +23,7 @@ from dqforge.machines.schema_entries import (
     FilterTime,
     Listing,
     Name,
+    OnResistance,
     PhaseCurrent,
     PhaseMargin,
     PointSpeed,
@@ -91,6 +92,10 @@ class InverterSection(Section):
     coolant_temperature: Temperature | None = Field(
         default=None,
         description="temperature that thermal_resistance refers to (degC, also without a unit); default 25",
+    )
+    capacitor_esr: OnResistance | None = Field(
+        default=None,
+        description="series resistance of the DC-link capacitor (Ohm) for loss maps and missions; default 0",
     )
     device: DeviceEntry | None = Field(
         default=None, description="the switch, needed for losses: its constants, or a file or name of the library"

@@ -31,6 +31,7 @@ from dqforge.machines.schema_entries import (
     Section,
     Speed,
     Temperature,
+    ThermalResistance,
     Torque,
     TorqueConstant,
 )
@@ -124,6 +125,12 @@ class TemperatureSection(Section):
     copper_coefficient: Coefficient | None = Field(
         default=None, description="relative change of the resistance (1/K; write %/K); default 0.393 %/K"
     )
+    winding_thermal_resistance: ThermalResistance | None = Field(
+        default=None, description="winding to coolant (K/W): loss maps and missions then warm the winding"
+    )
+    winding_coolant: Temperature | None = Field(
+        default=None, description="temperature that it refers to (degC); default the inverter's coolant"
+    )
     magnet: Temperature | None = Field(default=None, description="operating temperature of the magnets (degC)")
     magnet_reference: Temperature | None = Field(
         default=None, description="temperature of the magnet flux as given (degC); default 20"
@@ -140,6 +147,14 @@ class IronLossSection(Section):
     flux: Flux = Field(description="flux linkage of the two losses (Wb); kind peak of phase (default), rms")
     hysteresis: Power | None = Field(default=None, description="hysteresis loss there (W)")
     eddy: Power | None = Field(default=None, description="eddy-current loss there (W)")
+
+
+class MagnetLossSection(Section):
+    """Eddy-current loss of the magnets at one frequency and current; it grows with both squared."""
+
+    loss: Power = Field(description="loss there (W)")
+    frequency: Frequency = Field(description="electrical frequency (Hz)")
+    current: PhaseCurrent = Field(description="phase current (A); kind peak (default) or rms")
 
 
 class AcResistanceSection(Section):
@@ -216,6 +231,7 @@ class MachineSection(Section):
     saturation: SaturationSection | None = Field(default=None, description="for model saturation: the coefficients")
     iron_loss: IronLossSection | None = Field(default=None, description="iron loss, if it is known")
     ac_resistance: AcResistanceSection | None = Field(default=None, description="AC resistance, if it is known")
+    magnet_loss: MagnetLossSection | None = Field(default=None, description="loss in the magnets, if it is known")
     temperature: TemperatureSection = Field(default=TemperatureSection(), description="operating temperatures")
     max_current: PhaseCurrent = Field(description="largest phase current (A); kind peak (default) or rms")
     max_speed: Speed | None = Field(default=None, description="largest mechanical speed (rad/s; write rpm)")

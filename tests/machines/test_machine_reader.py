@@ -229,6 +229,25 @@ def test_iron_loss_and_ac_resistance_are_read_as_measured() -> None:
         loaded(text.replace("0.12 Wb", "0 Wb"))
 
 
+def test_magnet_loss_and_winding_heat_are_read() -> None:
+    """50 W at 400 Hz and 100 A (peak); a winding whose resistance is given at 20 and used at 100 degC."""
+    text = LINEAR.replace(
+        "  max_current",
+        "  magnet_loss: {loss: 50 W, frequency: 400 Hz, current: {value: 100 A, kind: peak}}\n"
+        "  temperature: {winding: 100 degC, winding_thermal_resistance: 0.2 K/W, winding_coolant: 65 degC}\n"
+        "  max_current",
+    )
+    design = loaded(text)
+    assert design.machine_loss.magnet * (2.0 * np.pi * 400.0 * 100.0) ** 2 == pytest.approx(50.0)
+    heat = design.winding
+    assert heat is not None
+    assert (heat.thermal_resistance, heat.coolant_temperature, heat.reference_temperature) == (0.2, 65.0, 100.0)
+    # One straight line through both temperatures: R(150) over R(100) is the same from either end.
+    line = (1.0 + 0.00393 * 130.0) / (1.0 + 0.00393 * 80.0)
+    assert 1.0 + heat.coefficient * 50.0 == pytest.approx(line, rel=1e-12)
+    assert loaded(LINEAR).winding is None
+
+
 def test_known_magnet_flux_shows_the_scaling_of_a_map(tmp_path: Path) -> None:
     """A map in power-invariant units cannot be told from its own numbers, but from a constant of the data sheet."""
     path = written(tmp_path, MAPPED.replace("  flux_map:", "  magnet_flux: 0.12 Wb\n  flux_map:"), {"map.csv": TRUTH})

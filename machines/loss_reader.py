@@ -1,0 +1,65 @@
+"""What a design file says of losses and heat in the machine beside its dc resistance."""
+
+from __future__ import annotations
+
+from dqforge.machines import datasheet
+from dqforge.machines.checks import si_of
+from dqforge.machines.machine_budget import COPPER_COEFFICIENT, WindingHeat
+from dqforge.machines.machine_loss import MachineLoss
+from dqforge.machines.reading import Reading
+from dqforge.machines.schema_machine import MachineSection
+
+_REFERENCE = 20.0
+
+
+def read_machine_loss(section: MachineSection, reading: Reading) -> MachineLoss:
+    """Losses of the machine beyond the dc copper loss.
+
+    Raises
+    ------
+    InputError
+        The iron loss has no part, or no flux linkage.
+    """
+    iron, resistance, magnet, document = section.iron_loss, section.ac_resistance, section.magnet_loss, reading.document
+    if iron is not None and iron.hysteresis is None and iron.eddy is None:
+        message = "machine.iron_loss needs hysteresis or eddy; write e.g. eddy: 40 W"
+        raise document.error(message, ("machine", "iron_loss"), key=True)
+    if iron is not None and iron.flux.si == 0.0:
+        raise document.error(
+            "machine.iron_loss.flux must be positive; write the flux linkage at which the losses hold",
+            ("machine", "iron_loss", "flux"),
+        )
+    return MachineLoss.measured(
+        frequency=iron.frequency.si if iron else 0.0,
+        flux=datasheet.peak_flux(iron.flux.si, iron.flux.kind or "peak") if iron else 0.0,
+        hysteresis=(si_of(iron.hysteresis) or 0.0) if iron else 0.0,
+        eddy=(si_of(iron.eddy) or 0.0) if iron else 0.0,
+        resistance_ratio=resistance.ratio.si if resistance else 1.0,
+        resistance_frequency=resistance.frequency.si if resistance else 1.0,
+        magnet=magnet.loss.si if magnet else 0.0,
+        magnet_frequency=magnet.frequency.si if magnet else 1.0,
+        magnet_current=reading.peak(magnet.current, "machine.magnet_loss.current") if magnet else 1.0,
+    )
+
+
+def read_winding_heat(section: MachineSection, coolant: float) -> WindingHeat | None:
+    """How warm the winding becomes, None where the file gives no thermal resistance.
+
+    The resistance that the program has is that of ``temperature.winding``, or of its reference: the coefficient is
+    converted to that temperature. ``coolant`` in degC is the inverter's, for machines that name none of their own.
+    """
+    temperature = section.temperature
+    if temperature.winding_thermal_resistance is None:
+        return None
+    given, reference = si_of(temperature.copper_coefficient), si_of(temperature.winding_reference)
+    coefficient = COPPER_COEFFICIENT if given is None else given
+    reference = _REFERENCE if reference is None else reference
+    at = si_of(temperature.winding)
+    at = reference if at is None else at
+    own = si_of(temperature.winding_coolant)
+    return WindingHeat(
+        thermal_resistance=temperature.winding_thermal_resistance.si,
+        coolant_temperature=coolant if own is None else own,
+        reference_temperature=at,
+        coefficient=coefficient / (1.0 + coefficient * (at - reference)),
+    )
