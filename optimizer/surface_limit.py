@@ -129,22 +129,23 @@ class _Squares:
 
     ``mid`` and ``rad`` are balls of the values and gradients at the centres and of the Hessians over the squares, shape
     (3, 6, N); ``owner`` is the square that each belongs to, of which there is one for each cell of a flux map.
+    ``unknown`` marks squares that touch too many cells.
     """
 
     owner: NDArray[np.intp]
     mid: FloatArray
     rad: FloatArray
     half: float
+    unknown: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, machine: Machine, i_d: FloatArray, i_q: FloatArray, half: float) -> _Squares | None:
+    def of(cls, machine: Machine, i_d: FloatArray, i_q: FloatArray, half: float) -> _Squares:
         half *= _WIDER
         wide = Balls.between(i_d - half, i_d + half), Balls.between(i_q - half, i_q + half)
-        if not np.all(resolved(machine, *wide)):
-            return None
-        owners: list[NDArray[np.intp]] = []
-        mids: list[FloatArray] = []
-        rads: list[FloatArray] = []
+        unknown = ~resolved(machine, *wide)
+        owners: list[NDArray[np.intp]] = [np.zeros(0, dtype=np.intp)]
+        mids: list[FloatArray] = [np.zeros((3, 6, 0))]
+        rads: list[FloatArray] = [np.zeros((3, 6, 0))]
         for places, formula in formulas(machine, *wide):
             owner = np.arange(i_d.size)[places]
             here = machine_parts(machine, formula, Balls.exact(i_d[owner]), Balls.exact(i_q[owner]))
@@ -154,7 +155,8 @@ class _Squares:
             for sink, name in ((mids, "mid"), (rads, "rad")):
                 rows = [np.broadcast_to(getattr(part, name), owner.shape) for part in parts]
                 sink.append(np.stack(rows).reshape(3, 6, -1))
-        return cls(np.concatenate(owners), np.concatenate(mids, axis=2), np.concatenate(rads, axis=2), half)
+        mid, rad = np.concatenate(mids, axis=2), np.concatenate(rads, axis=2)
+        return cls(np.concatenate(owners), mid, rad, half, unknown)
 
     def highest(self, weights: FloatArray) -> FloatArray:
         """Upper bounds of a weighted sum of the three functions on each square, weights of shape (3,); shape (N,)."""
@@ -164,6 +166,47 @@ class _Squares:
         bends = np.maximum(mid[[3, 5]] + rad[[3, 5]], 0.0)
         rise = slopes.sum(axis=0) * self.half + (np.abs(mid[4]) + rad[4] + 0.5 * bends.sum(axis=0)) * square
         return np.asarray(mid[0] + (rad[0] + rise) * _WIDER + np.abs(mid[0]) * 2.0**-50)
+
+
+@dataclass(frozen=True, slots=True)
+class _Lagrangian:
+    """What bounds the largest torque on each interval of the flux linkage, arrays of K intervals.
+
+    ``weights`` of torque, squared flux linkage and squared current, shape (K, 3); ``enough`` is a bound that needs no
+    refinement. Squares with a squared flux linkage above ``ceiling`` or a torque below ``floor`` do not count.
+    """
+
+    weights: FloatArray
+    enough: FloatArray
+    ceiling: FloatArray
+    floor: FloatArray
+
+    def largest(self, region: WeakeningRegion) -> FloatArray | None:
+        """Upper bounds of its largest value within the current limit, shape (K,)."""
+        axis = region.i_max * (2.0 * np.arange(_GRID) + 1.0 - _GRID) / _GRID
+        i_d, i_q = (part.ravel() for part in np.meshgrid(axis, axis))
+        half, found = region.i_max / _GRID, np.full(self.floor.size, -np.inf)
+        for step in range(_HALVINGS + 1):
+            near = np.hypot(*(np.maximum(np.abs(part) - half, 0.0) for part in (i_d, i_q)))
+            inside = near <= region.i_max * (1.0 + 1e-9)
+            i_d, i_q = i_d[inside], i_q[inside]
+            squares = _Squares.of(region.machine, i_d, i_q, half)
+            open_ones = squares.unknown
+            if step == _HALVINGS and np.any(open_ones):
+                return None
+            least_flux, most_torque = -squares.highest(np.array([0.0, -1.0, 0.0])), squares.highest(np.eye(3)[0])
+            for place in range(found.size):
+                allowed = (least_flux <= self.ceiling[place]) & (most_torque > self.floor[place])
+                bound = squares.highest(self.weights[place])
+                high = allowed & (bound > self.enough[place]) & (step < _HALVINGS)
+                open_ones[squares.owner[high]] = True
+                found[place] = np.max(bound[allowed & ~high], initial=found[place])
+            half *= 0.5
+            i_d, i_q = (
+                (part[open_ones][:, np.newaxis] + half * np.array(signs)).ravel()
+                for part, signs in ((i_d, (-1.0, -1.0, 1.0, 1.0)), (i_q, (-1.0, 1.0, -1.0, 1.0)))
+            )
+        return found
 
 
 def largest_torque(region: WeakeningRegion) -> LargestTorque | None:
@@ -198,28 +241,9 @@ def largest_torque(region: WeakeningRegion) -> LargestTorque | None:
     )
     weights = np.stack([np.ones(_INTERVALS), -slope, -by_current], axis=1)
     offset = by_current * region.i_max**2
-    close = _ENOUGH * region.torque_max
-    enough = aim - slope * edges[1:] ** 2 - offset + close
-    axis = region.i_max * (2.0 * np.arange(_GRID) + 1.0 - _GRID) / _GRID
-    i_d, i_q = (part.ravel() for part in np.meshgrid(axis, axis))
-    half, constant = region.i_max / _GRID, np.full(_INTERVALS, -np.inf)
-    for step in range(_HALVINGS + 1):
-        squares = _Squares.of(region.machine, i_d, i_q, half)
-        if squares is None:
-            return None
-        least_flux, least_current = (-squares.highest(np.eye(3)[row] * -1.0) for row in (1, 2))
-        most_torque = squares.highest(np.eye(3)[0])
-        inside = least_current <= region.i_max**2 * (1.0 + 1e-12)
-        open_ones = np.zeros(i_d.size, dtype=np.bool_)
-        for place in range(_INTERVALS):
-            allowed = inside & (least_flux <= ceiling[place]) & (most_torque > floor[place])
-            bound = squares.highest(weights[place])
-            high = allowed & (bound > enough[place]) & (step < _HALVINGS)
-            open_ones[squares.owner[high]] = True
-            constant[place] = np.max(bound[allowed & ~high], initial=constant[place])
-        half *= 0.5
-        i_d, i_q = (
-            (part[open_ones][:, np.newaxis] + half * np.array(signs)).ravel()
-            for part, signs in ((i_d, (-1.0, -1.0, 1.0, 1.0)), (i_q, (-1.0, 1.0, -1.0, 1.0)))
-        )
-    return LargestTorque(levels, torque, edges, constant + offset, slope, floor)
+    enough = aim - slope * edges[1:] ** 2 - offset + _ENOUGH * region.torque_max
+    constant = _Lagrangian(weights, enough, ceiling, floor).largest(region)
+    if constant is None:
+        return None
+    constant = constant + offset + 1e-14 * (np.abs(constant) + offset)
+    return LargestTorque(levels, torque, edges, constant, slope, floor)

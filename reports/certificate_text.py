@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict
 
 from dqforge.optimizer.certificate import Certificate
+from dqforge.optimizer.surface_certificate import SurfaceCertificate
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.reference_ir import PlainData
 
@@ -58,7 +59,7 @@ def header_lines(certificate: Certificate, strategy: str) -> list[str]:
     ]
 
 
-def plain_certificate(certificate: Certificate | None) -> PlainData | None:
+def plain_certificate(certificate: Certificate | SurfaceCertificate | None) -> PlainData | None:
     """Bounds as plain data, rounded up to the digits that the document keeps; None where nothing is proven."""
     if certificate is None:
         return None

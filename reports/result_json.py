@@ -196,7 +196,7 @@ def plain_weakening_fit(fit: WeakeningFit | None) -> PlainData | None:
         "coefficients": fit.reference.coefficients,
         "flash_B": fit.reference.flash,
         "errors": asdict(fit.errors),
-        "certificate": None if fit.certificate is None else asdict(fit.certificate),
+        "certificate": plain_certificate(fit.certificate),
         "trials": [asdict(trial) for trial in fit.trials],
     }
 

@@ -58,7 +58,7 @@ def error_lines(fit: WeakeningFit) -> list[str]:
             f"{loss}",
             f"({evaluations}; sampled, not proven).",
         ]
-    torque = f"{percent(proof.torque_relative)} of {most} ({percent(errors.torque_relative)})"
+    torque = f"{percent(proof.torque_relative)} of the largest one, {most} ({percent(errors.torque_relative)})"
     flux = f"{percent(proof.flux_excess)} ({percent(errors.flux_excess)})"
     return [
         f"Bounds of the errors, proven for every torque and flux linkage, against {AGAINST[proof.model]},",

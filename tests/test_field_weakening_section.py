@@ -124,8 +124,14 @@ def test_report_and_tables_show_errors_and_the_trials() -> None:
     assert page.count('id="weakening"') == 1
     assert "Errors of torque and voltage over flux linkage and torque" in page  # description of the figure
     assert "ipm100_weakening_reference" in page
+    proof = json.loads(output.files["result.json"])["weakening"]["certificate"]
+    assert fit.certificate is not None
+    assert fit.certificate.torque <= proof["torque"] <= fit.certificate.torque * (1.0 + 1e-7)
+    assert proof["model"] == "equations"
+    assert "Proven for every torque and flux linkage" in page
     (table,) = weakening_tables(fit)
     assert len(table.rows) == len(fit.trials)
+    assert any(note.startswith("proven bounds: torque ") for note in table.notes)
     assert table.rows[-1][2] == str(fit.reference.coefficients)
     assert weakening_tables(None) == []
     plain = load_text((LIBRARY / "paper000-ipmsm-100kw.yaml").read_bytes(), "design.yaml")

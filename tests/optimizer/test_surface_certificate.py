@@ -12,6 +12,7 @@ import pytest
 from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE
 from saturated import ArctanMachine
 
+from dqforge.machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.loader import load_design
 from dqforge.machines.settings import WeakeningSettings
 from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
@@ -323,6 +324,21 @@ def test_the_largest_torque_lies_between_its_bounds(name: str) -> None:
     taken = region.flux(i_d, i_q)
     inside = (taken >= region.flux_min) & (taken <= region.flux_max)
     assert np.all(region.machine.torque(i_d, i_q)[inside] <= bounds.largest(taken[inside]))
+
+
+@SLOW
+def test_a_finer_flux_map_gives_nearly_the_same_bounds() -> None:
+    fit, known = fitted("syrm"), proven("syrm")
+    machine = fit.region.machine
+    assert isinstance(machine, SaturatedMachine)
+    axis = np.linspace(-1.2, 1.2, 185) * machine.i_max
+    psi_d, psi_q = machine.flux(*np.meshgrid(axis, axis, indexing="ij"))
+    finer = replace(machine, flux_map=FluxMap(axis, axis, psi_d, psi_q))
+    bounds = certify_surface(replace(fit.region, machine=finer), fit.reference)
+    assert bounds is not None
+    assert bounds.torque == pytest.approx(known.torque, rel=0.05)
+    assert bounds.flux_excess == pytest.approx(known.flux_excess, rel=0.05)
+    assert bounds.current_excess == pytest.approx(known.current_excess, rel=0.05)
 
 
 def test_other_machines_have_no_certificate() -> None:

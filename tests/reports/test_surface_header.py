@@ -20,6 +20,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.settings import WeakeningSettings
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.surface_fit import WeakeningFit, fit_weakening
+from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.surface_header import (
     plain_weakening,
     weakening_currents,
@@ -174,5 +175,14 @@ def test_the_header_states_its_errors_with_units_and_what_it_neglects() -> None:
     ):
         assert phrase in text
     assert "math.h" not in text
+    assert fit.certificate is not None
+    assert f"{rounded_up(100.0 * fit.certificate.torque_relative)} % of the largest one" in text
+    assert f"available one by {rounded_up(100.0 * fit.certificate.flux_excess)} % (" in text
+    assert f"its limit by {rounded_up(100.0 * fit.certificate.current_excess)} % (" in text
+    assert "proven for every torque and flux linkage, against the equations of the machine" in text
+    assert "Sampled, not proven: copper loss" in text
+    unproven = weakening_files(design, replace(fit, certificate=None))["drive_weakening.h"].decode("ascii")
+    assert "sampled, not proven" in unproven
+    assert "proven for every" not in unproven
     assert all(line == line.rstrip() for line in text.splitlines())
     assert weakening_files(design, fit) == weakening_files(design, fit)
