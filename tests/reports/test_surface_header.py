@@ -168,7 +168,7 @@ def test_the_header_states_its_errors_with_units_and_what_it_neglects() -> None:
     text = weakening_files(design, fit)["drive_weakening.h"].decode("ascii")
     for phrase in (
         "phase resistance is neglected",
-        "% of 205.973 N m (",
+        "% of the largest one, 205.973 N m (",
         "proven for every torque and flux linkage",
         "Not-a-number",
         "_WEAKENING_FLUX_MIN_WB",
