@@ -11,13 +11,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dqforge.machines import catalogue
 from dqforge.machines.inverter import Inverter, SwitchDevice
 from dqforge.machines.modulation import linear_limit, period_waveforms
 from dqforge.machines.semiconductors import bridge_load
 from dqforge.machines.settings import LoadPoint, LossSettings, ModulationName
 from dqforge.machines.synchronous import LinearMachine
+from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.loss_budget import LossComparison, calibrate_switching, compare
 from dqforge.optimizer.mtpa import id0_currents, mtpa_currents
+from dqforge.reports.drive_losses import solve_map
+from dqforge.reports.figures import save
+from dqforge.reports.figures_drive_losses import plot_loss_map
 
 COLOURS = {"spwm": "#6b7280", "svpwm": "#d97706", "ddt-gdpwm": "#1d4ed8"}
 PARTS = {"copper": "#b45309", "conduction": "#0f766e", "switching": "#1d4ed8"}
@@ -61,6 +66,13 @@ def loss_comparison(path: Path) -> None:
     _draw_bars(bars, _table_4())
     _draw_switching_factor(curve)
     _save(figure, path)
+
+
+def loss_map(path: Path) -> None:
+    """Draw who loses least over the map of paper 000's drive, as an SVG."""
+    names: tuple[ModulationName, ...] = ("spwm", "svpwm", "dpwm0", "dpwm1", "dpwm2", "dpwm3", "dpwmmin", "ddt-gdpwm")
+    alternatives = Alternatives(("mtpa",), names, (100e3,))
+    save(plot_loss_map(solve_map(catalogue.load("paper000-ipmsm-100kw"), alternatives, 0.0, 50, 50)), path)
 
 
 def _table_4() -> LossComparison:

@@ -38,6 +38,7 @@ def main() -> None:
     figures_modulation.zero_sequences(folder / "modulation-family.svg")
     figures_modulation.merits(folder / "modulation-merits.svg")
     figures_losses.loss_comparison(folder / "loss-comparison.svg")
+    figures_losses.loss_map(folder / "loss-map.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")
     figures_weakening.weakening_errors(folder / "weakening-errors.svg")

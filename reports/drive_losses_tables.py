@@ -131,6 +131,7 @@ def _winner_table(found: LossMap) -> Table:
     seen = np.unique(best[best >= 0])
     alternatives = found.comparison.alternatives
     named = [f"{letter(int(k))} = {alternative_text(alternatives, int(k))}" for k in seen]
+    named.append("of alternatives that lose the same the first in the list is named")
     notes = (*named, ". = no alternative makes the torque within its limits") if np.any(best < 0) else tuple(named)
     return Table("Who loses least, over torque (down) and speed (across)", columns, tuple(rows), notes)
 
@@ -173,10 +174,25 @@ def _mark(run: MissionRun, *, best: bool) -> str:
     if not run.steady:
         return "junction temperature runs away"
     if run.missed.size:
-        return f"{run.missed.size} rows not reached, first line {int(run.missed[0])}"
+        return "not reached"
     if not run.cool_enough:
         return "junction too hot"
     return "best" if best else ""
+
+
+def _missed_notes(found: MissionComparison) -> list[str]:
+    """For each set of rows that cannot be driven, where it begins and which modulators it stops."""
+    groups: dict[tuple[int, ...], list[str]] = {}
+    for run in found.runs:
+        if run.missed.size:
+            names = groups.setdefault(tuple(run.missed.tolist()), [])
+            name = f"{run.strategy} {run.modulation}"
+            names += [] if name in names else [name]
+    return [
+        f"{found.mission.source}:{lines[0]}: torque or voltage cannot be had ({len(lines)} row"
+        f"{'' if len(lines) == 1 else 's'}) with {', '.join(names)}; the most that can is counted"
+        for lines, names in groups.items()
+    ]
 
 
 def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
@@ -204,6 +220,7 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
         notes.append(f"winding at {first.winding_temperature:.1f} degC by the mean copper loss")
     if not all(run.within_tables for run in found.runs):
         notes.append("in some alternatives the device tables are carried on beyond their ends")
+    notes += _missed_notes(found)
     title = f"{design.name}: losses over the mission {mission.source}"
     return [Table(title, columns, tuple(rows), (*notes, *mission.findings))]
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.drive_budget import PARTS
@@ -91,23 +93,45 @@ def _edges(values: FloatArray) -> FloatArray:
     return np.concatenate([[1.5 * values[0] - 0.5 * values[1]], middle, [1.5 * values[-1] - 0.5 * values[-2]]])
 
 
+def _blocks(code: NDArray[np.int64]) -> list[tuple[int, int, int, int, int]]:
+    """Rectangles (code, first row, end row, first column, end column) of equal cells; rows join where they repeat."""
+    found: list[tuple[int, int, int, int, int]] = []
+    growing: dict[tuple[int, int, int], int] = {}
+    for i in range(code.shape[0] + 1):
+        runs: set[tuple[int, int, int]] = set()
+        if i < code.shape[0]:
+            bounds = [0, *(np.flatnonzero(np.diff(code[i])) + 1).tolist(), code.shape[1]]
+            runs = {(int(code[i, a]), a, b) for a, b in pairwise(bounds) if code[i, a] >= 0}
+        found += [(run[0], start, i, run[1], run[2]) for run, start in growing.items() if run not in runs]
+        growing = {run: growing.get(run, i) for run in sorted(runs)}
+    return found
+
+
+def _draw_cells(axes: Axes, code: NDArray[np.int64], speed: FloatArray, torque: FloatArray) -> None:
+    """Cells in the colours of their codes, as few rectangles; borders in rpm and N m."""
+    from matplotlib.patches import Rectangle
+
+    colours = (*_WINNERS, _OTHERS)
+    for kind, low, high, left, right in _blocks(code):
+        size = (float(speed[right] - speed[left]), float(torque[high] - torque[low]))
+        corner = (float(speed[left]), float(torque[low]))
+        # A thin line of the same colour closes the seams between rectangles.
+        axes.add_patch(Rectangle(corner, *size, facecolor=colours[kind], edgecolor=colours[kind], linewidth=0.4))
+
+
 def _draw_winners(axes: Axes, found: LossMap, alternatives: Alternatives) -> None:
     """Cells in the colour of the alternative that loses least, each large region with its name."""
-    from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
     best = found.comparison.best.reshape(found.torque.size, found.omega_m.size)
     names, counts = np.unique(best[best >= 0], return_counts=True)
     ranked = [int(k) for k in names[np.argsort(-counts, kind="stable")]]
     named, others = ranked[: len(_WINNERS)], ranked[len(_WINNERS) :]
-    code = np.full(best.shape, np.nan)
+    code = np.full(best.shape, -1)
     for place, k in enumerate(ranked):
         code[best == k] = min(place, len(_WINNERS))
-    colours = ListedColormap([*_WINNERS, _OTHERS])
     speed, torque = _edges(found.omega_m) * _RPM, _edges(found.torque)
-    axes.pcolormesh(
-        speed, torque, np.ma.masked_invalid(code), cmap=colours, vmin=-0.5, vmax=len(_WINNERS) + 0.5, linewidth=0
-    )
+    _draw_cells(axes, code, speed, torque)
     for k in named:
         mask = best == k
         if np.mean(mask) > 0.03:
