@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.fitting import Curve, SideConditions, condition_rows, null_space
 
@@ -38,6 +39,9 @@ a magnet they rise like a root there, and the best segments shrink geometrically
 
 _LEAST_POWER = 1e-30
 """Coefficients rise with the inverse power of the width of a segment; below, they would leave the range of floats."""
+
+_LEAST_EDGES = 8
+"""So many edges of the grid must be usable: more than segments are ever asked for."""
 
 _ROUNDING = 1e-13
 """Errors of this share of the curve are rounding: there is nothing to level."""
@@ -162,6 +166,11 @@ def segment_errors(curves: Sequence[Curve], degree: int, side: SideConditions, e
         Of its conditions only ``exact_at_zero`` matters here.
     end:
         End of the domain.
+
+    Raises
+    ------
+    NoSolutionError
+        The domain is so small that its powers leave the range of floats.
     """
     angle = np.linspace(0.0, np.pi, 4 * degree + 13)
     vander = chebyshev.chebvander(-np.cos(angle), degree)
@@ -169,6 +178,11 @@ def segment_errors(curves: Sequence[Curve], degree: int, side: SideConditions, e
     basis, at_zero = orthonormal(vander), orthonormal(vander @ null_space(tied))
     grid = end * _GRID
     grid = grid[(grid == 0.0) | (grid**degree > _LEAST_POWER)]
+    if grid.size < _LEAST_EDGES:
+        raise NoSolutionError(
+            f"fit.degree: degree {degree} over a domain of {end:.3g} N m has powers that floats cannot hold;"
+            " write a lower degree"
+        )
     first, last = np.triu_indices(grid.size, 1)
     half_width = 0.5 * (grid[last] - grid[first])
     points = grid[first, np.newaxis] + half_width[:, np.newaxis] * (1.0 - np.cos(angle))

@@ -154,7 +154,10 @@ def choose_fit(choice: CurrentChoice, settings: FitSettings, budget: FitBudget) 
         if budget.flash is not None and flash > budget.flash:
             continue
         wanted = replace(settings, form=form, format=number_format, degree=degree, segments=segments, breakpoints=None)
-        fit = quick_fits.fit(wanted)
+        try:
+            fit = quick_fits.fit(wanted)
+        except NoSolutionError:  # a degree whose powers leave the range of floats
+            continue
         if fit.d is None and fit.q is None:  # exact without any polynomial, but for the rounding of fixed point
             fit = fit_reference(choice, wanted)
             size = reference_bytes(fit.reference)

@@ -12,8 +12,8 @@ from saturated import ArctanMachine
 
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.loader import load_text
-from dqforge.machines.settings import Core, FitBudget, FitSettings
-from dqforge.machines.synchronous import Machine
+from dqforge.machines.settings import Core, FitBudget, FitMethod, FitSettings
+from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.optimizer.cost_model import constant_bytes, estimated_cycles, reference_bytes
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.fit_choice import QuickFits, choose_fit, is_hopeless
@@ -182,3 +182,16 @@ def test_full_scales_that_do_not_hold_leave_fixed_point_out() -> None:
     settings = with_formats("cortex-m0plus", full_scale=(100.0, 283.0))
     found = choose_fit(CurrentChoice(IPM, "mtpa", IPM.i_max), settings, FitBudget(torque_error=2e-3))
     assert {trial.format for trial in found.trials} == {"float32"}
+
+
+TINY = LinearMachine(1, 0.1, 62.63e-3, 59.67e-3, 1.155e-3, 5.65e-3)
+"""A torque domain of some 1e-5 N m, whose sixth power floats cannot hold."""
+
+
+@pytest.mark.parametrize("method", ["lagrange", "least-squares", "minimax"])
+def test_powers_beyond_floats_are_refused_in_words(method: FitMethod) -> None:
+    choice = CurrentChoice(TINY, "mtpa", TINY.i_max)
+    with pytest.raises(NoSolutionError, match=r"fit.degree: degree 6 over a domain of .* write a lower degree"):
+        fit_reference(choice, FitSettings(form="polynomial", method=method, degree=6, segments=4))
+    found = choose_fit(choice, FitSettings(), FitBudget(torque_error=1e-3, loss_penalty=1e-3))
+    assert found.fit.errors.torque_relative <= 1e-3
