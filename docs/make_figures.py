@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import figures_current_feedback
 import figures_flux_maps
 import figures_gains
 import figures_losses
@@ -34,6 +35,8 @@ def main() -> None:
     figures_losses.modulation_waveforms(folder / "modulation-waveforms.svg")
     figures_modulation.zero_sequences(folder / "modulation-family.svg")
     figures_modulation.merits(folder / "modulation-merits.svg")
+    figures_current_feedback.regulators(folder / "current-feedback.svg")
+    figures_current_feedback.hysteresis_over_speed(folder / "hysteresis-frequency.svg")
     figures_losses.loss_comparison(folder / "loss-comparison.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")

@@ -120,7 +120,7 @@ class CurrentTrace:
     def spectrum(self, orders: ArrayLike) -> ComplexArray:
         """Harmonics of the phase currents in A (peak), shape (H, N, 3); of the order 0 the mean.
 
-        The phasor X of the order n stands for Re(X exp(j n theta_e)). Orders up to some 300.
+        The phasor X of the order n stands for Re(X exp(j n theta_e)). Orders up to some 450.
 
         Parameters
         ----------
