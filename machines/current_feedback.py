@@ -9,7 +9,7 @@ References
 ----------
 L. B. Bezerra, COPPE/UFRJ 2004 (paper 001), sections 6.2.4.1, 6.2.4.2 and 6.2.4.4.
 D. M. Brod, D. W. Novotny, "Current control of VSI-PWM inverters", IEEE Transactions on Industry Applications IA-21(3),
-1985, doi:10.1109/TIA.1985.349711 (error of twice the band, slopes of ramp comparison).
+1985, pp. 562-570 (error of twice the band, slopes of ramp comparison).
 """
 
 from __future__ import annotations
