@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import figures_certificates
+import figures_current_feedback
 import figures_fixed_point
 import figures_flux_maps
 import figures_gains
@@ -37,6 +38,8 @@ def main() -> None:
     figures_losses.modulation_waveforms(folder / "modulation-waveforms.svg")
     figures_modulation.zero_sequences(folder / "modulation-family.svg")
     figures_modulation.merits(folder / "modulation-merits.svg")
+    figures_current_feedback.regulators(folder / "current-feedback.svg")
+    figures_current_feedback.hysteresis_over_speed(folder / "hysteresis-frequency.svg")
     figures_losses.loss_comparison(folder / "loss-comparison.svg")
     figures_losses.loss_map(folder / "loss-map.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
