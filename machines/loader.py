@@ -8,6 +8,7 @@ from pathlib import Path
 
 from dqforge.machines import checks, datasheet
 from dqforge.machines.checks import si_of
+from dqforge.machines.choice_reader import read_choice
 from dqforge.machines.design import Design
 from dqforge.machines.device_reader import read_inverter_device
 from dqforge.machines.inverter import Inverter
@@ -129,6 +130,7 @@ class _Build:
             digest=self.reading.digest(),
             weakening=weakening,
             winding=read_winding_heat(sections.machine, inverter.coolant_temperature),
+            modulation_choice=read_choice(sections, machine, i_max, self.reading),
         )
 
     def inverter(self, section: InverterSection, machine_limit: float) -> Inverter:

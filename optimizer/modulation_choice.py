@@ -26,31 +26,60 @@ _FINE = 193
 _LISTED = 4
 """Frequencies per modulator that a rule may take, evenly in the logarithm, the ends of the range included."""
 
+LIMITS = ("ripple", "junction", "carrier ratio", "avoided band", "voltage", "least frequency", "largest frequency")
+"""What may bind a choice; ``voltage`` is the linear range of a modulator that would lose less."""
+
+_ROUNDING = 1e-12
+_EQUAL = 1e-6
+"""Relative difference from which the losses of two modulators differ: less is rounding of the splines."""
+
+_BINDS = 1e-4
+"""Relative saving from which a limit binds: less is the step of the frequency grid."""
+
+_AT_ONCE = 512
+"""Points whose curves are held in memory at once."""
+
 
 @dataclass(frozen=True, slots=True)
 class ChoiceLimits:
     """What a choice must keep.
 
     ``f_min`` and ``f_max`` in Hz bound the switching frequency: the least one keeps the noise out of hearing or the
-    control fast enough. ``ripple_max`` in A is the largest r.m.s. of the phase-current ripple, None for any.
-    ``junction_max`` in degC, None for what the device permits.
+    control fast enough; ``bands`` (low, high) in Hz are left out between them. ``ripple_max`` in A is the largest
+    r.m.s. of the phase-current ripple, None for any. ``junction_max`` in degC, None for what the device permits.
+    ``carrier_ratio`` is the least number of carrier periods in an electrical one.
     """
 
     f_min: float
     f_max: float
     ripple_max: float | None = None
     junction_max: float | None = None
+    bands: tuple[tuple[float, float], ...] = ()
+    carrier_ratio: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse an empty range."""
         if not 0.0 < self.f_min <= self.f_max < np.inf:
             raise InputError(f"switching frequencies from {self.f_min:g} to {self.f_max:g} Hz are no range")
 
+    def outside_bands(self, frequency: FloatArray) -> BoolArray:
+        """Where frequencies in Hz lie in none of the bands; their ends are permitted."""
+        inside = np.zeros(frequency.shape, dtype=np.bool_)
+        for low, high in self.bands:
+            inside |= (frequency > low) & (frequency < high)
+        return ~inside
+
+    def edges(self) -> FloatArray:
+        """Ends of the bands within the range, in Hz."""
+        ends = np.array([end for band in self.bands for end in band], dtype=np.float64)
+        return ends[(ends > self.f_min) & (ends < self.f_max)]
+
 
 @dataclass(frozen=True, slots=True)
 class ChoicePoints:
     """Operating points, arrays of shape (P,): torque in N m, mechanical speed in rad/s, currents in A (peak).
 
+    The currents may have the shape (M, P), one row for each modulator, with NaN where it cannot make the torque.
     ``weights`` are shares of time, None for all alike.
     """
 
@@ -67,7 +96,9 @@ class BestChoice:
 
     ``modulation`` is an index into ``modulations``, -1 where nothing keeps the limits; ``f_sw`` in Hz, ``loss`` in W,
     ``ripple_current`` in A (r.m.s.) and ``junction_temperature`` in degC belong to it, NaN where there is none.
-    ``least`` holds the least loss of each modulator within the limits, shape (M, P), inf where it has none.
+    ``least`` holds the least loss of each modulator within the limits, shape (M, P), inf where it has none; of
+    modulators that lose the same the first is taken. ``binding`` says for each of `LIMITS` where it costs: without it
+    less could be lost, or something could be had at all.
     """
 
     modulations: tuple[ModulationName, ...]
@@ -77,6 +108,7 @@ class BestChoice:
     ripple_current: FloatArray
     junction_temperature: FloatArray
     least: FloatArray
+    binding: dict[str, BoolArray]
 
     @property
     def found(self) -> BoolArray:
@@ -92,13 +124,38 @@ class ListedChoice:
     simplified: SimplifiedChoice
 
 
-def _permitted(budget: DriveBudget, limits: ChoiceLimits) -> BoolArray:
-    kept = budget.feasible
-    if limits.ripple_max is not None:
-        kept = kept & (budget.ripple_current <= limits.ripple_max * (1.0 + 1e-12))
-    if limits.junction_max is not None:
-        kept = kept & (budget.junction_temperature <= limits.junction_max)
+def _marks(budget: DriveBudget, frequency: FloatArray, ratio: FloatArray, limits: ChoiceLimits) -> dict[str, BoolArray]:
+    """Which limits a budget keeps at frequencies (F,) in Hz; ``ratio`` are electrical frequencies in Hz, shape (P,)."""
+    ripple = np.inf if limits.ripple_max is None else limits.ripple_max
+    hottest = np.inf if limits.junction_max is None else limits.junction_max
+    warm = budget.steady & budget.cool_enough & (budget.junction_temperature <= hottest)
+    return {
+        "voltage": np.asarray(budget.linear & budget.known),
+        "ripple": np.asarray(budget.ripple_current <= ripple * (1.0 + _ROUNDING)),
+        "junction": np.asarray(warm),
+        **_frequency_marks(frequency, ratio, limits),
+    }
+
+
+def _frequency_marks(frequency: FloatArray, ratio: FloatArray, limits: ChoiceLimits) -> dict[str, BoolArray]:
+    column = frequency[:, np.newaxis]
+    return {
+        "carrier ratio": np.asarray(column >= limits.carrier_ratio * ratio * (1.0 - _ROUNDING)),
+        "avoided band": limits.outside_bands(column),
+    }
+
+
+def _all(marks: dict[str, BoolArray], without: str = "") -> BoolArray:
+    kept = np.ones((), dtype=np.bool_)
+    for name, mark in marks.items():
+        if name != without:
+            kept = kept & mark
     return np.asarray(kept)
+
+
+def electrical_frequency(machine: Machine, points: ChoicePoints) -> FloatArray:
+    """Electrical frequency in Hz at the points, shape (P,)."""
+    return np.asarray(machine.pole_pairs * np.abs(points.omega_m) / (2.0 * np.pi))
 
 
 def _splined(values: FloatArray, nodes: FloatArray, fine: FloatArray) -> FloatArray:
@@ -124,29 +181,41 @@ def _budget(
 
 @dataclass(frozen=True, slots=True)
 class _Curves:
-    """Loss in W, junction in degC and ripple in A over frequency, and what is permitted, all of shape (M, F, P)."""
+    """Loss in W, junction in degC and ripple in A over frequency, (M, F, P), and which limits are kept there."""
 
     frequency: FloatArray
     loss: FloatArray
     hot: FloatArray
     ripple: FloatArray
-    kept: BoolArray
+    marks: dict[str, BoolArray]
 
 
-def _curves(budget: DriveBudget, nodes: FloatArray, limits: ChoiceLimits, hottest: float) -> _Curves:
+def _curves(
+    budget: DriveBudget, nodes: FloatArray, limits: ChoiceLimits, hottest: float, electrical: FloatArray
+) -> _Curves:
     """The budget on its nodes, carried over to a fine grid."""
     if nodes.size == 1:
-        loss, hot, ripple = budget.total, budget.junction_temperature, budget.ripple_current
-        return _Curves(nodes, loss, hot, ripple, _permitted(budget, limits))
-    fine = np.geomspace(nodes[0], nodes[-1], _FINE)
+        marks = _marks(budget, nodes, electrical, limits)
+        return _Curves(nodes, budget.total, budget.junction_temperature, budget.ripple_current, marks)
+    fine = np.union1d(np.geomspace(nodes[0], nodes[-1], _FINE), limits.edges())
     loss, hot = (_splined(values, nodes, fine) for values in (budget.total, budget.junction_temperature))
     ripple = budget.ripple_current[:, :1] * (nodes[0] / fine)[np.newaxis, :, np.newaxis]  # exactly as 1/f
     # Between two nodes heat is steady where it is at the higher one.
-    node = np.minimum(np.searchsorted(nodes, fine * (1.0 - 1e-12)), nodes.size - 1)
-    kept = (budget.linear & budget.known)[:, :1] & budget.steady[:, node] & (hot <= hottest)
-    if limits.ripple_max is not None:
-        kept = kept & (ripple <= limits.ripple_max * (1.0 + 1e-12))
-    return _Curves(fine, loss, hot, ripple, np.asarray(kept))
+    node = np.minimum(np.searchsorted(nodes, fine * (1.0 - _ROUNDING)), nodes.size - 1)
+    most = np.inf if limits.ripple_max is None else limits.ripple_max
+    marks = {
+        "voltage": np.asarray((budget.linear & budget.known)[:, :1]),
+        "ripple": np.asarray(ripple <= most * (1.0 + _ROUNDING)),
+        "junction": np.asarray(budget.steady[:, node] & (hot <= hottest)),
+        **_frequency_marks(fine, electrical, limits),
+    }
+    return _Curves(fine, loss, hot, ripple, marks)
+
+
+def _columns(points: ChoicePoints, here: slice) -> ChoicePoints:
+    """Some of the points."""
+    currents = (np.atleast_2d(values)[:, here] for values in (points.i_d, points.i_q))
+    return ChoicePoints(points.torque[here], points.omega_m[here], *currents)
 
 
 def best_choice(
@@ -173,17 +242,39 @@ def best_choice(
     nodes = np.geomspace(limits.f_min, limits.f_max, _NODES if limits.f_max > limits.f_min else 1)
     hottest = bridge_tables(inverter).max_junction_temperature
     hottest = hottest if limits.junction_max is None else min(hottest, limits.junction_max)
-    curves = _curves(_budget(machine, inverter, points, names, nodes, options), nodes, limits, hottest)
-    counted = np.where(curves.kept & np.isfinite(curves.loss), curves.loss, np.inf)
+    parts = []
+    for start in range(0, points.torque.size, _AT_ONCE):
+        some = _columns(points, slice(start, start + _AT_ONCE))
+        budget = _budget(machine, inverter, some, names, nodes, options)
+        parts.append(_best(names, _curves(budget, nodes, limits, hottest, electrical_frequency(machine, some))))
+    whole = {
+        name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
+        for name in ("modulation", "f_sw", "loss", "ripple_current", "junction_temperature", "least")
+    }
+    binding = {name: np.concatenate([part.binding[name] for part in parts]) for name in LIMITS}
+    return BestChoice(modulations=names, binding=binding, **whole)
+
+
+def _best(names: tuple[ModulationName, ...], curves: _Curves) -> BestChoice:
+    finite = np.isfinite(curves.loss)
+    counted = np.where(_all(curves.marks) & finite, curves.loss, np.inf)
     least = np.min(counted, axis=1)
-    which = np.argmin(least, axis=0)
+    smallest = np.min(least, axis=0)
+    which = np.argmax(least <= smallest * (1.0 + _EQUAL), axis=0)
     column = np.arange(which.size)
     place = np.argmin(counted, axis=1)[which, column]
-    found = np.isfinite(least[which, column])
+    found = np.isfinite(smallest)
 
     def taken(values: FloatArray) -> FloatArray:
         return np.where(found, values[which, place, column], np.nan)
 
+    binding = {
+        "least frequency": found & (place == 0) & (curves.frequency.size > 1),
+        "largest frequency": found & (place == curves.frequency.size - 1) & (curves.frequency.size > 1),
+    }
+    for name in ("voltage", "ripple", "junction", "carrier ratio", "avoided band"):
+        without = np.min(np.where(_all(curves.marks, name) & finite, curves.loss, np.inf), axis=(0, 1))
+        binding[name] = np.asarray(without < smallest * (1.0 - _BINDS))
     return BestChoice(
         modulations=names,
         modulation=np.where(found, which, -1),
@@ -192,7 +283,34 @@ def best_choice(
         ripple_current=taken(curves.ripple),
         junction_temperature=taken(curves.hot),
         least=least,
+        binding=binding,
     )
+
+
+def permitted_losses(
+    machine: Machine,
+    inverter: Inverter,
+    points: ChoicePoints,
+    modulations: Sequence[ModulationName],
+    frequencies: FloatArray,
+    limits: ChoiceLimits,
+    *,
+    options: BudgetOptions | None = None,
+) -> tuple[FloatArray, BoolArray]:
+    """Total losses in W of every modulator at every frequency in Hz, and where all limits are kept, (M, F, P) each.
+
+    The loss is 0 where it is not known. Parameters as in `best_choice`; ``frequencies`` has the shape (F,).
+    """
+    budget = _budget(machine, inverter, points, tuple(modulations), frequencies, options)
+    kept = _all(_marks(budget, frequencies, electrical_frequency(machine, points), limits))
+    return np.where(np.isfinite(budget.total), budget.total, 0.0), kept
+
+
+def listed_frequencies(limits: ChoiceLimits, count: int = _LISTED) -> FloatArray:
+    """Frequencies in Hz that a rule may take: even in the logarithm, to 100 Hz, with the ends of range and bands."""
+    listed = np.round(np.geomspace(limits.f_min, limits.f_max, count), -2)
+    found = np.unique(np.concatenate([np.clip(listed, limits.f_min, limits.f_max), limits.edges()]))
+    return found[limits.outside_bands(found)]
 
 
 def listed_choice(
@@ -211,12 +329,15 @@ def listed_choice(
     NoSolutionError
         At some point nothing on the list keeps the limits.
     """
-    listed = np.round(np.geomspace(limits.f_min, limits.f_max, _LISTED), -2)
-    frequencies = np.unique(np.clip(listed, limits.f_min, limits.f_max))
+    frequencies = listed_frequencies(limits)
     names = tuple(modulations)
-    budget = _budget(machine, inverter, points, names, frequencies, options)
+    loss, kept = permitted_losses(machine, inverter, points, names, frequencies, limits, options=options)
     alternatives = tuple((name, float(frequency)) for name in names for frequency in frequencies)
-    loss = budget.total.reshape(len(alternatives), -1).T
-    kept = _permitted(budget, limits).reshape(len(alternatives), -1).T
-    quantities = {"torque_Nm": np.abs(points.torque), "speed_rad_per_s": np.abs(points.omega_m)}
-    return ListedChoice(alternatives, simplify(np.where(kept, loss, 0.0), kept, quantities, points.weights))
+    kept = kept.reshape(len(alternatives), -1).T
+    loss = np.where(kept, loss.reshape(len(alternatives), -1).T, 0.0)
+    return ListedChoice(alternatives, simplify(loss, kept, rule_quantities(points), points.weights))
+
+
+def rule_quantities(points: ChoicePoints) -> dict[str, FloatArray]:
+    """What a rule may ask about at the points, shape (P,) each."""
+    return {"torque_Nm": np.abs(points.torque), "speed_rad_per_s": np.abs(points.omega_m)}

@@ -11,6 +11,7 @@ from dqforge.machines.settings import Strategy
 from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.optimizer.certificate import Certificate, certify
 from dqforge.optimizer.characteristics import voltage_limit
+from dqforge.optimizer.choice_solution import ModulationChoice, solve_choice
 from dqforge.optimizer.current_choice import CurrentChoice, OperatingPoints, SpeedPoint
 from dqforge.optimizer.fit_alternatives import Alternative, alternatives
 from dqforge.optimizer.fit_choice import FitChoice, Trial, choose_fit
@@ -57,7 +58,7 @@ class Solution:
     ``losses`` is None where it asks for no comparison; ``waveforms`` and ``phases`` are None for machines with a
     sinusoidal back-EMF. ``certificate`` bounds the errors of the fit, None where that could not be proven;
     ``trials`` are the forms that were tried for a budget. ``weakening`` is None where no
-    two-dimensional reference is asked for.
+    two-dimensional reference, ``choice`` where no choice of modulator and switching frequency is asked for.
     """
 
     design: Design
@@ -71,6 +72,7 @@ class Solution:
     trials: tuple[Trial, ...] = ()
     certificate: Certificate | None = None
     weakening: WeakeningFit | None = None
+    choice: ModulationChoice | None = None
 
 
 def current_choice(design: Design) -> CurrentChoice:
@@ -193,4 +195,5 @@ def solve(design: Design) -> Solution:
         waveforms=None if design.phase_machine is None else compare_waveforms(design),
         phases=None if design.phase_machine is None else solve_phases(design),
         weakening=solve_weakening(design),
+        choice=solve_choice(design),
     )

@@ -23,7 +23,9 @@ from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
+from dqforge.reports.choice_tables import plain_choice
 from dqforge.reports.reference_ir import PlainData, to_plain
+from dqforge.reports.rule_header import choice_model, plain_emitted
 from dqforge.reports.surface_header import plain_weakening
 from dqforge.reports.waveform_header import plain_phase_reference
 from dqforge.reports.waveform_tables import plain_waveforms
@@ -219,4 +221,6 @@ def plain_solution(solution: Solution) -> PlainData:
         "waveform_header": None if solution.phases is None else plain_phase_reference(solution.phases.reference),
         "weakening": plain_weakening_fit(weakening),
         "weakening_header": None if weakening is None else plain_weakening(weakening.reference),
+        "modulation_choice": None if solution.choice is None else plain_choice(solution.choice),
+        "modulation_header": None if solution.choice is None else plain_emitted(choice_model(solution.choice)),
     }

@@ -9,6 +9,7 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.header import header_files
 from dqforge.reports.html_report import render_report
 from dqforge.reports.result_json import plain_solution, to_text
+from dqforge.reports.rule_header import choice_files, choice_model
 from dqforge.reports.surface_header import weakening_files
 from dqforge.reports.verify import Verification, verify_files
 from dqforge.reports.waveform_header import waveform_files
@@ -27,7 +28,8 @@ def _verified(solution: Solution, files: dict[str, bytes]) -> Verification:
     export = solution.design.export
     phases = None if solution.phases is None else solution.phases.reference
     weakening = None if solution.weakening is None else solution.weakening.reference
-    return verify_files(files, export.prefix, solution.fit.reference, export.vectors, phases, weakening)
+    modulation = None if solution.choice is None else choice_model(solution.choice)
+    return verify_files(files, export.prefix, solution.fit.reference, export.vectors, phases, weakening, modulation)
 
 
 def export_design(design: Design, *, verify: bool) -> RunOutput:
@@ -44,6 +46,8 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
         files |= waveform_files(design, solution.phases)
     if solution.weakening is not None:
         files |= weakening_files(design, solution.weakening)
+    if solution.choice is not None:
+        files |= choice_files(design, solution.choice)
     verification = _verified(solution, files) if verify else None
     files["result.json"] = to_text("run", design.name, plain_solution(solution)).encode("ascii")
     return RunOutput(solution, verification, files)

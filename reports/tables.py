@@ -26,6 +26,7 @@ from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.certificate_text import proof_title, proven_text
+from dqforge.reports.choice_text import choice_rows
 from dqforge.reports.cross import TargetVerification
 from dqforge.reports.labels import core_name, obstacle, operation_text
 from dqforge.reports.verify import Verification
@@ -358,6 +359,7 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
     ]
     if solution.losses is not None:
         rows += _best_rows(solution.losses)
+    rows += [] if solution.choice is None else choice_rows(solution.choice)
     rows.append(("verification", verification_text(verification)))
     return [Table(solution.design.name, ("", ""), tuple(rows))]
 
