@@ -17,6 +17,7 @@ from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.figures_losses import POINTS_SHOWN
 from dqforge.reports.figures_reference import ROUNDING
 from dqforge.reports.header import header_context
+from dqforge.reports.html_choice import choice_part
 from dqforge.reports.html_tables import (
     LOOP_TEXT,
     STRATEGY_TEXT,
@@ -247,6 +248,11 @@ def _figures(solution: Solution) -> dict[str, Markup]:
         from dqforge.reports.figures_weakening import plot_weakening
 
         drawn["weakening"] = lambda: plot_weakening(weakening)
+    choice = solution.choice
+    if choice is not None:
+        from dqforge.reports.figures_choice import plot_choice
+
+        drawn["choice"] = lambda: plot_choice(choice)
     return {name: Markup(figures.to_svg(draw())) for name, draw in drawn.items()}
 
 
@@ -312,6 +318,8 @@ def _sections(design: Design, *, losses: bool, waveforms: bool) -> list[tuple[st
         sections.append(("losses", "Loss comparison"))
     if waveforms:
         sections.append(("waveforms", "Phase currents"))
+    if design.modulation_choice is not None:
+        sections.append(("modulation", "Modulator and frequency"))
     if design.weakening is not None:
         sections.append(("weakening", "Field weakening"))
     return [*sections, ("header", f"{design.export.prefix}.h"), ("conventions", "Conventions")]
@@ -351,6 +359,7 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         "points_left_out": 0 if solution.losses is None else max(0, len(solution.losses.points) - POINTS_SHOWN),
         "waveforms": _waveform_part(solution),
         "weakening": _weakening_part(solution),
+        "choice": choice_part(solution.choice, design.export.prefix),
         "header": header_context(solution),
         "verification": {
             "done": verification is not None,
