@@ -12,11 +12,13 @@ from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.optimizer.certificate import Certificate, certify
 from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.choice_solution import ModulationChoice, solve_choice
+from dqforge.optimizer.complete_losses import complete_comparison
 from dqforge.optimizer.current_choice import CurrentChoice, OperatingPoints, SpeedPoint
+from dqforge.optimizer.drive_budget import BudgetOptions
 from dqforge.optimizer.fit_alternatives import Alternative, alternatives
 from dqforge.optimizer.fit_choice import FitChoice, Trial, choose_fit
 from dqforge.optimizer.gains import LoopGains, tune_current_loop, tune_speed_loop
-from dqforge.optimizer.loss_budget import LossComparison, compare
+from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
@@ -149,7 +151,8 @@ def solve_losses(design: Design) -> LossComparison | None:
         choice.require(float(np.max(np.abs(torque))), "losses.points")
         points = choice.points(torque)
         currents[strategy] = (points.i_d, points.i_q)
-    return compare(design.machine, design.inverter, losses, currents)
+    options = BudgetOptions(design.machine_loss, design.winding, design.inverter.capacitor_esr)
+    return complete_comparison(design.machine, design.inverter, losses, currents, options)
 
 
 def solve_phases(design: Design) -> PhaseFit:

@@ -15,7 +15,7 @@ from dqforge.optimizer.drive_budget import PARTS
 from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.mission_budget import MissionComparison
 from dqforge.reports.drive_losses_tables import alternative_text, common_points, short
-from dqforge.reports.figures_style import FAINT, INK, MUTED, label_in_unit, new_figure, style
+from dqforge.reports.figures_style import FAINT, INK, MUTED, PART_COLOURS, label_in_unit, new_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,16 +27,6 @@ _RPM = 30.0 / math.pi
 BARS_SHOWN = 14
 """Alternatives in a figure; a table has room for more."""
 
-PART_COLOURS = {
-    "copper": "#c9782b",
-    "ripple_copper": "#e8b98a",
-    "iron": "#7d5a3c",
-    "magnet": "#b3a394",
-    "conduction": "#a9c6e6",
-    "dead_time": "#5b9bd5",
-    "switching": "#1d4e89",
-    "capacitor": "#8a8f98",
-}
 WINNERS = ("#9ec5e8", "#f0b36b", "#8fc9b9", "#d9a0c7", "#e6dc8c", "#b8aee0", "#c4a484", "#9fb0bd")
 OTHERS = "#dfe3e8"
 _ROW = 0.22
