@@ -27,6 +27,8 @@ POINTS_SHOWN = 8
 """Operating points in the figure; a table has room for more."""
 _ROW = 0.23
 _EDGE = 0.8
+_LONG_NAMES = 5
+"""Kinds of loss up to which their names have room for the word loss."""
 
 
 def _draw_parts(axes: Axes, comparison: LossComparison, index: tuple[int, int, int], y: float) -> float:
@@ -93,6 +95,7 @@ def plot_losses(design: Design, comparison: LossComparison) -> Figure:
 
     del design
     shown, parts = min(len(comparison.points), POINTS_SHOWN), shown_parts(comparison.budget)
+    word = " loss" if len(parts) <= _LONG_NAMES else ""
     rows = shown * (len(comparison.strategies) * len(comparison.modulations) + 1.6)
     height = rows * _ROW + _EDGE
     with style():
@@ -111,7 +114,7 @@ def plot_losses(design: Design, comparison: LossComparison) -> Figure:
         axes.grid(visible=False, axis="y")
         axes.spines["left"].set_visible(False)
         axes.legend(
-            handles=[Patch(color=PART_COLOURS[part], label=f"{part_label(part)} loss") for part in parts],
+            handles=[Patch(color=PART_COLOURS[part], label=f"{part_label(part)}{word}") for part in parts],
             loc="lower left",
             bbox_to_anchor=(0.0, 1.0),
             borderaxespad=0.3,
