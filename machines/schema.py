@@ -20,6 +20,7 @@ from dqforge.machines.schema_entries import (
     CurrentGain,
     CurrentIntegralGain,
     DeadTime,
+    FileName,
     FilterTime,
     Listing,
     Name,
@@ -237,7 +238,11 @@ class LossSection(Section):
     """Which alternatives are compared, and where."""
 
     points: Annotated[Listing[PointSection], Field(min_length=1, max_length=1000)] = Field(
-        description="operating points, a list of {torque: ..., speed: ...}"
+        default=(), description="operating points, a list of {torque: ..., speed: ...}"
+    )
+    mission: FileName | None = Field(
+        default=None,
+        description="text file beside the design with time, speed and torque, over which energy is counted",
     )
     strategies: Annotated[Listing[Strategy], Field(min_length=1, max_length=10)] = Field(
         default=_LOSSES.strategies, description="strategies to compare"

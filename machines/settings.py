@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from dqforge.machines.mission import Mission
+
 Strategy = Literal["mtpa", "id0"]
 MachineModel = Literal["linear", "flux-map", "saturation", "waveform"]
 OpenPhase = Literal["a", "b", "c"]
@@ -201,11 +203,12 @@ class LoadPoint:
 
 @dataclass(frozen=True, slots=True)
 class LossSettings:
-    """Which alternatives are compared, and where."""
+    """Which alternatives are compared, and where: at points, and over a mission where there is one."""
 
     points: tuple[LoadPoint, ...]
     strategies: tuple[Strategy, ...] = ("id0", "mtpa")
     modulations: tuple[ModulationName, ...] = ("spwm", "svpwm", "ddt-gdpwm")
+    mission: Mission | None = None
 
 
 @dataclass(frozen=True, slots=True)

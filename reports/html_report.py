@@ -18,6 +18,7 @@ from dqforge.reports.figures_losses import POINTS_SHOWN
 from dqforge.reports.figures_reference import ROUNDING
 from dqforge.reports.header import header_context
 from dqforge.reports.html_choice import choice_part
+from dqforge.reports.html_mission import mission_part
 from dqforge.reports.html_tables import (
     LOOP_TEXT,
     STRATEGY_TEXT,
@@ -248,6 +249,11 @@ def _figures(solution: Solution) -> dict[str, Markup]:
         from dqforge.reports.figures_weakening import plot_weakening
 
         drawn["weakening"] = lambda: plot_weakening(weakening)
+    mission = solution.mission
+    if mission is not None:
+        from dqforge.reports.figures_drive_losses import plot_mission
+
+        drawn["mission"] = lambda: plot_mission(mission)
     choice = solution.choice
     if choice is not None:
         from dqforge.reports.figures_choice import plot_choice
@@ -325,6 +331,10 @@ def _sections(design: Design, *, losses: bool, waveforms: bool) -> list[tuple[st
     return [*sections, ("header", f"{design.export.prefix}.h"), ("conventions", "Conventions")]
 
 
+def _has_losses(solution: Solution) -> bool:
+    return solution.losses is not None or solution.mission is not None
+
+
 def report_context(solution: Solution, verification: Verification | None) -> PlainData:
     """Everything that the template prints."""
     design, errors, proof = solution.design, solution.fit.errors, solution.certificate
@@ -333,7 +343,7 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         "about": design.about,
         "version": __version__,
         "digest": design.digest,
-        "sections": _sections(design, losses=solution.losses is not None, waveforms=solution.waveforms is not None),
+        "sections": _sections(design, losses=_has_losses(solution), waveforms=solution.waveforms is not None),
         "summary": summary(solution, verification),
         "tiles": tiles(solution, verification),
         "facts": fact_rows(design),
@@ -356,6 +366,7 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
             *observer_tables(design, solution.gains, solution.fit.torque_max),
         ],
         "losses": [] if solution.losses is None else loss_tables(solution.losses),
+        "mission": mission_part(solution),
         "points_left_out": 0 if solution.losses is None else max(0, len(solution.losses.points) - POINTS_SHOWN),
         "waveforms": _waveform_part(solution),
         "weakening": _weakening_part(solution),

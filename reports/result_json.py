@@ -24,6 +24,7 @@ from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
 from dqforge.reports.choice_tables import plain_choice
+from dqforge.reports.drive_losses_tables import plain_mission
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.rule_header import choice_model, plain_emitted
 from dqforge.reports.surface_header import plain_weakening
@@ -222,6 +223,7 @@ def plain_solution(solution: Solution) -> PlainData:
         "fit": plain_fit(solution.fit, solution.alternatives, solution.trials, solution.certificate),
         "gains": plain_gains(design, solution.gains),
         "losses": plain_losses(solution.losses),
+        "mission": None if solution.mission is None else plain_mission(solution.mission),
         "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),
         "waveform_header": None if solution.phases is None else plain_phase_reference(solution.phases.reference),
         "weakening": plain_weakening_fit(weakening),
