@@ -133,15 +133,15 @@ def _marks(budget: DriveBudget, frequency: FloatArray, ratio: FloatArray, limits
         "voltage": np.asarray(budget.linear & budget.known),
         "ripple": np.asarray(budget.ripple_current <= ripple * (1.0 + _ROUNDING)),
         "junction": np.asarray(warm),
-        **_frequency_marks(frequency, ratio, limits),
+        **_frequency_marks(frequency[:, np.newaxis], ratio, limits),
     }
 
 
 def _frequency_marks(frequency: FloatArray, ratio: FloatArray, limits: ChoiceLimits) -> dict[str, BoolArray]:
-    column = frequency[:, np.newaxis]
+    """Limits of the frequency alone, (M, F, P)."""
     return {
-        "carrier ratio": np.asarray(column >= limits.carrier_ratio * ratio * (1.0 - _ROUNDING)),
-        "avoided band": limits.outside_bands(column),
+        "carrier ratio": np.asarray(frequency >= limits.carrier_ratio * ratio * (1.0 - _ROUNDING)),
+        "avoided band": limits.outside_bands(frequency),
     }
 
 
@@ -181,7 +181,7 @@ def _budget(
 
 @dataclass(frozen=True, slots=True)
 class _Curves:
-    """Loss in W, junction in degC and ripple in A over frequency, (M, F, P), and which limits are kept there."""
+    """Loss in W, junction in degC and ripple in A at frequencies in Hz, all (M, F, P), and which limits are kept."""
 
     frequency: FloatArray
     loss: FloatArray
@@ -196,20 +196,35 @@ def _curves(
     """The budget on its nodes, carried over to a fine grid."""
     if nodes.size == 1:
         marks = _marks(budget, nodes, electrical, limits)
-        return _Curves(nodes, budget.total, budget.junction_temperature, budget.ripple_current, marks)
+        frequency = np.broadcast_to(nodes[:, np.newaxis], budget.total.shape)
+        return _Curves(frequency, budget.total, budget.junction_temperature, budget.ripple_current, marks)
     fine = np.union1d(np.geomspace(nodes[0], nodes[-1], _FINE), limits.edges())
     loss, hot = (_splined(values, nodes, fine) for values in (budget.total, budget.junction_temperature))
-    ripple = budget.ripple_current[:, :1] * (nodes[0] / fine)[np.newaxis, :, np.newaxis]  # exactly as 1/f
-    # Between two nodes heat is steady where it is at the higher one.
-    node = np.minimum(np.searchsorted(nodes, fine * (1.0 - _ROUNDING)), nodes.size - 1)
+    first = budget.ripple_current[:, 0] * nodes[0]  # ripple goes exactly as 1/f
     most = np.inf if limits.ripple_max is None else limits.ripple_max
+    # The grid would round the least frequency that ripple and carrier ratio permit; it stands behind it as it is.
+    least = np.clip(np.fmax(first / most, limits.carrier_ratio * electrical), nodes[0], nodes[-1])
+    shape = (loss.shape[0], fine.size, loss.shape[2])
+    frequency = np.concatenate([np.broadcast_to(fine[:, np.newaxis], shape), least[:, np.newaxis]], axis=1)
+    loss, hot = (np.concatenate([values, _between(values, fine, least)], axis=1) for values in (loss, hot))
+    ripple = first[:, np.newaxis] / frequency
+    # Between two nodes heat is steady where it is at the higher one.
+    node = np.minimum(np.searchsorted(nodes, frequency * (1.0 - _ROUNDING)), nodes.size - 1)
     marks = {
         "voltage": np.asarray((budget.linear & budget.known)[:, :1]),
         "ripple": np.asarray(ripple <= most * (1.0 + _ROUNDING)),
-        "junction": np.asarray(budget.steady[:, node] & (hot <= hottest)),
-        **_frequency_marks(fine, electrical, limits),
+        "junction": np.asarray(np.take_along_axis(budget.steady, node, axis=1) & (hot <= hottest)),
+        **_frequency_marks(frequency, electrical, limits),
     }
-    return _Curves(fine, loss, hot, ripple, marks)
+    return _Curves(frequency, loss, hot, ripple, marks)
+
+
+def _between(values: FloatArray, fine: FloatArray, wanted: FloatArray) -> FloatArray:
+    """Values (M, F, P) over fine frequencies at one of its own for each (M, P), straight in the logarithms."""
+    after = np.clip(np.searchsorted(fine, wanted), 1, fine.size - 1)
+    weight = np.log(wanted / fine[after - 1]) / np.log(fine[after] / fine[after - 1])
+    low, high = (np.take_along_axis(values, place[:, np.newaxis], axis=1) for place in (after - 1, after))
+    return np.asarray(low * (high / low) ** weight[:, np.newaxis])
 
 
 def _columns(points: ChoicePoints, here: slice) -> ChoicePoints:
@@ -268,9 +283,11 @@ def _best(names: tuple[ModulationName, ...], curves: _Curves) -> BestChoice:
     def taken(values: FloatArray) -> FloatArray:
         return np.where(found, values[which, place, column], np.nan)
 
+    f_sw, ends = taken(curves.frequency), (np.min(curves.frequency), np.max(curves.frequency))
+    ranged = bool(ends[0] < ends[1])
     binding = {
-        "least frequency": found & (place == 0) & (curves.frequency.size > 1),
-        "largest frequency": found & (place == curves.frequency.size - 1) & (curves.frequency.size > 1),
+        "least frequency": found & (f_sw == ends[0]) & ranged,
+        "largest frequency": found & (f_sw == ends[1]) & ranged,
     }
     for name in ("voltage", "ripple", "junction", "carrier ratio", "avoided band"):
         without = np.min(np.where(_all(curves.marks, name) & finite, curves.loss, np.inf), axis=(0, 1))
@@ -278,7 +295,7 @@ def _best(names: tuple[ModulationName, ...], curves: _Curves) -> BestChoice:
     return BestChoice(
         modulations=names,
         modulation=np.where(found, which, -1),
-        f_sw=np.where(found, curves.frequency[place], np.nan),
+        f_sw=f_sw,
         loss=taken(curves.loss),
         ripple_current=taken(curves.ripple),
         junction_temperature=taken(curves.hot),

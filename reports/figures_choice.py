@@ -28,7 +28,7 @@ _NOTHING = "#d9d9d9"
 _BARS = {"best": "#2e7d5b", "rule": "#1f6fb2", "other": "#a9c6e6", "today": "#c3cad3"}
 _BOX = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
 _ROW = 0.2
-_NARROW = 0.17
+_NARROW = 0.25
 """Share of the width below which the text of an answer stands upright."""
 
 Box = tuple[float, float, float, float]

@@ -30,6 +30,8 @@ BARS_SHOWN = 14
 WINNERS = ("#9ec5e8", "#f0b36b", "#8fc9b9", "#d9a0c7", "#e6dc8c", "#b8aee0", "#c4a484", "#9fb0bd")
 OTHERS = "#dfe3e8"
 _ROW = 0.22
+_VISIBLE = 1e-4
+"""Share of the total from which a kind of loss is drawn."""
 
 
 def _draw_bars(
@@ -37,7 +39,7 @@ def _draw_bars(
 ) -> None:
     """Stacked bars, the first on top; energies or powers (parts, A) in the unit named."""
     ends = np.sum(energies, axis=0)
-    shown = [k for k in range(len(PARTS)) if np.any(energies[k] > 0.0)]
+    shown = [k for k in range(len(PARTS)) if np.any(energies[k] > _VISIBLE * ends)]
     for row in range(energies.shape[1]):
         left = 0.0
         for part in shown:

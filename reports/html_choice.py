@@ -35,7 +35,8 @@ def choice_part(choice: ModulationChoice | None, prefix: str) -> PlainData | Non
 
 
 def _text(choice: ModulationChoice) -> str:
-    limits = "; ".join(limits_text(choice.settings))
+    first, *others = limits_text(choice.settings)
+    limits = "; ".join([first, *(line[0].lower() + line[1:] for line in others)])
     shares = binding_shares(choice)
     bound = ", ".join(f"{name} at {share(part)}" for name, part in shares.items())
     bound = f"What binds the best choice, by share of the points: {bound}." if bound else "No limit binds."
