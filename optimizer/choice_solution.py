@@ -18,13 +18,12 @@ from dqforge.machines.modulation import BoolArray, linear_limit
 from dqforge.machines.settings import ChoiceSettings, ModulationName
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.characteristics import characteristics
+from dqforge.optimizer.choice_limits import ChoiceLimits, ChoicePoints
 from dqforge.optimizer.choice_rule import Leaf, Question, Rule, SimplifiedChoice, simplify
 from dqforge.optimizer.drive_budget import BudgetOptions
 from dqforge.optimizer.drive_comparison import strategy_currents
 from dqforge.optimizer.modulation_choice import (
     BestChoice,
-    ChoiceLimits,
-    ChoicePoints,
     best_choice,
     listed_frequencies,
     permitted_losses,

@@ -13,11 +13,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqforge.machines.bridge_tables import bridge_tables
-from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.modulation import BoolArray
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray, Machine
+from dqforge.optimizer.choice_limits import (
+    LIMITS,
+    ROUNDING,
+    ChoiceLimits,
+    ChoicePoints,
+    all_kept,
+    electrical_frequency,
+    frequency_marks,
+    limit_marks,
+)
 from dqforge.optimizer.choice_rule import SimplifiedChoice, simplify
 from dqforge.optimizer.drive_budget import BudgetOptions, DriveBudget, drive_budget
 
@@ -26,10 +35,6 @@ _FINE = 193
 _LISTED = 4
 """Frequencies per modulator that a rule may take, evenly in the logarithm, the ends of the range included."""
 
-LIMITS = ("ripple", "junction", "carrier ratio", "avoided band", "voltage", "least frequency", "largest frequency")
-"""What may bind a choice; ``voltage`` is the linear range of a modulator that would lose less."""
-
-_ROUNDING = 1e-12
 _EQUAL = 1e-6
 """Relative difference from which the losses of two modulators differ: less is rounding of the splines."""
 
@@ -38,56 +43,6 @@ _BINDS = 1e-4
 
 _AT_ONCE = 512
 """Points whose curves are held in memory at once."""
-
-
-@dataclass(frozen=True, slots=True)
-class ChoiceLimits:
-    """What a choice must keep.
-
-    ``f_min`` and ``f_max`` in Hz bound the switching frequency: the least one keeps the noise out of hearing or the
-    control fast enough; ``bands`` (low, high) in Hz are left out between them. ``ripple_max`` in A is the largest
-    r.m.s. of the phase-current ripple, None for any. ``junction_max`` in degC, None for what the device permits.
-    ``carrier_ratio`` is the least number of carrier periods in an electrical one.
-    """
-
-    f_min: float
-    f_max: float
-    ripple_max: float | None = None
-    junction_max: float | None = None
-    bands: tuple[tuple[float, float], ...] = ()
-    carrier_ratio: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse an empty range."""
-        if not 0.0 < self.f_min <= self.f_max < np.inf:
-            raise InputError(f"switching frequencies from {self.f_min:g} to {self.f_max:g} Hz are no range")
-
-    def outside_bands(self, frequency: FloatArray) -> BoolArray:
-        """Where frequencies in Hz lie in none of the bands; their ends are permitted."""
-        inside = np.zeros(frequency.shape, dtype=np.bool_)
-        for low, high in self.bands:
-            inside |= (frequency > low) & (frequency < high)
-        return ~inside
-
-    def edges(self) -> FloatArray:
-        """Ends of the bands within the range, in Hz."""
-        ends = np.array([end for band in self.bands for end in band], dtype=np.float64)
-        return ends[(ends > self.f_min) & (ends < self.f_max)]
-
-
-@dataclass(frozen=True, slots=True)
-class ChoicePoints:
-    """Operating points, arrays of shape (P,): torque in N m, mechanical speed in rad/s, currents in A (peak).
-
-    The currents may have the shape (M, P), one row for each modulator, with NaN where it cannot make the torque.
-    ``weights`` are shares of time, None for all alike.
-    """
-
-    torque: FloatArray
-    omega_m: FloatArray
-    i_d: FloatArray
-    i_q: FloatArray
-    weights: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,40 +77,6 @@ class ListedChoice:
 
     alternatives: tuple[tuple[ModulationName, float], ...]
     simplified: SimplifiedChoice
-
-
-def _marks(budget: DriveBudget, frequency: FloatArray, ratio: FloatArray, limits: ChoiceLimits) -> dict[str, BoolArray]:
-    """Which limits a budget keeps at frequencies (F,) in Hz; ``ratio`` are electrical frequencies in Hz, shape (P,)."""
-    ripple = np.inf if limits.ripple_max is None else limits.ripple_max
-    hottest = np.inf if limits.junction_max is None else limits.junction_max
-    warm = budget.steady & budget.cool_enough & (budget.junction_temperature <= hottest)
-    return {
-        "voltage": np.asarray(budget.linear & budget.known),
-        "ripple": np.asarray(budget.ripple_current <= ripple * (1.0 + _ROUNDING)),
-        "junction": np.asarray(warm),
-        **_frequency_marks(frequency[:, np.newaxis], ratio, limits),
-    }
-
-
-def _frequency_marks(frequency: FloatArray, ratio: FloatArray, limits: ChoiceLimits) -> dict[str, BoolArray]:
-    """Limits of the frequency alone, (M, F, P)."""
-    return {
-        "carrier ratio": np.asarray(frequency >= limits.carrier_ratio * ratio * (1.0 - _ROUNDING)),
-        "avoided band": limits.outside_bands(frequency),
-    }
-
-
-def _all(marks: dict[str, BoolArray], without: str = "") -> BoolArray:
-    kept = np.ones((), dtype=np.bool_)
-    for name, mark in marks.items():
-        if name != without:
-            kept = kept & mark
-    return np.asarray(kept)
-
-
-def electrical_frequency(machine: Machine, points: ChoicePoints) -> FloatArray:
-    """Electrical frequency in Hz at the points, shape (P,)."""
-    return np.asarray(machine.pole_pairs * np.abs(points.omega_m) / (2.0 * np.pi))
 
 
 def _splined(values: FloatArray, nodes: FloatArray, fine: FloatArray) -> FloatArray:
@@ -195,7 +116,7 @@ def _curves(
 ) -> _Curves:
     """The budget on its nodes, carried over to a fine grid."""
     if nodes.size == 1:
-        marks = _marks(budget, nodes, electrical, limits)
+        marks = limit_marks(budget, nodes, electrical, limits)
         frequency = np.broadcast_to(nodes[:, np.newaxis], budget.total.shape)
         return _Curves(frequency, budget.total, budget.junction_temperature, budget.ripple_current, marks)
     fine = np.union1d(np.geomspace(nodes[0], nodes[-1], _FINE), limits.edges())
@@ -209,12 +130,12 @@ def _curves(
     loss, hot = (np.concatenate([values, _between(values, fine, least)], axis=1) for values in (loss, hot))
     ripple = first[:, np.newaxis] / frequency
     # Between two nodes heat is steady where it is at the higher one.
-    node = np.minimum(np.searchsorted(nodes, frequency * (1.0 - _ROUNDING)), nodes.size - 1)
+    node = np.minimum(np.searchsorted(nodes, frequency * (1.0 - ROUNDING)), nodes.size - 1)
     marks = {
         "voltage": np.asarray((budget.linear & budget.known)[:, :1]),
-        "ripple": np.asarray(ripple <= most * (1.0 + _ROUNDING)),
+        "ripple": np.asarray(ripple <= most * (1.0 + ROUNDING)),
         "junction": np.asarray(np.take_along_axis(budget.steady, node, axis=1) & (hot <= hottest)),
-        **_frequency_marks(frequency, electrical, limits),
+        **frequency_marks(frequency, electrical, limits),
     }
     return _Curves(frequency, loss, hot, ripple, marks)
 
@@ -272,7 +193,7 @@ def best_choice(
 
 def _best(names: tuple[ModulationName, ...], curves: _Curves) -> BestChoice:
     finite = np.isfinite(curves.loss)
-    counted = np.where(_all(curves.marks) & finite, curves.loss, np.inf)
+    counted = np.where(all_kept(curves.marks) & finite, curves.loss, np.inf)
     least = np.min(counted, axis=1)
     smallest = np.min(least, axis=0)
     which = np.argmax(least <= smallest * (1.0 + _EQUAL), axis=0)
@@ -290,7 +211,7 @@ def _best(names: tuple[ModulationName, ...], curves: _Curves) -> BestChoice:
         "largest frequency": found & (f_sw == ends[1]) & ranged,
     }
     for name in ("voltage", "ripple", "junction", "carrier ratio", "avoided band"):
-        without = np.min(np.where(_all(curves.marks, name) & finite, curves.loss, np.inf), axis=(0, 1))
+        without = np.min(np.where(all_kept(curves.marks, name) & finite, curves.loss, np.inf), axis=(0, 1))
         binding[name] = np.asarray(without < smallest * (1.0 - _BINDS))
     return BestChoice(
         modulations=names,
@@ -319,7 +240,7 @@ def permitted_losses(
     The loss is 0 where it is not known. Parameters as in `best_choice`; ``frequencies`` has the shape (F,).
     """
     budget = _budget(machine, inverter, points, tuple(modulations), frequencies, options)
-    kept = _all(_marks(budget, frequencies, electrical_frequency(machine, points), limits))
+    kept = all_kept(limit_marks(budget, frequencies, electrical_frequency(machine, points), limits))
     return np.where(np.isfinite(budget.total), budget.total, 0.0), kept
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,8 +29,6 @@ _NOTHING = "#d9d9d9"
 _BARS = {"best": "#2e7d5b", "rule": "#1f6fb2", "other": "#a9c6e6", "today": "#c3cad3"}
 _BOX = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
 _ROW = 0.2
-_NARROW = 0.25
-"""Share of the width below which the text of an answer stands upright."""
 
 Box = tuple[float, float, float, float]
 
@@ -71,20 +70,40 @@ def _draw_rule(axes: Axes, choice: ModulationChoice, *, named: bool) -> None:
         if named and np.any(here):
             i, j = inside(here)
             name, frequency = rule.alternatives[leaf.choice]
-            narrow = (right - left) * _RPM < _NARROW * box[1] * _RPM
-            text = f"{name}{', ' if narrow else chr(10)}{hertz(frequency)}"
+            rows, columns = np.any(here, axis=1), np.any(here, axis=0)
+            layout = _layout(float(np.mean(columns)), float(np.mean(rows)))
             axes.text(
                 choice.omega_m[j] * _RPM,
                 choice.torque[i],
-                text,
+                f"{name}{layout.separator}{hertz(frequency)}",
                 ha="center",
                 va="center",
-                fontsize=7.0,
+                fontsize=layout.size,
                 fontweight="bold",
-                rotation=90.0 if narrow else 0.0,
+                rotation=layout.rotation,
                 bbox=_BOX,
                 zorder=5,
             )
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """How an answer is written into its part of the map."""
+
+    separator: str
+    rotation: float = 0.0
+    size: float = 7.0
+
+
+def _layout(width: float, height: float) -> _Layout:
+    """The first layout that fits into a part of the map, whose sides are shares of the map's."""
+    if width >= 0.24 and height >= 0.13:
+        return _Layout("\n")
+    if width >= 0.42 and height >= 0.07:
+        return _Layout(", ")
+    if height >= 0.42:
+        return _Layout(", ", 90.0)
+    return _Layout(", " if width >= 0.3 else "\n", size=5.0)
 
 
 def _ends(values: FloatArray) -> tuple[float]:
@@ -181,7 +200,7 @@ def _draw_losses(axes: Axes, choice: ModulationChoice) -> None:
         axes.annotate(
             f"{loss:.4g} W{text}", (loss, -y), (4, 0), textcoords="offset points", va="center", fontsize=7.0, color=INK
         )
-    axes.set(xlim=(0.0, 1.42 * largest), ylim=(-len(rows) + 0.4, 0.6), xlabel="Mean loss in W over the map")
+    axes.set(xlim=(0.0, 1.5 * largest), ylim=(-len(rows) + 0.4, 0.6), xlabel="Mean loss in W over the map")
     axes.set_yticks([-y for y in range(len(rows))], [row[0] for row in rows])
     axes.tick_params(axis="y", length=0.0, labelsize=7.0)
     axes.spines["left"].set_color(MUTED)
