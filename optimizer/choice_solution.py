@@ -179,7 +179,8 @@ def solve_choice(design: Design) -> ModulationChoice | None:
         settings=settings,
         torque=torque,
         omega_m=omega,
-        reached=np.any(made[:count], axis=0),
+        # Without field weakening a torque within the current limit may still take too much voltage.
+        reached=np.any(made[:count], axis=0) & (best.found | ~best.binding["voltage"]),
         best=best,
         asked=asked,
         best_mean=mean,

@@ -190,3 +190,16 @@ def test_without_the_section_there_is_nothing_and_without_a_way_out_an_error() -
     assert solve_choice(design(None)) is None
     with pytest.raises(NoSolutionError, match="modulation_choice: at no torque and speed"):
         solve_choice(design(replace(SETTINGS, ripple_max=1e-4)))
+
+
+def test_without_field_weakening_the_voltage_ends_the_map() -> None:
+    """At i_d = 0 what the linear range cannot make counts as out of reach, not as a limit that is broken."""
+    choice = solved("id0")
+    torque, speed = grid(choice)
+    i_q = torque / (6.0 * 0.1049)
+    volts = 4.0 * speed * np.hypot(0.1049, 592e-6 * i_q)  # but for the resistance
+    limit = linear_limit("svpwm", 500.0)
+    assert not np.any(choice.reached[volts > 1.01 * limit])
+    within = (volts < 0.97 * limit) & (i_q <= 283.0)
+    assert np.all(choice.reached[within])
+    assert np.array_equal(choice.reached, choice.asked)
