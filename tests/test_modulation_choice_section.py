@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ from dqforge.machines.settings import ChoiceSettings
 from dqforge.optimizer.choice_solution import ModulationChoice, solve_choice
 from dqforge.reports.choice_tables import choice_tables
 from dqforge.reports.choice_text import binding_shares, limits_text, rule_lines
+from dqforge.reports.cross import verify_on_target
 from dqforge.reports.figures import to_svg
 from dqforge.reports.figures_choice import leaf_boxes, plot_choice
 from dqforge.reports.files import write_all
@@ -229,3 +232,17 @@ def test_the_library_drive_carries_the_section() -> None:
     loaded = catalogue.load(IPM)
     assert loaded.modulation_choice is not None
     assert loaded.modulation_choice.ripple_max == 1.0
+
+
+def test_the_rule_holds_on_an_emulated_core_and_a_wrong_one_is_found(output: RunOutput) -> None:
+    for tool in ("arm-none-eabi-gcc", "qemu-system-arm"):
+        if shutil.which(tool) is None:
+            if os.environ.get("CI"):
+                pytest.fail(f"{tool} is missing; CI needs it")
+            pytest.skip(f"{tool} is not installed")
+    files = {name: content for name, content in output.files.items() if name.endswith(".h")}
+    assert verify_on_target(files, "ipm100", "cortex-m4").vectors > 0
+    wrong = re.sub(rb"frequency_Hz = (\d+)\.0F", rb"frequency_Hz = \g<1>.5F", files["ipm100_modulation.h"], count=1)
+    assert wrong != files["ipm100_modulation.h"]
+    with pytest.raises(VerificationError, match="choice of modulator"):
+        verify_on_target(files | {"ipm100_modulation.h": wrong}, "ipm100", "cortex-m4")
