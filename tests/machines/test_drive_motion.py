@@ -55,7 +55,7 @@ def test_the_controller_holds_the_references_of_right_and_of_wrong_machines() ->
     omega = np.full((2500, 1), 1200.0)
     wrong = {"r_s": [0.0, 0.5, 0.0], "l_q": [0.0, 0.0, -0.3], "psi_pm": [0.0, -0.1, 0.0]}
     motion = drive_motion(MACHINE, T_S, omega, np.array([-3 + 8j]), wrong)
-    assert motion.i_d.shape == (800, 3)
+    assert motion.i_d.shape == (2500, 3)
     np.testing.assert_allclose(motion.i_d[-1], -3.0, atol=1e-6)
     np.testing.assert_allclose(motion.i_q[-1], 8.0, atol=1e-6)
     np.testing.assert_allclose(motion.i_d[:, 0], -3.0, atol=0.03)  # starts in the steady state
