@@ -13,6 +13,7 @@ from typing import Any
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.phase_reference import PhaseReference
 from dqforge.optimizer.surface_reference import WeakeningReference
+from dqforge.reports.control_header import control_from, control_programme
 from dqforge.reports.programme import Programme
 from dqforge.reports.surface_header import weakening_currents, weakening_from, weakening_inputs
 from dqforge.reports.waveform_header import model_currents, phase_reference_from, waveform_inputs
@@ -30,7 +31,7 @@ class FurtherHeader:
     name:
         Part of the file names ``<prefix>_<name>.h`` and of the key ``<name>_header`` in ``result.json``.
     read:
-        Model from its plain data; raises InputError where they are not what dqforge writes.
+        Model from its plain data and the whole result; raises InputError where they are not what dqforge writes.
     programme:
         Harness, inputs and results of a model.
     vectors:
@@ -38,7 +39,7 @@ class FurtherHeader:
     """
 
     name: str
-    read: Callable[[Mapping[str, Any]], Any]
+    read: Callable[[Mapping[str, Any], Mapping[str, Any]], Any]
     programme: Callable[[Any], Programme]
     vectors: bool = True
 
@@ -65,8 +66,9 @@ def _weakening_programme(reference: WeakeningReference) -> Programme:
 
 
 FURTHER_HEADERS = (
-    FurtherHeader("waveform", phase_reference_from, _waveform_programme),
-    FurtherHeader("weakening", weakening_from, _weakening_programme),
+    FurtherHeader("waveform", lambda own, _: phase_reference_from(own), _waveform_programme),
+    FurtherHeader("weakening", lambda own, _: weakening_from(own), _weakening_programme),
+    FurtherHeader("control", control_from, control_programme, vectors=False),
 )
 """All kinds, in the order in which they are written and verified."""
 
@@ -88,5 +90,5 @@ def programmes(plain: Mapping[str, Any]) -> tuple[dict[str, FurtherHeader], list
         if not isinstance(described, dict):
             raise InputError(f"{kind.key} is not what dqforge writes; run the design again")
         found[kind.name] = kind
-        made.append(kind.programme(kind.read(described)))
+        made.append(kind.programme(kind.read(described, plain)))
     return found, made

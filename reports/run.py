@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from dqforge.machines.design import Design
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.control_header import control_files
 from dqforge.reports.further_headers import programmes
 from dqforge.reports.header import header_files
 from dqforge.reports.html_report import render_report
@@ -46,6 +47,8 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
         files |= waveform_files(design, solution.phases)
     if solution.weakening is not None:
         files |= weakening_files(design, solution.weakening)
+    if "float32" in design.export.control:
+        files |= control_files(solution)
     plain = plain_solution(solution)
     verification = _verified(solution, files, plain) if verify else None
     files["result.json"] = to_text("run", design.name, plain).encode("ascii")
