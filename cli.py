@@ -194,6 +194,27 @@ def verify(
 
 
 @app.command()
+def compare(
+    first: Annotated[str, typer.Argument(metavar="A", help="Design, library drive, or what 'dqforge run' wrote.")],
+    second: Annotated[str, typer.Argument(metavar="B", help="The same; differences are those of B against A.")],
+    json: JsonOption = False,
+) -> None:
+    """Compare two designs or results: machine, limits, references, gains, losses, macros."""
+    from dqforge.reports.comparison import compare_sides
+    from dqforge.reports.comparison_sources import read_side
+    from dqforge.reports.comparison_tables import comparison_tables, plain_comparison
+    from dqforge.reports.console import status
+
+    with status("solving"):
+        comparison = compare_sides(read_side(first, _load), read_side(second, _load))
+    if json:
+        names = f"{comparison.a.name} | {comparison.b.name}"
+        _print_json("compare", names, {"comparison": plain_comparison(comparison)})
+    else:
+        _show(comparison_tables(comparison))
+
+
+@app.command()
 def mtpa(
     design: DesignArgument,
     json: JsonOption = False,
