@@ -1,4 +1,4 @@
-"""The two sides of a comparison: a design that is solved now, or the result that an earlier run wrote."""
+"""The two sides of a comparison: a design that is solved now, the result of an earlier run, or a header alone."""
 
 from __future__ import annotations
 
@@ -17,6 +17,10 @@ from dqforge.reports.result_json import FORMAT, plain_solution, to_text
 _RESULT = "result.json"
 _LARGEST_FILE = 64 * 1024 * 1024
 _PARTS = ("input", "drive", "header", "fit", "gains")
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+_GUARD = re.compile(r"^#ifndef ([A-Za-z_][A-Za-z0-9_]*)_H$", re.MULTILINE)
+_TITLE = re.compile(r"/\* \S+\.h - controller coefficients for (.+)")
+_DIGEST = re.compile(r"SHA-256 ([0-9a-f]{64})")
 _MACRO = re.compile(r"^#define ([A-Za-z_][A-Za-z0-9_]*) \(([^()\n]*)\)", re.MULTILINE)
 
 
@@ -32,11 +36,17 @@ class Side:
         The document that `dqforge run` writes.
     macros:
         Values of the header's macros as they are written, by name without prefix; None where there is no header.
+    code:
+        The header without comments and prefixes; None where there is none.
+    header_only:
+        True where ``result`` holds nothing but the name of the design and the digest of its file.
     """
 
     source: str
     result: PlainData
     macros: dict[str, str] | None
+    code: str | None = None
+    header_only: bool = False
 
     @property
     def name(self) -> str:
@@ -59,7 +69,7 @@ class Side:
 
 
 def read_side(text: str, load: Callable[[str], Design]) -> Side:
-    """One side by what the user named: a folder or JSON file that `dqforge run` wrote, else a design.
+    """One side by what the user named: a folder, JSON file or header that `dqforge run` wrote, else a design.
 
     Parameters
     ----------
@@ -75,11 +85,20 @@ def read_side(text: str, load: Callable[[str], Design]) -> Side:
     NoSolutionError
         The design has no solution.
     """
+    if not text:
+        raise InputError("compare: a name is empty; write a design, a library name, or what 'dqforge run' wrote")
     path = Path(text)
     if path.is_dir():
+        if not (path / _RESULT).exists():
+            raise InputError(
+                f"the folder has no {_RESULT}; give the folder that 'dqforge run' or 'dqforge export' wrote",
+                source=text,
+            )
         return _from_result(text, path / _RESULT)
     if path.suffix.lower() == ".json":
         return _from_result(text, path)
+    if path.suffix.lower() == ".h":
+        return _from_header(text, path)
     return solved_side(text, load(text))
 
 
@@ -93,7 +112,13 @@ def solved_side(source: str, design: Design) -> Side:
     header = header_files(solution)[f"{prefix}.h"].decode("ascii")
     # Through the text, so that both sides are rounded alike.
     result = json.loads(to_text("run", design.name, plain_solution(solution)))
-    return Side(source, result, header_macros(header, prefix))
+    return Side(source, result, header_macros(header, prefix), header_code(header, prefix))
+
+
+def header_code(header: str, prefix: str) -> str:
+    """What a header compiles to: without comments, blank lines and the prefix of its names."""
+    bare = re.sub(rf"(?<![A-Za-z0-9_]){re.escape(prefix)}(?=_)", "", _COMMENT.sub("", header), flags=re.IGNORECASE)
+    return "\n".join(line for line in (" ".join(text.split()) for text in bare.splitlines()) if line)
 
 
 def header_macros(header: str, prefix: str) -> dict[str, str]:
@@ -120,7 +145,7 @@ def _from_result(text: str, path: Path) -> Side:
     try:
         result = json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise InputError("is not JSON; run the design again", source=source) from error
+        raise InputError("is not JSON; give the result.json of 'dqforge run'", source=source) from error
     if not isinstance(result, dict) or "dqforge" not in result or "command" not in result:
         raise InputError("is not a result of dqforge; give the result.json of 'dqforge run'", source=source)
     if result["command"] != "run":
@@ -136,14 +161,26 @@ def _from_result(text: str, path: Path) -> Side:
     for part in _PARTS:
         if not isinstance(result.get(part), dict):
             raise InputError(f"{part}: is missing or no object; run the design again", source=source)
-    return Side(text, result, _macros_beside(path, result["header"].get("prefix")))
+    macros, code = _header_beside(path, result["header"].get("prefix"))
+    return Side(text, result, macros, code)
 
 
-def _macros_beside(path: Path, prefix: object) -> dict[str, str] | None:
-    """Macros of the header in the folder of a result, None where there is none."""
+def _from_header(text: str, path: Path) -> Side:
+    header = _read(path).decode("utf-8", errors="replace")
+    guard, title, digest = _GUARD.search(header), _TITLE.match(header), _DIGEST.search(header)
+    if guard is None or title is None or digest is None:
+        raise InputError("is no header of dqforge; give <prefix>.h of 'dqforge run' or 'dqforge export'", source=text)
+    result = {"design": title[1].strip(), "input": {"digest": digest[1]}}
+    prefix = guard[1]
+    return Side(text, result, header_macros(header, prefix), header_code(header, prefix), header_only=True)
+
+
+def _header_beside(path: Path, prefix: object) -> tuple[dict[str, str] | None, str | None]:
+    """Macros and code of the header in the folder of a result, None where there is none."""
     if not isinstance(prefix, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", prefix):
         raise InputError("header.prefix: expected a C identifier; run the design again", source=str(path))
     header = path.parent / f"{prefix}.h"
     if not header.is_file():
-        return None
-    return header_macros(_read(header).decode("utf-8", errors="replace"), prefix)
+        return None, None
+    content = _read(header).decode("utf-8", errors="replace")
+    return header_macros(content, prefix), header_code(content, prefix)

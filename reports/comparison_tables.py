@@ -6,7 +6,8 @@ import math
 from itertools import groupby
 
 from dqforge.machines.quantities import format_quantity
-from dqforge.reports.comparison import Comparison, LossRow, Row, Value
+from dqforge.reports.comparison import Comparison, LossRow, MacroRow
+from dqforge.reports.comparison_rows import Row, Value
 from dqforge.reports.comparison_sources import Side
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.tables import Table
@@ -21,9 +22,9 @@ def _text(value: Value, unit: str) -> str:
     return value if isinstance(value, str) else format_quantity(value, unit)
 
 
-def _share(value: float) -> str:
-    percent = 100.0 * value
-    return f"{percent:+.3g} %" if abs(percent) < 1000.0 else f"{percent:+.0f} %"
+def _share(relative: float, ratio: float) -> str:
+    # Beyond ten times a share in percent is hard to read.
+    return f"{100.0 * relative:+.3g} %" if abs(relative) < 9.0 else f"{ratio:.3g} times"
 
 
 def _difference(row: Row) -> str:
@@ -31,8 +32,8 @@ def _difference(row: Row) -> str:
         return "="
     if row.a is None or row.b is None:
         return "only B" if row.a is None else "only A"
-    if row.relative is not None:
-        return _share(row.relative)
+    if row.relative is not None and isinstance(row.a, float) and isinstance(row.b, float):
+        return _share(row.relative, row.b / row.a)
     return "differs"
 
 
@@ -40,18 +41,23 @@ def _side_row(name: str, side: Side) -> tuple[str, ...]:
     return (name, side.source, side.name, side.digest[:12])
 
 
+def _counts(quantities: int, losses: int, macros: int | None) -> str:
+    parts = [(quantities, "quantity", "quantities"), (losses, "loss", "losses")]
+    if macros is not None:
+        parts.append((macros, "macro", "macros"))
+    return ", ".join(f"{count} {one if count == 1 else many}" for count, one, many in parts)
+
+
 def _summary(comparison: Comparison) -> tuple[str, ...]:
-    count = f"{len(comparison.rows)} quantities, {len(comparison.losses)} losses"
-    if comparison.macros_compared is not None:
-        count += f", {comparison.macros_compared} macros"
+    count = _counts(len(comparison.rows), len(comparison.losses), comparison.macros_compared)
     if comparison.identical:
         same_file = comparison.a.digest and comparison.a.digest == comparison.b.digest
         why = "the design files are the same" if same_file else "the design files differ, their results do not"
         return (f"A and B are identical: {count}; {why}", *comparison.notes)
     losses = sum(row.better not in ("equal", None) for row in comparison.losses)
     differ = sum(row.differs for row in comparison.rows)
-    macros = "" if comparison.macros_compared is None else f", {len(comparison.macros)} macros"
-    different = f"different: {differ} quantities, {losses} losses{macros}; compared: {count}"
+    macros = None if comparison.macros_compared is None else len(comparison.macros)
+    different = f"different: {_counts(differ, losses, macros)}; compared: {count}"
     return (different, *comparison.alone, *comparison.notes)
 
 
@@ -108,9 +114,15 @@ def _loss_tables(comparison: Comparison) -> list[Table]:
 def _macro_table(comparison: Comparison) -> list[Table]:
     if not comparison.macros:
         return []
-    rows = tuple((row.name, row.a or _NONE, row.b or _NONE) for row in comparison.macros)
+    rows = tuple((row.name, row.a or _NONE, row.b or _NONE, _macro_difference(row)) for row in comparison.macros)
     title = f"header: {len(rows)} of {comparison.macros_compared} macros differ"
-    return [Table(title, ("without prefix", "A", "B"), rows)]
+    return [Table(title, ("without prefix", "A", "B", "B against A"), rows)]
+
+
+def _macro_difference(row: MacroRow) -> str:
+    if row.a is None or row.b is None:
+        return "only B" if row.a is None else "only A"
+    return "differs" if row.relative is None or row.ratio is None else _share(row.relative, row.ratio)
 
 
 def comparison_tables(comparison: Comparison) -> list[Table]:
@@ -161,7 +173,7 @@ def plain_comparison(comparison: Comparison) -> PlainData:
             }
             for row in comparison.losses
         ],
-        "macros": [{"name": row.name, "a": row.a, "b": row.b} for row in comparison.macros],
+        "macros": [{"name": row.name, "a": row.a, "b": row.b, "relative": row.relative} for row in comparison.macros],
         "macros_compared": comparison.macros_compared,
         "notes": [*comparison.alone, *comparison.notes],
     }

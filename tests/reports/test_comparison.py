@@ -17,8 +17,9 @@ from dqforge import cli
 from dqforge.machines import catalogue, loader
 from dqforge.machines.design import Design
 from dqforge.machines.settings import LoadPoint, LossSettings
-from dqforge.reports.comparison import Comparison, LossRow, Row, compare_sides
-from dqforge.reports.comparison_sources import Side, header_macros, solved_side
+from dqforge.reports.comparison import Comparison, LossRow, MacroRow, compare_sides
+from dqforge.reports.comparison_rows import Row
+from dqforge.reports.comparison_sources import Side, header_code, header_macros, solved_side
 from dqforge.reports.comparison_tables import comparison_tables
 
 BENCH = "paper001-pmsm-bench"
@@ -39,6 +40,7 @@ def different(found: Comparison) -> set[tuple[str, str]]:
     return {(row.section, row.label) for row in found.rows if row.differs}
 
 
+CODE = ("header", "checksum of the code")
 MARGINS = ("phase margin", "gain margin (factor)", "delay margin", "M_s")
 LOOPED = ("bandwidth (crossover)", *MARGINS)
 
@@ -79,7 +81,8 @@ def test_a_change_shows_in_what_depends_on_it(
     bench: Side, old: str, new: str, rows: set[tuple[str, str]], macros: set[str]
 ) -> None:
     found = compare_sides(bench, solved_side("changed", changed(old, new)))
-    assert different(found) == rows
+    # The header's code holds the macros.
+    assert different(found) == rows | ({CODE} if macros else set())
     assert {row.name for row in found.macros} == macros
     assert found.identical == (not rows and all(row.better in ("equal", None) for row in found.losses))
 
@@ -188,6 +191,46 @@ def test_result_without_header_says_so(run: Run, written: Path, tmp_path: Path) 
     assert "headers are not compared: there is none beside the result of A" in out
 
 
+def test_headers_alone(run: Run, written: Path, tmp_path: Path) -> None:
+    """Against itself, its folder and its design; a literal or a macro changed by hand shows."""
+    header = written / "bench001.h"
+    for other in (header, written, BENCH):
+        code, out, _ = run("compare", header, other)
+        assert code == 0
+        assert "A and B are identical: 1 quantity, 0 losses, 44 macros; the design files are the same" in out
+    text = header.read_text()
+    for old, new, macros in (("(0.00161F)", "(0.0322F)", ["L_D_H"]), ("= 3.7037036F *", "= 3.7037038F *", [])):
+        assert text.count(old) == 1
+        edited_header = tmp_path / "edited.h"
+        edited_header.write_text(text.replace(old, new, 1))
+        code, out, _ = run("compare", header, edited_header, "--json")
+        found = json.loads(out)["comparison"]
+        assert code == 0
+        assert found["identical"] is False
+        assert [row["name"] for row in found["macros"]] == macros
+        assert [(row["section"], row["quantity"]) for row in found["rows"] if row["differs"]] == [CODE]
+    assert "20 times" in run("compare", header, _written(tmp_path / "l.h", text.replace("(0.00161F)", "(0.0322F)")))[1]
+
+
+def _written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_code_is_compared_without_comments_prefix_and_spaces() -> None:
+    one = header_code("/* a\n b */\n#define X_A (1)\nstatic int x_f(void)  { return X_A; }\n", "X")
+    assert one == header_code("#define OTHER_A (1) /* c */\nstatic int other_f(void) { return OTHER_A; }\n", "other")
+    assert one != header_code("#define X_A (1)\nstatic int x_f(void) { return X_A + 1; }\n", "X")
+
+
+def test_macros_have_differences_where_they_are_numbers() -> None:
+    assert MacroRow("A", "2.0F", "-3").relative == pytest.approx(-2.5)
+    assert MacroRow("A", "-1.0F", "20").ratio == pytest.approx(-20.0)
+    assert MacroRow("A", "0", "1").relative is None
+    assert MacroRow("A", "X", "1").relative is None
+    assert MacroRow("A", None, "1").ratio is None
+
+
 def test_json(run: Run, written: Path) -> None:
     code, out, _ = run("compare", written, "thor-pmsyrm-5k", "--json")
     assert code == 0
@@ -241,8 +284,16 @@ def test_faults_of_results_are_one_line(
 
 def test_faults_of_names_are_one_line(run: Run, written: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
+    (tmp_path / "foreign.h").write_text("#ifndef X_H\n#define X_H\n#endif\n")
+    for suffix in ("h", "json", "yaml"):
+        (tmp_path / f"bytes.{suffix}").write_bytes(bytes([254, 0, 128, 10]) * 500)
     for name, words in (
-        ("empty", "empty/result.json: cannot be read"),
+        ("empty", "empty: the folder has no result.json"),
+        ("foreign.h", "foreign.h: is no header of dqforge"),
+        ("bytes.h", "bytes.h: is no header of dqforge"),
+        ("bytes.json", "bytes.json: is not JSON"),
+        ("bytes.yaml", "bytes.yaml:1:1: the byte 0xFE"),
+        ("", "a name is empty"),
         ("missing.json", "missing.json: cannot be read"),
         ("no-such-drive", "no-such-drive"),
     ):
