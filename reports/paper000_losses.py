@@ -215,10 +215,10 @@ def _ripple_text(rows: tuple[LossRow, ...]) -> Table:
     here = [row.switching_ripple for row in rows]
     printed = [row.printed_ripple for row in rows]
     notes = (
-        f"At equal currents DDT-GDPWM adds {here[2] - here[1]:.2f} N m to SPWM's ripple; the print adds "
-        f"{printed[2] - printed[1]:.2f}. The rest is the paper's finite-element machine, whose slots are not published. "
-        f"It is larger with MTPA: the switching alone makes {here[0] - here[1]:.2f} N m less there than with i_d = 0, "
-        f"the voltage being lower, and the print has {printed[1] - printed[0]:.2f} N m more."
+        f"At equal currents DDT-GDPWM adds {here[2] - here[1]:.2f} N m to the ripple of SPWM; the print "
+        f"adds {printed[2] - printed[1]:.2f}. The rest is the paper's finite-element machine, whose slots are not "
+        f"published. It is larger with MTPA: the switching alone makes {here[0] - here[1]:.2f} N m less there than "
+        f"with i_d = 0, the voltage being lower, and the print has {printed[1] - printed[0]:.2f} N m more."
     )
     return Table(
         "Paper 000, Table 4: largest torque ripple, peak to peak",

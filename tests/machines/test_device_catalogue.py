@@ -60,6 +60,11 @@ def test_mosfets() -> None:
 
 
 BASE = device_catalogue.read_text("sirectifier-sii400s12").decode()
+CONDITION = 'turn_on:\n  voltage: {value: 600 V, source: "data sheet, V_CC"}\n'
+RESISTIVE = """    threshold: {value: 1 V, source: "data sheet, V_CE(TO)"}
+    resistance: {value: 3 mOhm, source: "data sheet, r_CE"}
+"""
+POINTS = "    points: [{{current: 50 A, voltage: 1 V}}, {{current: {0}, voltage: {1}}}]\n"
 
 
 @pytest.mark.parametrize(
@@ -69,6 +74,11 @@ BASE = device_catalogue.read_text("sirectifier-sii400s12").decode()
         ("32 mJ", "32 J", "look like mJ"),
         ("{value: 600 V, source", "{value: 0.1 V, source", "turn_on.voltage"),
         ("{value: 125 degC, source: data sheet}\n", "{value: 25 degC, source: data sheet}\n", "each once"),
+        (CONDITION, "turn_on:\n", "turn_on needs the key 'voltage'"),
+        (RESISTIVE, POINTS.format(40, 2.0), "abscissa 1 is 40, not above 50"),
+        (RESISTIVE, POINTS.format(300, 0.4), "the drop 1 falls to 0.4 V from 1 V while the current rises to 300 A"),
+        (RESISTIVE, POINTS.format(300, -2.0), "must be zero or positive"),
+        (RESISTIVE, POINTS.format("300 V", 2.0), "current"),
         ("kind: igbt", "kind: thyristor", "expected one of mosfet, igbt"),
         ("recovery:", "recovers:", "did you mean 'recovery'"),
         ("    resistance: {value: 3 mOhm, source: \"data sheet, r_CE\"}\n", "", "write either resistance"),
