@@ -17,11 +17,12 @@ from numpy.typing import ArrayLike
 from dqforge.machines.bridge_heat import at_temperature, junction_balance
 from dqforge.machines.bridge_losses import BridgeAverages, bridge_averages
 from dqforge.machines.bridge_tables import BridgeTables, bridge_tables
+from dqforge.machines.dead_time import dead_time_factor
 from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import MachineBudget, WindingHeat, machine_budget
 from dqforge.machines.machine_loss import NO_EXTRA_LOSS, MachineLoss
-from dqforge.machines.modulation import BoolArray, in_linear_range
+from dqforge.machines.modulation import BoolArray, linear_limit
 from dqforge.machines.ripple import inverse_inductance
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray, Machine
@@ -92,7 +93,8 @@ class DriveBudget:
     thermal_residual:
         Largest residual of the balances of heat, in K.
     linear:
-        False beyond the linear range of the modulator, which cannot make the voltage there.
+        False beyond the linear range of the modulator less the dead time's share (`dead_time_factor`): the voltage
+        cannot be made there.
     steady:
         False where a junction or the winding runs away; what depends on it is NaN there.
     cool_enough:
@@ -255,6 +257,7 @@ def _budget(
     size = np.hypot(found.i_d, found.i_q)
     error = inverter.dead_time * frequency * inverter.v_dc * average.switched / (1.5 * np.where(size > 0.0, size, 1.0))
     voltage = np.hypot(found.v_d, found.v_q)
+    left = dead_time_factor(modulation, inverter.dead_time, frequency)
     hottest = np.max(balance.temperature, axis=(0, 1))
     steady = balance.steady & found.steady
     losses = {
@@ -288,7 +291,7 @@ def _budget(
         (balance.temperature >= low - 1e-9) & (balance.temperature <= high + 1e-9), axis=(0, 1)
     )
     marks = {
-        "linear": in_linear_range(modulation, voltage * (1.0 - _VOLTAGE_ROUNDING), inverter.v_dc),
+        "linear": voltage * (1.0 - _VOLTAGE_ROUNDING) <= linear_limit(modulation, inverter.v_dc) * left,
         "steady": steady,
         "cool_enough": hottest <= tables.max_junction_temperature,
         "within_tables": inside,
