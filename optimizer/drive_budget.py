@@ -24,10 +24,21 @@ from dqforge.machines.machine_budget import MachineBudget, WindingHeat, machine_
 from dqforge.machines.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.modulation import BoolArray, linear_limit
 from dqforge.machines.ripple import inverse_inductance
+from dqforge.machines.ripple_iron import ripple_iron_loss
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray, Machine
 
-PARTS = ("copper", "ripple_copper", "iron", "magnet", "conduction", "dead_time", "switching", "capacitor")
+PARTS = (
+    "copper",
+    "ripple_copper",
+    "iron",
+    "ripple_iron",
+    "magnet",
+    "conduction",
+    "dead_time",
+    "switching",
+    "capacitor",
+)
 """Kinds of loss that make up the total, machine first."""
 
 _VOLTAGE_ROUNDING = 1e-6
@@ -47,17 +58,23 @@ class BudgetOptions:
     capacitor_esr:
         Series resistance of the DC-link capacitor in Ohm at the carrier frequency.
     ripple_resistance:
-        Resistance of the winding at the carrier frequency over that of the fundamental; None leaves the ripple of the
-        current out.
+        Resistance of the winding at the carrier frequency over that of the fundamental; None leaves out what the ripple
+        makes, in copper and in iron.
+    sheet_corner:
+        Frequency in Hz at which the skin depth equals the thickness of the machine's sheets (`sheet_factor`); None leaves
+        the skin effect out of the iron loss that the switching makes.
     """
 
     machine_loss: MachineLoss = field(default=NO_EXTRA_LOSS)
     winding: WindingHeat | None = None
     capacitor_esr: float = 0.0
     ripple_resistance: float | None = 1.0
+    sheet_corner: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse negative resistances."""
+        """Refuse negative resistances and frequencies."""
+        if self.sheet_corner is not None and not 0.0 < self.sheet_corner < np.inf:
+            raise InputError(f"sheet_corner: expected a frequency such as 1000 Hz, got {self.sheet_corner:g} Hz")
         if not 0.0 <= self.capacitor_esr < np.inf:
             raise InputError(f"capacitor_esr: expected zero or a positive resistance, got {self.capacitor_esr:g} Ohm")
         if self.ripple_resistance is not None and not 0.0 <= self.ripple_resistance < np.inf:
@@ -72,8 +89,9 @@ class DriveBudget:
     ----------
     torque, shaft_power:
         Of the currents, in N m and W.
-    copper, ripple_copper, iron, magnet:
-        Losses of the machine in W; the second is what the ripple of the current adds.
+    copper, ripple_copper, iron, ripple_iron, magnet:
+        Losses of the machine in W; the second is what the ripple of the current adds, the fourth what switched voltages
+        add.
     conduction, dead_time, switching:
         Losses of the bridge in W; dead time is what the diodes of a MOSFET bridge add in the gaps.
     capacitor:
@@ -110,6 +128,7 @@ class DriveBudget:
     copper: FloatArray
     ripple_copper: FloatArray
     iron: FloatArray
+    ripple_iron: FloatArray
     magnet: FloatArray
     conduction: FloatArray
     dead_time: FloatArray
@@ -217,6 +236,13 @@ def waveform_averages(
     return bridge_averages(tables, modulation, voltage, current, inverter.v_dc, stiff)
 
 
+def switched_iron(options: BudgetOptions, voltage: FloatArray, v_dc: float, frequency: FloatArray) -> FloatArray:
+    """Iron loss in W that the switching makes, for phase amplitudes in V and carrier frequencies in Hz, broadcast."""
+    if options.ripple_resistance is None:
+        return np.zeros(np.broadcast_shapes(np.shape(voltage), np.shape(frequency)))
+    return ripple_iron_loss(options.machine_loss.eddy, voltage, v_dc, frequency, options.sheet_corner)
+
+
 def _quiet(found: MachineBudget) -> MachineBudget:
     """The same with zeros where the winding runs away, for waveforms that are not looked at."""
     columns: dict[str, Any] = {
@@ -264,6 +290,7 @@ def _budget(
         "copper": found.copper,
         "ripple_copper": ripple,
         "iron": found.iron,
+        "ripple_iron": switched_iron(options, voltage, inverter.v_dc, frequency),
         "magnet": found.magnet,
         "conduction": conduction,
         "dead_time": dead,

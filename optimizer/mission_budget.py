@@ -16,7 +16,7 @@ from dqforge.machines.machine_budget import MachineBudget, WindingHeat, machine_
 from dqforge.machines.mission import Mission
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray, Machine
-from dqforge.optimizer.drive_budget import PARTS, BudgetOptions, waveform_averages
+from dqforge.optimizer.drive_budget import PARTS, BudgetOptions, switched_iron, waveform_averages
 from dqforge.optimizer.drive_comparison import Alternatives, DriveStrategy, least, strategy_currents, usable_limit
 from dqforge.optimizer.loss_model import loss_coefficients
 
@@ -197,10 +197,11 @@ def _shared(
             "copper": found.copper,
             "ripple_copper": ripple,
             "iron": found.iron,
+            "ripple_iron": switched_iron(options, np.hypot(found.v_d, found.v_q), v_dc, np.array(frequency)),
             "magnet": found.magnet,
             "capacitor": options.capacitor_esr * square,
         }
-        put_in = link + ripple + powers["capacitor"] + sum(bridge.values(), np.zeros(1))
+        put_in = link + ripple + powers["ripple_iron"] + powers["capacitor"] + sum(bridge.values(), np.zeros(1))
         both = np.stack([history.start, history.end], axis=-1)
         swing = np.max(both, axis=(2, 3)) - np.min(both, axis=(2, 3))
         hottest = np.max(both, axis=(0, 1))

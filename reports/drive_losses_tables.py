@@ -24,7 +24,7 @@ _GRID = (10, 12)
 """Torques and speeds of the map in the terminal at most."""
 
 _MOST_ROWS = 40
-_SHORT = {"ripple_copper": "ripple", "dead_time": "dead time"}
+_SHORT = {"ripple_copper": "ripple", "ripple_iron": "ripple iron", "dead_time": "dead time"}
 
 
 def short(part: str) -> str:
