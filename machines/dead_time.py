@@ -5,7 +5,7 @@ t_d f_sw v_dc against its current. A controller that makes up for it commands u 
 duty cycle u, which must stay between the rails. A phase that rests at a rail has no gaps and needs nothing.
 
 Source: derived; the voltage lost is that of R. B. Sepe, J. H. Lang, "Inverter nonlinearities and discrete-time vector
-current control", IEEE Transactions on Industry Applications 30(1), 1994, doi:10.1109/28.273622 (quoted without the
+current control", IEEE Transactions on Industry Applications 30(1), 1994 (quoted without the
 paper at hand).
 """
 

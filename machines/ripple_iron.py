@@ -10,7 +10,7 @@ active vector of 2/3 v_dc stands for the share u_max - u_min of the carrier peri
 Sources: G. Bertotti, "General properties of power losses in soft ferromagnetic materials", IEEE Transactions on
 Magnetics 24(1), 1988, doi:10.1109/20.43994 (classical term); A. Boglietti, A. Cavagnino, M. Lazzari, M. Pastorelli,
 "Predicting iron losses in soft magnetic materials with arbitrary voltage supply: an engineering approach", IEEE
-Transactions on Magnetics 39(2), 2003, doi:10.1109/TMAG.2003.808599 (eddy-current loss by the square of the r.m.s.
+Transactions on Magnetics 39(2), 2003 (eddy-current loss by the square of the r.m.s.
 voltage; both quoted without the papers at hand).
 """
 

@@ -61,7 +61,7 @@ class BudgetOptions:
         Resistance of the winding at the carrier frequency over that of the fundamental; None leaves out what the ripple
         makes, in copper and in iron.
     sheet_corner:
-        Frequency in Hz at which the skin depth equals the thickness of the machine's sheets (`sheet_factor`); None leaves
+        Frequency in Hz at which the skin depth equals the thickness of the sheets (`sheet_factor`); None leaves
         the skin effect out of the iron loss that the switching makes.
     """
 
