@@ -45,7 +45,10 @@ ModulationOption = Annotated[
     typer.Option("--modulation", metavar="NAME", help="Whose linear range limits the voltage: spwm, svpwm, dpwm1, ..."),
 ]
 MarginOption = Annotated[
-    str, typer.Option("--margin", metavar="SHARE", help="Share of the voltage kept free for control, e.g. '5 %'.")
+    str,
+    typer.Option(
+        "--margin", metavar="SHARE", help="Share of the voltage kept free for control, e.g. '5 %'; mtpa: or dead-time."
+    ),
 ]
 
 ObjectiveOption = Annotated[
