@@ -128,6 +128,8 @@ def header_macros(header: str, prefix: str) -> dict[str, str]:
 
 
 def _read(path: Path) -> bytes:
+    if path.exists() and not path.is_file():
+        raise InputError("is no file; give what 'dqforge run' or 'dqforge export' wrote", source=str(path))
     try:
         if path.stat().st_size > _LARGEST_FILE:
             raise InputError("the file is larger than 64 MiB; that is no output of dqforge", source=str(path))

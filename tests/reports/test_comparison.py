@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -284,12 +285,14 @@ def test_faults_of_results_are_one_line(
 
 def test_faults_of_names_are_one_line(run: Run, written: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
+    os.mkfifo(tmp_path / "pipe.json")
     (tmp_path / "foreign.h").write_text("#ifndef X_H\n#define X_H\n#endif\n")
     for suffix in ("h", "json", "yaml"):
         (tmp_path / f"bytes.{suffix}").write_bytes(bytes([254, 0, 128, 10]) * 500)
     for name, words in (
         ("empty", "empty: the folder has no result.json"),
         ("foreign.h", "foreign.h: is no header of dqforge"),
+        ("pipe.json", "pipe.json: is no file"),
         ("bytes.h", "bytes.h: is no header of dqforge"),
         ("bytes.json", "bytes.json: is not JSON"),
         ("bytes.yaml", "bytes.yaml:1:1: the byte 0xFE"),
