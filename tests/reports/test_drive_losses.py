@@ -52,6 +52,8 @@ def test_map_names_the_winner_everywhere(run: Run) -> None:
     assert code == 0
     assert "Who loses least" in out
     assert "least at %" in out
+    # 200 ns at 20 and 100 kHz: once where a phase rests, twice otherwise.
+    assert "dead time is made up for, which takes 0.4 to 4 % of the linear range" in out
 
 
 def test_mission_counts_energy_and_follows_the_junction(run: Run) -> None:
@@ -70,6 +72,7 @@ def test_mission_counts_energy_and_follows_the_junction(run: Run) -> None:
     assert code == 0
     assert "best" in out
     assert "swing K" in out
+    assert "which takes 2 to 4 % of the linear range" in out
 
 
 @pytest.mark.parametrize(
