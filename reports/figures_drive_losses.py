@@ -30,6 +30,7 @@ _PART_COLOURS = {
     "copper": "#c9782b",
     "ripple_copper": "#e8b98a",
     "iron": "#7d5a3c",
+    "ripple_iron": "#a98a70",
     "magnet": "#b3a394",
     "conduction": "#a9c6e6",
     "dead_time": "#5b9bd5",
