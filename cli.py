@@ -314,7 +314,7 @@ def tune(design: DesignArgument, json: JsonOption = False, plot: PlotOption = No
 
 
 @app.command()
-def losses(
+def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
     design: DesignArgument,
     json: JsonOption = False,
     plot: PlotOption = None,
@@ -332,11 +332,27 @@ def losses(
         str | None, typer.Option("--frequencies", metavar="F,F", help="Carriers, e.g. '8 kHz, 16 kHz'.")
     ] = None,
     margin: MarginOption = "0 %",
+    choice: Annotated[
+        bool,
+        typer.Option("--choice", help="Best modulator and frequency over the map, and the rule: modulation_choice."),
+    ] = False,
 ) -> None:
     """Compare the losses of strategies, modulators and frequencies at points, over a map or over a mission."""
     from dqforge.machines.errors import InputError
 
     loaded = _load_for(design, plot)
+    if choice:
+        from dqforge.reports.choice_answer import answer_choice
+
+        if (chart, mission, strategies, modulations, frequencies) != (None,) * 5 or margin != "0 %":
+            raise InputError("--choice takes what the section 'modulation_choice' says; leave the other options out")
+        found = answer_choice(loaded, design)
+        _plot(found.figure, plot)
+        if json:
+            _print_json("losses", loaded.name, found.plain)
+        else:
+            _show(found.tables)
+        return
     if chart is not None or mission is not None:
         from dqforge.reports.drive_losses import LossRequest, answer
 

@@ -17,11 +17,13 @@ from dqforge.machines.modulation import linear_limit, period_waveforms
 from dqforge.machines.semiconductors import bridge_load
 from dqforge.machines.settings import LoadPoint, LossSettings, ModulationName
 from dqforge.machines.synchronous import LinearMachine
+from dqforge.optimizer.choice_solution import solve_choice
 from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.loss_budget import LossComparison, calibrate_switching, compare
 from dqforge.optimizer.mtpa import id0_currents, mtpa_currents
 from dqforge.reports.drive_losses import solve_map
 from dqforge.reports.figures import save
+from dqforge.reports.figures_choice import plot_choice
 from dqforge.reports.figures_drive_losses import plot_loss_map
 from dqforge.reports.paper000_losses import table_4
 
@@ -74,6 +76,14 @@ def loss_map(path: Path) -> None:
     names: tuple[ModulationName, ...] = ("spwm", "svpwm", "dpwm0", "dpwm1", "dpwm2", "dpwm3", "dpwmmin", "ddt-gdpwm")
     alternatives = Alternatives(("mtpa",), names, (100e3,))
     save(plot_loss_map(solve_map(catalogue.load("paper000-ipmsm-100kw"), alternatives, 0.0, 50, 50)), path)
+
+
+def modulation_choice(path: Path) -> None:
+    """Draw the choice of modulator and frequency of paper 000's drive with its rule, as an SVG."""
+    found = solve_choice(catalogue.load("paper000-ipmsm-100kw"))
+    if found is None:
+        raise LookupError("the library drive has no section modulation_choice")
+    save(plot_choice(found), path)
 
 
 def _table_4() -> LossComparison:

@@ -42,6 +42,7 @@ def main() -> None:
     figures_current_feedback.hysteresis_over_speed(folder / "hysteresis-frequency.svg")
     figures_losses.loss_comparison(folder / "loss-comparison.svg")
     figures_losses.loss_map(folder / "loss-map.svg")
+    figures_losses.modulation_choice(folder / "modulation-choice.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")
     figures_weakening.weakening_errors(folder / "weakening-errors.svg")

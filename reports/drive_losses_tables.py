@@ -185,7 +185,8 @@ def _energy(joule: float) -> str:
     return f"{joule / 3600.0:.4g}"
 
 
-def _mark(run: MissionRun, *, best: bool) -> str:
+def mission_mark(run: MissionRun, *, best: bool) -> str:
+    """Why an alternative cannot be used, or that it is the best, or nothing."""
     if not run.steady:
         return "junction temperature runs away"
     if run.missed.size:
@@ -220,7 +221,7 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
         cells = [_energy(run.energy[PARTS[part]]) if run.steady else "-" for part in kinds]
         total = [_energy(run.total), _watt(run.junction_max), _watt(run.swing)] if run.steady else ["-"] * 3
         head = (run.strategy, run.modulation, format_quantity(run.frequency, "Hz", 4))
-        rows.append((*head, *cells, *total, _mark(run, best=k == found.best)))
+        rows.append((*head, *cells, *total, mission_mark(run, best=k == found.best)))
     columns = ("strategy", "modulator", "carrier", *(f"{short(PARTS[part])} Wh" for part in kinds), "total Wh")
     columns = (*columns, "junction max degC", "swing K", "")
     first = found.runs[max(found.best, 0)]

@@ -17,6 +17,8 @@ from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.figures_losses import POINTS_SHOWN
 from dqforge.reports.figures_reference import ROUNDING
 from dqforge.reports.header import header_context
+from dqforge.reports.html_choice import choice_part
+from dqforge.reports.html_mission import mission_part
 from dqforge.reports.html_tables import (
     LOOP_TEXT,
     STRATEGY_TEXT,
@@ -247,6 +249,16 @@ def _figures(solution: Solution) -> dict[str, Markup]:
         from dqforge.reports.figures_weakening import plot_weakening
 
         drawn["weakening"] = lambda: plot_weakening(weakening)
+    mission = solution.mission
+    if mission is not None:
+        from dqforge.reports.figures_drive_losses import plot_mission
+
+        drawn["mission"] = lambda: plot_mission(mission)
+    choice = solution.choice
+    if choice is not None:
+        from dqforge.reports.figures_choice import plot_choice
+
+        drawn["choice"] = lambda: plot_choice(choice)
     return {name: Markup(figures.to_svg(draw())) for name, draw in drawn.items()}
 
 
@@ -312,9 +324,15 @@ def _sections(design: Design, *, losses: bool, waveforms: bool) -> list[tuple[st
         sections.append(("losses", "Loss comparison"))
     if waveforms:
         sections.append(("waveforms", "Phase currents"))
+    if design.modulation_choice is not None:
+        sections.append(("modulation", "Modulator and frequency"))
     if design.weakening is not None:
         sections.append(("weakening", "Field weakening"))
     return [*sections, ("header", f"{design.export.prefix}.h"), ("conventions", "Conventions")]
+
+
+def _has_losses(solution: Solution) -> bool:
+    return solution.losses is not None or solution.mission is not None
 
 
 def report_context(solution: Solution, verification: Verification | None) -> PlainData:
@@ -325,7 +343,7 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         "about": design.about,
         "version": __version__,
         "digest": design.digest,
-        "sections": _sections(design, losses=solution.losses is not None, waveforms=solution.waveforms is not None),
+        "sections": _sections(design, losses=_has_losses(solution), waveforms=solution.waveforms is not None),
         "summary": summary(solution, verification),
         "tiles": tiles(solution, verification),
         "facts": fact_rows(design),
@@ -348,9 +366,11 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
             *observer_tables(design, solution.gains, solution.fit.torque_max),
         ],
         "losses": [] if solution.losses is None else loss_tables(solution.losses),
+        "mission": mission_part(solution),
         "points_left_out": 0 if solution.losses is None else max(0, len(solution.losses.points) - POINTS_SHOWN),
         "waveforms": _waveform_part(solution),
         "weakening": _weakening_part(solution),
+        "choice": choice_part(solution.choice, design.export.prefix),
         "header": header_context(solution),
         "verification": {
             "done": verification is not None,

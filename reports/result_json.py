@@ -24,8 +24,11 @@ from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
+from dqforge.reports.choice_tables import plain_choice
 from dqforge.reports.control_header import plain_control
+from dqforge.reports.drive_losses_tables import plain_mission
 from dqforge.reports.reference_ir import PlainData, to_plain
+from dqforge.reports.rule_header import choice_model, plain_emitted
 from dqforge.reports.surface_header import plain_weakening
 from dqforge.reports.waveform_header import plain_phase_reference
 from dqforge.reports.waveform_tables import plain_waveforms
@@ -194,6 +197,11 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
             "copper_W": budget.copper[index],
             "conduction_W": budget.conduction[index],
             "switching_W": budget.switching[index],
+            "ripple_copper_W": budget.ripple_copper[index],
+            "iron_W": budget.iron[index],
+            "magnet_W": budget.magnet[index],
+            "dead_time_W": budget.dead_time[index],
+            "capacitor_W": budget.capacitor[index],
             "total_W": budget.total[index],
             "junction_degC": budget.junction_temperature[index],
             "voltage_V": budget.voltage[index],
@@ -242,9 +250,12 @@ def plain_solution(solution: Solution) -> PlainData:
         "fit": plain_fit(solution.fit, solution.alternatives, solution.trials, solution.certificate),
         "gains": plain_gains(design, solution.gains),
         "losses": plain_losses(solution.losses),
+        "mission": None if solution.mission is None else plain_mission(solution.mission),
         "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),
         "waveform_header": None if solution.phases is None else plain_phase_reference(solution.phases.reference),
         "weakening": plain_weakening_fit(weakening),
         "weakening_header": None if weakening is None else plain_weakening(weakening.reference),
         "control_header": plain_control(solution) if "float32" in design.export.control else None,
+        "modulation_choice": None if solution.choice is None else plain_choice(solution.choice),
+        "modulation_header": None if solution.choice is None else plain_emitted(choice_model(solution.choice)),
     }
