@@ -45,7 +45,10 @@ ModulationOption = Annotated[
     typer.Option("--modulation", metavar="NAME", help="Whose linear range limits the voltage: spwm, svpwm, dpwm1, ..."),
 ]
 MarginOption = Annotated[
-    str, typer.Option("--margin", metavar="SHARE", help="Share of the voltage kept free for control, e.g. '5 %'.")
+    str,
+    typer.Option(
+        "--margin", metavar="SHARE", help="Share of the voltage kept free for control, e.g. '5 %'; mtpa: or dead-time."
+    ),
 ]
 
 ObjectiveOption = Annotated[
@@ -191,6 +194,27 @@ def verify(
     found = read_folder(folder)
     typer.echo(verification_text(verify_folder(folder)))
     typer.echo(target_text(verify_on_target(found.files, found.prefix, target)))
+
+
+@app.command()
+def compare(
+    first: Annotated[str, typer.Argument(metavar="A", help="Design, library drive, or what 'dqforge run' wrote.")],
+    second: Annotated[str, typer.Argument(metavar="B", help="The same; differences are those of B against A.")],
+    json: JsonOption = False,
+) -> None:
+    """Compare two designs or results: machine, limits, references, gains, losses, macros."""
+    from dqforge.reports.comparison import compare_sides
+    from dqforge.reports.comparison_sources import read_side
+    from dqforge.reports.comparison_tables import comparison_tables, plain_comparison
+    from dqforge.reports.console import status
+
+    with status("solving"):
+        comparison = compare_sides(read_side(first, _load), read_side(second, _load))
+    if json:
+        names = f"{comparison.a.name} | {comparison.b.name}"
+        _print_json("compare", names, {"comparison": plain_comparison(comparison)})
+    else:
+        _show(comparison_tables(comparison))
 
 
 @app.command()

@@ -25,6 +25,7 @@ from dqforge.reports.drive_losses import solve_map
 from dqforge.reports.figures import save
 from dqforge.reports.figures_choice import plot_choice
 from dqforge.reports.figures_drive_losses import plot_loss_map
+from dqforge.reports.paper000_losses import table_4
 
 COLOURS = {"spwm": "#6b7280", "svpwm": "#d97706", "ddt-gdpwm": "#1d4ed8"}
 PARTS = {"copper": "#b45309", "conduction": "#0f766e", "switching": "#1d4ed8"}
@@ -108,6 +109,9 @@ def _draw_bars(axes: Axes, result: LossComparison) -> None:
         axes.text(float(x), total + 15.0, f"{total:.0f}", ha="center", fontsize="small")
     printed = [(k, PRINTED[pair]) for k, pair in enumerate(pairs) if pair in PRINTED]
     axes.plot(*zip(*printed, strict=True), "k_", markersize=26, markeredgewidth=2, label="printed in the paper")
+    implied = table_4(catalogue.load("paper000-ipmsm-100kw"))[2].implied_loss
+    place = pairs.index(("mtpa", "ddt-gdpwm"))
+    axes.plot(place, implied, "k_", markersize=26, markeredgewidth=1, label="by its temperature")
     axes.set_xticks(position, [f"{LABELS[s]}\n{LABELS[m]}" for s, m in pairs], fontsize="x-small")
     axes.set_ylabel("loss in W at 130 N m, 300 rad/s")
     axes.set_ylim(0.0, 1350.0)

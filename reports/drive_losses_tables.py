@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dqforge.machines.dead_time import dead_time_factor
 from dqforge.machines.design import Design
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.synchronous import FloatArray
@@ -24,7 +25,7 @@ _GRID = (10, 12)
 """Torques and speeds of the map in the terminal at most."""
 
 _MOST_ROWS = 40
-_SHORT = {"ripple_copper": "ripple", "dead_time": "dead time"}
+_SHORT = {"ripple_copper": "ripple", "ripple_iron": "ripple iron", "dead_time": "dead time"}
 
 
 def short(part: str) -> str:
@@ -111,9 +112,23 @@ def map_tables(design: Design, found: LossMap) -> list[Table]:
     columns = (*columns, "junction max degC", "ripple max A", "drives %", "least at %")
     title = f"{design.name}: losses over {found.torque.size} torques by {found.omega_m.size} speeds"
     notes = [f"mean losses over the {100.0 * np.mean(shared):.0f} % of the points that all alternatives drive"]
+    notes += _dead_time_notes(design, alternatives)
     if np.any(~budget.within_tables & comparison.usable):
         notes.append("at some points the device tables are carried on beyond their ends")
     return [Table(title, columns, tuple(rows), tuple(notes)), _winner_table(found)]
+
+
+def _dead_time_notes(design: Design, alternatives: Alternatives) -> list[str]:
+    """What dead time takes of the voltage, from the least to the most of the alternatives."""
+    taken = [
+        100.0 * (1.0 - float(dead_time_factor(name, design.inverter.dead_time, frequency)))
+        for name in alternatives.modulations
+        for frequency in alternatives.frequencies
+    ]
+    if max(taken) == 0.0:
+        return []
+    share = f"{max(taken):.2g} %" if min(taken) == max(taken) else f"{min(taken):.2g} to {max(taken):.2g} %"
+    return [f"dead time is made up for, which takes {share} of the linear range"]
 
 
 def _winner_table(found: LossMap) -> Table:
@@ -215,6 +230,7 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
         f"{mission.length.size} intervals, {length:.6g} s; the mission follows itself",
         f"at the shaft {_energy(first.driving)} Wh go out and {_energy(-first.braking)} Wh come back",
     ]
+    notes += _dead_time_notes(design, found.alternatives)
     if len(found.runs) > _MOST_ROWS:
         notes.append(f"{len(found.runs) - _MOST_ROWS} more alternatives are in the JSON")
     if math.isfinite(first.winding_temperature):

@@ -36,6 +36,7 @@ PART_COLOURS = {
     "copper": LOSS_COLOURS["copper"],
     "ripple_copper": "#e8b98a",
     "iron": "#7d5a3c",
+    "ripple_iron": "#a98a70",
     "magnet": "#b3a394",
     "conduction": LOSS_COLOURS["conduction"],
     "dead_time": "#5b9bd5",

@@ -27,7 +27,7 @@ from dqforge.reports.cross import verify_on_target
 from dqforge.reports.figures import to_svg
 from dqforge.reports.figures_choice import leaf_boxes, plot_choice
 from dqforge.reports.files import write_all
-from dqforge.reports.rule_header import choice_model, rule_inputs, rule_results
+from dqforge.reports.rule_header import choice_model, emitted_from, rule_inputs, rule_results
 from dqforge.reports.run import RunOutput, run_design
 from dqforge.reports.verify import read_folder, verify_folder
 
@@ -104,9 +104,9 @@ def test_the_header_is_written_verified_rebuilt_and_a_changed_threshold_is_found
     found = read_folder(tmp_path)
     assert {"ipm100_modulation.h", "ipm100_modulation_vectors.h"} <= set(found.files)
     model = choice_model(choice_of(output))
-    assert found.modulation is not None
+    rebuilt = emitted_from(json.loads(output.files["result.json"])["modulation_header"])
     inputs = rule_inputs(model, 3000, 3, patterns=3000)
-    assert np.array_equal(rule_results(found.modulation, inputs), rule_results(model, inputs))
+    assert np.array_equal(rule_results(rebuilt, inputs), rule_results(model, inputs))
     assert verify_folder(tmp_path) == output.verification
     header = tmp_path / "ipm100_modulation.h"
     whole = header.read_text(encoding="ascii")
