@@ -14,6 +14,7 @@ from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.drive_budget import PARTS
 from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.mission_budget import MissionComparison, MissionRun
+from dqforge.reports.labels import part_label
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.tables import Table
 
@@ -25,12 +26,6 @@ _GRID = (10, 12)
 """Torques and speeds of the map in the terminal at most."""
 
 _MOST_ROWS = 40
-_SHORT = {"ripple_copper": "ripple", "ripple_iron": "ripple iron", "dead_time": "dead time"}
-
-
-def short(part: str) -> str:
-    """A kind of loss as it stands in a heading."""
-    return _SHORT.get(part, part)
 
 
 def alternative_text(alternatives: Alternatives, index: int, *, plain: bool = True) -> str:
@@ -107,7 +102,7 @@ def map_tables(design: Design, found: LossMap) -> list[Table]:
                 f"{100.0 * wins[k] / count:.0f}",
             )
         )
-    headings = [f"{short(PARTS[part])} W" for part in kinds]
+    headings = [f"{part_label(PARTS[part])} W" for part in kinds]
     columns = ("", "strategy", "modulator", "carrier", *headings, "total W")
     columns = (*columns, "junction max degC", "ripple max A", "drives %", "least at %")
     title = f"{design.name}: losses over {found.torque.size} torques by {found.omega_m.size} speeds"
@@ -222,7 +217,7 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
         total = [_energy(run.total), _watt(run.junction_max), _watt(run.swing)] if run.steady else ["-"] * 3
         head = (run.strategy, run.modulation, format_quantity(run.frequency, "Hz", 4))
         rows.append((*head, *cells, *total, mission_mark(run, best=k == found.best)))
-    columns = ("strategy", "modulator", "carrier", *(f"{short(PARTS[part])} Wh" for part in kinds), "total Wh")
+    columns = ("strategy", "modulator", "carrier", *(f"{part_label(PARTS[part])} Wh" for part in kinds), "total Wh")
     columns = (*columns, "junction max degC", "swing K", "")
     first = found.runs[max(found.best, 0)]
     length = float(mission.time[-1] - mission.time[0])

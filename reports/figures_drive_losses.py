@@ -14,8 +14,9 @@ from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.drive_budget import PARTS
 from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.mission_budget import MissionComparison
-from dqforge.reports.drive_losses_tables import alternative_text, common_points, short
+from dqforge.reports.drive_losses_tables import alternative_text, common_points
 from dqforge.reports.figures_style import FAINT, INK, MUTED, PART_COLOURS, label_in_unit, new_figure, style
+from dqforge.reports.labels import part_label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +46,7 @@ def _draw_bars(
         for part in shown:
             width = float(energies[part, row])
             colour = PART_COLOURS[PARTS[part]]
-            label = f"{short(PARTS[part])}" if row == 0 else None
+            label = part_label(PARTS[part]) if row == 0 else None
             axes.barh(-row, width, left=left, height=0.74, color=colour, edgecolor="white", linewidth=0.5, label=label)
             left += width
         text = f"{ends[row]:.4g} {unit}" + (f", {notes[row]}" if notes and notes[row] else "")

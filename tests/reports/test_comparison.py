@@ -94,10 +94,12 @@ def test_difference_of_a_changed_resistance(bench: Side) -> None:
     assert (row.a, row.b) == (2.35, 2.82)
     assert row.relative == pytest.approx(0.2)
     assert "R_S_OHM" in {macro.name for macro in found.macros}
-    # i_d = 0 at 0.47 N m: copper loss 3/2 R i_q^2, while the inverter loses nearly what it lost (the voltage rises).
+    # i_d = 0 at 0.47 N m: copper loss 3/2 R i_q^2 and that of the ripple current, some 6 % of it on this winding, while
+    # the inverter loses nearly what it lost (the voltage rises).
     (loss,) = [r for r in found.losses if (r.strategy, r.modulation) == ("id0", "svpwm") and r.omega_m < 200.0]
     i_q = 0.47 / (1.5 * 3 * 0.06)
-    assert loss.difference == pytest.approx(1.5 * 0.47 * i_q**2, rel=2e-3)
+    assert loss.difference is not None
+    assert 1.0 < loss.difference / (1.5 * 0.47 * i_q**2) < 1.08
     assert loss.better == "a"
     text = "\n".join(cell for table in comparison_tables(found) for row in table.rows for cell in row)
     assert "+20 %" in text
