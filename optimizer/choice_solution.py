@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.modulation import BoolArray, linear_limit
+from dqforge.machines.modulation import BoolArray
 from dqforge.machines.settings import ChoiceSettings, ModulationName
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.characteristics import characteristics
 from dqforge.optimizer.choice_limits import ChoiceLimits, ChoicePoints
 from dqforge.optimizer.choice_rule import Leaf, Question, Rule, SimplifiedChoice, simplify
 from dqforge.optimizer.drive_budget import BudgetOptions
-from dqforge.optimizer.drive_comparison import strategy_currents
+from dqforge.optimizer.drive_comparison import strategy_currents, usable_limit
 from dqforge.optimizer.modulation_choice import (
     BestChoice,
     best_choice,
@@ -191,10 +191,16 @@ def solve_choice(design: Design) -> ModulationChoice | None:
 
 def _grid(design: Design, settings: ChoiceSettings) -> tuple[FloatArray, FloatArray]:
     """Torques up to the most that any modulator allows, and speeds; both begin one step above zero."""
-    widest = max(linear_limit(name, design.inverter.v_dc) for name in settings.modulations)
-    figures = characteristics(design.machine, widest * (1.0 - design.operation.voltage_margin), design.i_max)
+    widest = max(_limit(design, settings, name) for name in settings.modulations)
+    figures = characteristics(design.machine, widest, design.i_max)
     torque = np.linspace(0.0, figures.torque_max, settings.torques + 1)[1:]
     return torque, np.linspace(0.0, settings.omega_m, settings.speeds + 1)[1:]
+
+
+def _limit(design: Design, settings: ChoiceSettings, name: ModulationName) -> float:
+    """Phase amplitude in V that a modulator makes at every frequency of the range, dead time made up for."""
+    fastest = replace(design.inverter, f_sw=max(settings.f_max, design.inverter.f_sw))
+    return usable_limit(fastest, name, design.operation.voltage_margin)
 
 
 def _points(
@@ -207,8 +213,7 @@ def _points(
 ) -> tuple[ChoicePoints, BoolArray]:
     """Points of the map with the currents (M, P) of every modulator, NaN where it cannot make the torque."""
     wanted, speed = (grid.ravel() for grid in np.meshgrid(torque, omega, indexing="ij"))
-    share = 1.0 - design.operation.voltage_margin
-    limits = [linear_limit(name, design.inverter.v_dc) * share for name in names]
+    limits = [_limit(design, settings, name) for name in names]
     found = {
         v_max: strategy_currents(
             design.machine, settings.strategy, wanted, speed, v_max=v_max, i_max=design.i_max, options=options
