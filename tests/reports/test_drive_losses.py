@@ -16,8 +16,9 @@ from dqforge.machines.machine_loss import MachineLoss
 from dqforge.optimizer.drive_budget import PARTS
 from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.reports.drive_losses import solve_map
-from dqforge.reports.drive_losses_tables import map_tables, short
+from dqforge.reports.drive_losses_tables import map_tables
 from dqforge.reports.figures_drive_losses import plot_loss_map
+from dqforge.reports.labels import part_label
 
 IPM = "paper000-ipmsm-100kw"
 MISSION = "Zeit [s];Drehzahl [1/min];Drehmoment [Nm]\n0,0;300;20\n2,5;1500;120,5\n3;2500;-80\n5;500;5\n10;0;0\n"
@@ -94,7 +95,7 @@ def test_every_kind_of_loss_has_a_heading_and_a_colour() -> None:
     texts = [text.get_text() for text in plot_loss_map(found).findobj(Text)]
     columns = map_tables(design, found)[0].columns
     # Nothing is known of this device's diode, and so of the dead time's loss.
-    assert {f"{short(part)} W" for part in set(PARTS) - {"dead_time"}} <= set(columns)
+    assert {f"{part_label(part)} W" for part in set(PARTS) - {"dead_time"}} <= set(columns)
     assert {"copper", "iron", "ripple iron", "switching"} <= set(texts)
 
 
