@@ -28,6 +28,7 @@ _SAME = (
     "thermal_residual",
     "ripple_copper",
     "iron",
+    "ripple_iron",
     "magnet",
     "dead_time",
     "capacitor",

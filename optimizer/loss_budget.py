@@ -63,7 +63,7 @@ class LossBudget:
         False where the junction is hotter than the device permits.
     thermal_residual:
         Residual of the balance of heat, in K.
-    ripple_copper, iron, magnet, dead_time, capacitor:
+    ripple_copper, iron, ripple_iron, magnet, dead_time, capacitor:
         Losses in W that the complete budget counts besides (`complete_comparison`); zero in `loss_budget`.
     """
 
@@ -82,6 +82,7 @@ class LossBudget:
     thermal_residual: FloatArray
     ripple_copper: FloatArray
     iron: FloatArray
+    ripple_iron: FloatArray
     magnet: FloatArray
     dead_time: FloatArray
     capacitor: FloatArray
@@ -185,7 +186,10 @@ def loss_budget(
         thermally_stable=bridge.thermally_stable,
         cool_enough=bridge.junction_temperature <= hottest,
         thermal_residual=bridge.thermal_residual,
-        **{part: np.zeros(copper.shape) for part in ("ripple_copper", "iron", "magnet", "dead_time", "capacitor")},
+        **{
+            part: np.zeros(copper.shape)
+            for part in ("ripple_copper", "iron", "ripple_iron", "magnet", "dead_time", "capacitor")
+        },
     )
 
 

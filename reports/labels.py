@@ -32,7 +32,7 @@ def watts(value: float) -> str:
     return format_quantity(value, "W", 3).replace(" ", _SPACE).replace("u", "\u00b5")
 
 
-_SHORT = {"ripple_copper": "ripple", "dead_time": "dead time", "capacitor": "dc link"}
+_SHORT = {"ripple_copper": "ripple", "ripple_iron": "ripple iron", "dead_time": "dead time", "capacitor": "dc link"}
 _ALWAYS = ("copper", "conduction", "switching")
 _VISIBLE = 1e-4
 

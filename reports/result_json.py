@@ -199,6 +199,7 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
             "switching_W": budget.switching[index],
             "ripple_copper_W": budget.ripple_copper[index],
             "iron_W": budget.iron[index],
+            "ripple_iron_W": budget.ripple_iron[index],
             "magnet_W": budget.magnet[index],
             "dead_time_W": budget.dead_time[index],
             "capacitor_W": budget.capacitor[index],

@@ -53,7 +53,7 @@ def test_rows_of_the_loss_comparison_at_zero_d_current() -> None:
             assert row["saving_percent"] == pytest.approx(0.0, abs=1e-4)  # the ripple differs
         else:
             assert 0.5 * full * (1.0 - 1e-8) <= row["switching_W"] < 0.634 * full
-        others = ("ripple_copper_W", "iron_W", "magnet_W", "dead_time_W", "capacitor_W")
+        others = ("ripple_copper_W", "iron_W", "ripple_iron_W", "magnet_W", "dead_time_W", "capacitor_W")
         assert 0.0 < row["ripple_copper_W"] < 2e-3
         total = row["copper_W"] + row["conduction_W"] + row["switching_W"] + sum(row[name] for name in others)
         assert row["total_W"] == pytest.approx(total, rel=1e-8)
