@@ -21,7 +21,7 @@ from dqforge.optimizer.characteristics import characteristics
 from dqforge.optimizer.choice_limits import ChoiceLimits, ChoicePoints
 from dqforge.optimizer.choice_rule import Leaf, Question, Rule, SimplifiedChoice, simplify
 from dqforge.optimizer.drive_budget import BudgetOptions
-from dqforge.optimizer.drive_comparison import strategy_currents
+from dqforge.optimizer.drive_comparison import strategy_currents, usable_limit
 from dqforge.optimizer.modulation_choice import (
     BestChoice,
     best_choice,
@@ -207,8 +207,9 @@ def _points(
 ) -> tuple[ChoicePoints, BoolArray]:
     """Points of the map with the currents (M, P) of every modulator, NaN where it cannot make the torque."""
     wanted, speed = (grid.ravel() for grid in np.meshgrid(torque, omega, indexing="ij"))
-    share = 1.0 - design.operation.voltage_margin
-    limits = [linear_limit(name, design.inverter.v_dc) * share for name in names]
+    # A firmware has one set of references: they leave room for the dead time at every frequency that may be taken.
+    fastest = replace(design.inverter, f_sw=max(settings.f_max, design.inverter.f_sw))
+    limits = [usable_limit(fastest, name, design.operation.voltage_margin) for name in names]
     found = {
         v_max: strategy_currents(
             design.machine, settings.strategy, wanted, speed, v_max=v_max, i_max=design.i_max, options=options
