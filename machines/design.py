@@ -8,6 +8,7 @@ from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
 from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.scenario import Scenario
 from dqforge.machines.settings import (
     ControlSettings,
     ExportSettings,
@@ -46,7 +47,8 @@ class Design:
     ``phase_machine`` holds that back-EMF, None for all others. ``values`` lists each quantity with its origin,
     ``assumptions`` the sentences on what the file leaves open,
     ``digest`` is the SHA-256 of the file's bytes in hexadecimal. ``weakening`` asks for two-dimensional references.
-    ``winding`` says how warm the losses make the winding, None where its temperature is given.
+    ``winding`` says how warm the losses make the winding, None where its temperature is given. ``simulation`` asks for
+    a simulation in the time domain.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Design:
     digest: str
     weakening: WeakeningSettings | None = None
     winding: WindingHeat | None = None
+    simulation: Scenario | None = None
 
     @property
     def strategy(self) -> Strategy:

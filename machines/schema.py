@@ -43,6 +43,7 @@ from dqforge.machines.schema_entries import (
     Voltage,
 )
 from dqforge.machines.schema_machine import MachineSection
+from dqforge.machines.schema_simulation import SimulationSection
 from dqforge.machines.settings import (
     BreakpointMode,
     Core,
@@ -299,6 +300,9 @@ class DesignFile(Section):
     )
     field_weakening: WeakeningSection | None = Field(
         default=None, description="two-dimensional current references, if they are wanted"
+    )
+    simulation: SimulationSection | None = Field(
+        default=None, description="simulation in the time domain, if one is wanted"
     )
     export: ExportSection = ExportSection()
 
