@@ -210,7 +210,11 @@ class LossSettings:
 
 @dataclass(frozen=True, slots=True)
 class ExportSettings:
-    """The header: ``prefix`` is a checked C identifier, ``vectors`` the least number of test vectors."""
+    """The header: ``prefix`` is a checked C identifier, ``vectors`` the least number of test vectors.
+
+    ``control`` are the number formats in which the control functions are emitted, each in a header of its own.
+    """
 
     prefix: str
     vectors: int = 256
+    control: tuple[NumberFormat, ...] = ()
