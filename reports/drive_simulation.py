@@ -18,7 +18,7 @@ from dqforge.reports.control_header import control_files, plain_control
 from dqforge.reports.header import header_files
 from dqforge.reports.plant_input import Drive
 from dqforge.reports.reference_ir import PlainData
-from dqforge.reports.simulation import Simulation, simulate, simulator
+from dqforge.reports.simulation import Simulation, require_compiler, simulate, simulator
 from dqforge.reports.surface_header import weakening_files
 
 SETTLED = 0.02
@@ -142,6 +142,7 @@ def simulate_design(
         There is no C compiler, or the header does not compile.
     """
     scenario = require_scenario(design, switched=switched)
+    require_compiler()
     solved = solve(design) if solution is None else solution
     drive = drive_of(design, solved)
     stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS

@@ -122,7 +122,8 @@ class Simulator:
     prefix: str
 
 
-def _compiler() -> str:
+def require_compiler() -> str:
+    """Path of the C compiler; raises `VerificationError` where there is none."""
     program = shutil.which(_COMPILER)
     if program is None:
         raise VerificationError(f"no C compiler found: a simulation needs the Debian package {_PACKAGE}")
@@ -147,7 +148,7 @@ def compile_simulator(folder: Path, files: Mapping[str, bytes] | None = None, pr
     VerificationError
         There is no compiler, or the header does not compile.
     """
-    compiler = _compiler()
+    compiler = require_compiler()
     controller = prefix if files else ""
     context = {
         "prefix": controller,
