@@ -17,7 +17,7 @@ from dqforge.reports.figures_simulation import plot_simulation
 from dqforge.reports.plant_input import Drive
 from dqforge.reports.simulation import simulate, simulator
 
-_RL = LinearMachine(pole_pairs=1, r_s=1.0, l_d=10e-3, l_q=10e-3, psi_pm=0.0, i_max=60.0)
+_RL = LinearMachine(pole_pairs=1, r_s=1.0, l_d=1e-3, l_q=1e-3, psi_pm=0.0, i_max=60.0)
 _T_S, _DEAD_TIME = 1e-4, 2e-6
 
 
@@ -27,9 +27,9 @@ def bench(path: Path) -> None:
 
 
 def dead_time(path: Path) -> None:
-    """Voltage along phase a that a dead time takes, averaged and switch by switch, over the current that is left."""
+    """Voltage that a dead time takes from phase a, averaged and switch by switch, while 60 A flow from b to c."""
     drive = Drive(_RL, Inverter(300.0, 1.0 / _T_S), _T_S)
-    steps = np.linspace(0.002, 0.12, 60)
+    steps = np.linspace(-0.015, 0.05, 66)
     figure = Figure(figsize=(7.0, 3.2), layout="constrained")
     axes = figure.add_subplot()
     ways: tuple[tuple[InverterModel, str], ...] = (("switched", "o"), ("averaged", ""))
@@ -37,7 +37,7 @@ def dead_time(path: Path) -> None:
         for inverter, marker in ways:
             current = []
             for step in steps:
-                duties = constant(0.5 + float(step)), constant(0.5 - float(step) / 2.0)
+                duties = constant(0.5 + float(step)), constant(0.7 - float(step) / 2.0)
                 scenario = Scenario(
                     0.15, "open-loop", *duties, shaft=constant(0.0), inverter=inverter, dead_time=_DEAD_TIME
                 )
@@ -45,8 +45,9 @@ def dead_time(path: Path) -> None:
             lost = 300.0 * steps - np.array(current)
             style = {"marker": marker, "linestyle": "", "markersize": 3.0} if marker else {}
             axes.plot(current, lost, label=inverter, **style)
-    full = 4.0 / 3.0 * _DEAD_TIME / _T_S * 300.0
-    axes.axhline(full, color="0.7", linewidth=0.8)
-    axes.set(xlabel="Current in phase a in A", ylabel="Voltage lost in V", xlim=(0.0, None), ylim=(0.0, 1.15 * full))
+    full = 2.0 / 3.0 * _DEAD_TIME / _T_S * 300.0
+    for level in (-full, 0.0, full):
+        axes.axhline(level, color="0.7", linewidth=0.8)
+    axes.set(xlabel="Current in phase a in A", ylabel="Voltage lost in V", ylim=(-1.2 * full, 1.2 * full))
     axes.legend(frameon=False, loc="lower right")
     save(figure, path)

@@ -58,6 +58,7 @@ TABLES = 8
 _MODES: dict[ControlMode, float] = {"speed": 0.0, "torque": 1.0, "current": 2.0, "open-loop": 3.0}
 _RELATIVE_STEP = 0.05
 _LEAST_STEPS = 2
+_DEAD_STEPS = 4  # the averaged dead time is a damping of up to four times the carrier frequency around zero current
 _MOST_STEPS = 200
 _STOP = 100.0
 _NEGLIGIBLE = 1e-13
@@ -218,7 +219,9 @@ def sub_steps(drive: Drive, scenario: Scenario) -> int:
         # Harmonics above the thirteenth are small wherever a machine turns fast.
         turning *= min(13.0, float(emf_table(drive.phases)[::7].max()))
     rate = max(machine.r_s * (1.0 + scenario.errors.r_s) / min(_least_inductances(drive.machine)), turning)
-    return int(min(max(math.ceil(rate * drive.t_s / _RELATIVE_STEP), _LEAST_STEPS), _MOST_STEPS))
+    dead_time = drive.inverter.dead_time if scenario.dead_time is None else scenario.dead_time
+    least = _DEAD_STEPS if dead_time > 0.0 else _LEAST_STEPS
+    return int(min(max(math.ceil(rate * drive.t_s / _RELATIVE_STEP), least), _MOST_STEPS))
 
 
 def _least_inductances(machine: Machine) -> tuple[float, float]:
@@ -279,8 +282,8 @@ def run_input(drive: Drive, scenario: Scenario, *, stride: int = 1, tail: float 
             "switched": 1.0 if scenario.inverter == "switched" else 0.0,
             "halves": float(carrier_halves(drive, scenario)),
             "dead_time": dead_time,
-            # What the link drives through two thirds of a winding in a dead time: below, the current may stay at zero.
-            "dead_band": max(v_dc * dead_time / (1.5 * min(inductance)), 1e-9 * machine.i_max),
+            # Half of what a third of the link changes a current by in a dead time: so near to zero it may come to rest.
+            "dead_band": max(v_dc * dead_time / (6.0 * min(inductance)), 1e-9 * machine.i_max),
             "ripple_l_d": inductance[0],
             "ripple_l_q": inductance[1],
             "counts": 4.0 * scenario.encoder.lines,

@@ -259,6 +259,18 @@ def test_little_current_loses_what_its_ripple_leaves(plant: Simulator) -> None:
     assert ways["switched"][1] < 6.0 - 3.0  # of 6 A without dead time
 
 
+def test_phase_within_its_ripple_loses_nothing_to_dead_time(plant: Simulator) -> None:
+    """60 A flow from b to c; ripple of a, by hand: 300 V/(2 x 10 kHz x 1 mH) (0.5 - (0.5 + 0.5 + 0.3)/3) = 1 A."""
+    drive = Drive(replace(RL, l_d=1e-3, l_q=1e-3), Inverter(300.0, 10e3), T_S)
+    both: tuple[InverterModel, ...] = ("averaged", "switched")
+    for inverter in both:
+        for step, lost in ((-0.025, -4.0), (-0.001, 0.0), (0.0015, 0.0), (0.025, 4.0)):
+            scenario = held((0.5 + step, 0.7 - step / 2), inverter, 2e-6)
+            current = float(np.mean(simulate(plant, drive, scenario).i_d[-200:]))
+            # Those of b and c cancel along a; the leg of a loses 2 us x 10 kHz x 300 V = 6 V, 2/3 of which are left.
+            assert current == pytest.approx(300.0 * step - lost, abs=0.35)
+
+
 def test_narrow_pulses_and_full_duty_switch_as_they_should(plant: Simulator) -> None:
     """A pulse shorter than the dead time does not come; a leg at full duty cycle never switches, and loses nothing."""
     drive = Drive(RL, Inverter(300.0, 10e3), T_S)
