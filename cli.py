@@ -45,7 +45,10 @@ ModulationOption = Annotated[
     typer.Option("--modulation", metavar="NAME", help="Whose linear range limits the voltage: spwm, svpwm, dpwm1, ..."),
 ]
 MarginOption = Annotated[
-    str, typer.Option("--margin", metavar="SHARE", help="Share of the voltage kept free for control, e.g. '5 %'.")
+    str,
+    typer.Option(
+        "--margin", metavar="SHARE", help="Share of the voltage kept free for control, e.g. '5 %'; mtpa: or dead-time."
+    ),
 ]
 
 ObjectiveOption = Annotated[
@@ -194,6 +197,27 @@ def verify(
 
 
 @app.command()
+def compare(
+    first: Annotated[str, typer.Argument(metavar="A", help="Design, library drive, or what 'dqforge run' wrote.")],
+    second: Annotated[str, typer.Argument(metavar="B", help="The same; differences are those of B against A.")],
+    json: JsonOption = False,
+) -> None:
+    """Compare two designs or results: machine, limits, references, gains, losses, macros."""
+    from dqforge.reports.comparison import compare_sides
+    from dqforge.reports.comparison_sources import read_side
+    from dqforge.reports.comparison_tables import comparison_tables, plain_comparison
+    from dqforge.reports.console import status
+
+    with status("solving"):
+        comparison = compare_sides(read_side(first, _load), read_side(second, _load))
+    if json:
+        names = f"{comparison.a.name} | {comparison.b.name}"
+        _print_json("compare", names, {"comparison": plain_comparison(comparison)})
+    else:
+        _show(comparison_tables(comparison))
+
+
+@app.command()
 def mtpa(
     design: DesignArgument,
     json: JsonOption = False,
@@ -290,7 +314,7 @@ def tune(design: DesignArgument, json: JsonOption = False, plot: PlotOption = No
 
 
 @app.command()
-def losses(
+def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
     design: DesignArgument,
     json: JsonOption = False,
     plot: PlotOption = None,
@@ -308,11 +332,27 @@ def losses(
         str | None, typer.Option("--frequencies", metavar="F,F", help="Carriers, e.g. '8 kHz, 16 kHz'.")
     ] = None,
     margin: MarginOption = "0 %",
+    choice: Annotated[
+        bool,
+        typer.Option("--choice", help="Best modulator and frequency over the map, and the rule: modulation_choice."),
+    ] = False,
 ) -> None:
     """Compare the losses of strategies, modulators and frequencies at points, over a map or over a mission."""
     from dqforge.machines.errors import InputError
 
     loaded = _load_for(design, plot)
+    if choice:
+        from dqforge.reports.choice_answer import answer_choice
+
+        if (chart, mission, strategies, modulations, frequencies) != (None,) * 5 or margin != "0 %":
+            raise InputError("--choice takes what the section 'modulation_choice' says; leave the other options out")
+        found = answer_choice(loaded, design)
+        _plot(found.figure, plot)
+        if json:
+            _print_json("losses", loaded.name, found.plain)
+        else:
+            _show(found.tables)
+        return
     if chart is not None or mission is not None:
         from dqforge.reports.drive_losses import LossRequest, answer
 

@@ -45,6 +45,7 @@ def main() -> None:
     figures_losses.loss_map(folder / "loss-map.svg")
     figures_simulation.bench(folder / "simulation.svg")
     figures_simulation.dead_time(folder / "dead-time.svg")
+    figures_losses.modulation_choice(folder / "modulation-choice.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")
     figures_weakening.weakening_errors(folder / "weakening-errors.svg")

@@ -8,10 +8,11 @@ from pathlib import Path
 
 from dqforge.machines import checks, datasheet
 from dqforge.machines.checks import si_of
+from dqforge.machines.choice_reader import read_choice
 from dqforge.machines.design import Design
 from dqforge.machines.device_reader import read_inverter_device
 from dqforge.machines.inverter import Inverter
-from dqforge.machines.loss_reader import read_machine_loss, read_winding_heat
+from dqforge.machines.loss_reader import read_losses, read_machine_loss, read_winding_heat
 from dqforge.machines.machine_reader import read_machine
 from dqforge.machines.provenance import input_values, kind_assumptions
 from dqforge.machines.quantities import format_quantity
@@ -33,8 +34,6 @@ from dqforge.machines.settings import (
     ExportSettings,
     FitBudget,
     FitSettings,
-    LoadPoint,
-    LossSettings,
     ObserverSettings,
     OperationSettings,
     PerUnitBases,
@@ -112,6 +111,8 @@ class _Build:
         control = self.control(sections.control, machine, inverter, i_max)
         self.general_remarks(machine, inverter, control)
         weakening = read_weakening(sections, machine, self.reading)
+        choice = read_choice(sections, machine, i_max, self.reading)
+        losses = read_losses(sections, machine, self.reading)
         return Design(
             name=sections.name,
             about=sections.about,
@@ -122,7 +123,7 @@ class _Build:
             control=control,
             operation=_operation(sections.operation),
             fit=self.fit(sections.fit, machine, control.bases),
-            losses=_losses(sections),
+            losses=losses,
             waveform=_waveform(sections.waveform),
             export=ExportSettings(prefix=sections.export.prefix, vectors=sections.export.vectors),
             values=(*input_values(sections, self.reading.converted), *self.reading.derived),
@@ -131,6 +132,7 @@ class _Build:
             weakening=weakening,
             winding=read_winding_heat(sections.machine, inverter.coolant_temperature),
             simulation=read_scenario(sections, machine, inverter, control, self.reading),
+            modulation_choice=choice,
         )
 
     def inverter(self, section: InverterSection, machine_limit: float) -> Inverter:
@@ -299,15 +301,4 @@ def _waveform(section: WaveformSection) -> WaveformSettings:
         slew=si_of(section.slew_rate),
         form=section.form,
         error=_WAVEFORM.error if error is None else error,
-    )
-
-
-def _losses(sections: DesignFile) -> LossSettings | None:
-    section = sections.losses
-    if section is None:
-        return None
-    return LossSettings(
-        points=tuple(LoadPoint(torque=point.torque.si, omega_m=point.speed.si) for point in section.points),
-        strategies=section.strategies,
-        modulations=section.modulations,
     )

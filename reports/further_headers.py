@@ -15,6 +15,7 @@ from dqforge.optimizer.phase_reference import PhaseReference
 from dqforge.optimizer.surface_reference import WeakeningReference
 from dqforge.reports.control_header import control_from, control_programme
 from dqforge.reports.programme import Programme
+from dqforge.reports.rule_header import EmittedRule, emitted_from, rule_inputs, rule_results
 from dqforge.reports.surface_header import weakening_currents, weakening_from, weakening_inputs
 from dqforge.reports.waveform_header import model_currents, phase_reference_from, waveform_inputs
 
@@ -65,9 +66,16 @@ def _weakening_programme(reference: WeakeningReference) -> Programme:
     return Programme("surface_harness.c.j2", inputs, results, name="current reference with field weakening")
 
 
+def _rule_programme(rule: EmittedRule) -> Programme:
+    half = SWEEP_POINTS // 2
+    inputs = rule_inputs(rule, half, SWEEP_SEED, patterns=half)
+    return Programme("choice_harness.c.j2", inputs, rule_results(rule, inputs), name="choice of modulator")
+
+
 FURTHER_HEADERS = (
     FurtherHeader("waveform", lambda own, _: phase_reference_from(own), _waveform_programme),
     FurtherHeader("weakening", lambda own, _: weakening_from(own), _weakening_programme),
+    FurtherHeader("modulation", lambda own, _: emitted_from(own), _rule_programme),
     FurtherHeader("control", control_from, control_programme, vectors=False),
 )
 """All kinds, in the order in which they are written and verified."""

@@ -18,6 +18,8 @@ from dqforge.reports.drive_simulation import DriveSimulation
 from dqforge.reports.figures_losses import POINTS_SHOWN
 from dqforge.reports.figures_reference import ROUNDING
 from dqforge.reports.header import header_context
+from dqforge.reports.html_choice import choice_part
+from dqforge.reports.html_mission import mission_part
 from dqforge.reports.html_tables import (
     LOOP_TEXT,
     STRATEGY_TEXT,
@@ -40,7 +42,7 @@ from dqforge.reports.html_text import count, degrees, number, quantity, share, s
 from dqforge.reports.html_waveforms import candidates_table, comparison_text, rules_table
 from dqforge.reports.labels import FORMAT_TEXT, MODULATION_LABELS, operation_text, point_text, watts
 from dqforge.reports.reference_ir import PlainData, to_plain
-from dqforge.reports.simulation_tables import simulation_html
+from dqforge.reports.simulation_tables import simulation_part
 from dqforge.reports.templating import render
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_tables import weakening_html
@@ -249,6 +251,16 @@ def _figures(solution: Solution) -> dict[str, Markup]:
         from dqforge.reports.figures_weakening import plot_weakening
 
         drawn["weakening"] = lambda: plot_weakening(weakening)
+    mission = solution.mission
+    if mission is not None:
+        from dqforge.reports.figures_drive_losses import plot_mission
+
+        drawn["mission"] = lambda: plot_mission(mission)
+    choice = solution.choice
+    if choice is not None:
+        from dqforge.reports.figures_choice import plot_choice
+
+        drawn["choice"] = lambda: plot_choice(choice)
     return {name: Markup(figures.to_svg(draw())) for name, draw in drawn.items()}
 
 
@@ -316,6 +328,8 @@ def _sections(
         sections.append(("losses", "Loss comparison"))
     if waveforms:
         sections.append(("waveforms", "Phase currents"))
+    if design.modulation_choice is not None:
+        sections.append(("modulation", "Modulator and frequency"))
     if design.weakening is not None:
         sections.append(("weakening", "Field weakening"))
     if simulated:
@@ -323,21 +337,8 @@ def _sections(
     return [*sections, ("header", f"{design.export.prefix}.h"), ("conventions", "Conventions")]
 
 
-def _simulation_part(simulation: DriveSimulation | None) -> PlainData | None:
-    """Tables and figure of the simulation."""
-    if simulation is None:
-        return None
-    from markupsafe import Markup
-
-    from dqforge.reports.figures import to_svg
-    from dqforge.reports.figures_simulation import plot_simulation
-
-    return {
-        "tables": simulation_html(simulation),
-        "figure": Markup(to_svg(plot_simulation(simulation))),
-        "file": f"{simulation.design.export.prefix}_simulation.npz",
-        "controller": f"{simulation.design.export.prefix}_control.h",
-    }
+def _has_losses(solution: Solution) -> bool:
+    return solution.losses is not None or solution.mission is not None
 
 
 def report_context(
@@ -352,7 +353,7 @@ def report_context(
         "digest": design.digest,
         "sections": _sections(
             design,
-            losses=solution.losses is not None,
+            losses=_has_losses(solution),
             waveforms=solution.waveforms is not None,
             simulated=simulation is not None,
         ),
@@ -378,10 +379,12 @@ def report_context(
             *observer_tables(design, solution.gains, solution.fit.torque_max),
         ],
         "losses": [] if solution.losses is None else loss_tables(solution.losses),
+        "mission": mission_part(solution),
         "points_left_out": 0 if solution.losses is None else max(0, len(solution.losses.points) - POINTS_SHOWN),
         "waveforms": _waveform_part(solution),
         "weakening": _weakening_part(solution),
-        "simulation": _simulation_part(simulation),
+        "choice": choice_part(solution.choice, design.export.prefix),
+        "simulation": simulation_part(simulation),
         "header": header_context(solution),
         "verification": {
             "done": verification is not None,

@@ -13,6 +13,7 @@ from dqforge.reports.header import header_files
 from dqforge.reports.html_report import render_report
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.result_json import plain_solution, to_text
+from dqforge.reports.rule_header import choice_files
 from dqforge.reports.surface_header import weakening_files
 from dqforge.reports.verify import Verification, verify_files
 from dqforge.reports.waveform_header import waveform_files
@@ -48,6 +49,8 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
         files |= waveform_files(design, solution.phases)
     if solution.weakening is not None:
         files |= weakening_files(design, solution.weakening)
+    if solution.choice is not None:
+        files |= choice_files(design, solution.choice)
     if "float32" in design.export.control:
         files |= control_files(solution)
     plain = plain_solution(solution)

@@ -76,6 +76,24 @@ def simulation_html(found: DriveSimulation) -> list[HtmlTable]:
     return tables
 
 
+def simulation_part(found: DriveSimulation | None) -> PlainData | None:
+    """What the report's template prints of a simulation: tables, figure and file names; None where there is none."""
+    if found is None:
+        return None
+    from markupsafe import Markup
+
+    from dqforge.reports.figures import to_svg
+    from dqforge.reports.figures_simulation import plot_simulation
+
+    prefix = found.design.export.prefix
+    return {
+        "tables": simulation_html(found),
+        "figure": Markup(to_svg(plot_simulation(found))),
+        "file": f"{prefix}_simulation.npz",
+        "controller": f"{prefix}_control.h",
+    }
+
+
 def plain_simulation(found: DriveSimulation) -> PlainData:
     """Figures as plain data, in SI units; the samples are in the archive."""
     run, figures = found.run, found.run.figures
