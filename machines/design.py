@@ -8,6 +8,7 @@ from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
 from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.scenario import Scenario
 from dqforge.machines.settings import (
     ChoiceSettings,
     ControlSettings,
@@ -48,7 +49,8 @@ class Design:
     ``assumptions`` the sentences on what the file leaves open,
     ``digest`` is the SHA-256 of the file's bytes in hexadecimal. ``weakening`` asks for two-dimensional references,
     ``modulation_choice`` for a choice of modulator and switching frequency.
-    ``winding`` says how warm the losses make the winding, None where its temperature is given.
+    ``winding`` says how warm the losses make the winding, None where its temperature is given. ``simulation`` asks for
+    a simulation in the time domain.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Design:
     digest: str
     weakening: WeakeningSettings | None = None
     winding: WindingHeat | None = None
+    simulation: Scenario | None = None
     modulation_choice: ChoiceSettings | None = None
 
     @property

@@ -17,6 +17,7 @@ from dqforge.machines.machine_reader import read_machine
 from dqforge.machines.provenance import input_values, kind_assumptions
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
+from dqforge.machines.scenario_reader import read_scenario
 from dqforge.machines.schema import (
     ControlSection,
     CurrentLoopSection,
@@ -130,6 +131,7 @@ class _Build:
             digest=self.reading.digest(),
             weakening=weakening,
             winding=read_winding_heat(sections.machine, inverter.coolant_temperature),
+            simulation=read_scenario(sections, machine, inverter, control, self.reading),
             modulation_choice=choice,
         )
 

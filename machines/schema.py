@@ -46,6 +46,7 @@ from dqforge.machines.schema_entries import (
     Voltage,
 )
 from dqforge.machines.schema_machine import MachineSection
+from dqforge.machines.schema_simulation import SimulationSection
 from dqforge.machines.settings import (
     BreakpointMode,
     ChoiceSettings,
@@ -362,6 +363,9 @@ class DesignFile(Section):
     )
     modulation_choice: ChoiceSection | None = Field(
         default=None, description="choice of modulator and switching frequency, if it is wanted"
+    )
+    simulation: SimulationSection | None = Field(
+        default=None, description="simulation in the time domain, if one is wanted"
     )
     export: ExportSection = ExportSection()
 

@@ -88,6 +88,8 @@ _EXAMPLES = {
     "v_dc": "v_dc: 48 V",
     "switching_frequency": "switching_frequency: 10 kHz",
     "pole": "pole: 400 rad/s",
+    "duration": "duration: 1 s",
+    "time": "time: 0.2 s",
     "points": "points: [{torque: 1 N m, speed: 1500 rpm}]",
     "torque": "torque: 1 N m",
     "speed": "speed: 1500 rpm",

@@ -14,6 +14,7 @@ from dqforge.machines.design import Design
 from dqforge.optimizer.gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.certificate_text import proof_title, proven_text
+from dqforge.reports.drive_simulation import DriveSimulation
 from dqforge.reports.figures_losses import POINTS_SHOWN
 from dqforge.reports.figures_reference import ROUNDING
 from dqforge.reports.header import header_context
@@ -41,6 +42,7 @@ from dqforge.reports.html_text import count, degrees, number, quantity, share, s
 from dqforge.reports.html_waveforms import candidates_table, comparison_text, rules_table
 from dqforge.reports.labels import FORMAT_TEXT, MODULATION_LABELS, operation_text, point_text, watts
 from dqforge.reports.reference_ir import PlainData, to_plain
+from dqforge.reports.simulation_tables import simulation_part
 from dqforge.reports.templating import render
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_tables import weakening_html
@@ -312,7 +314,9 @@ def _reference_part(solution: Solution) -> PlainData:
     }
 
 
-def _sections(design: Design, *, losses: bool, waveforms: bool) -> list[tuple[str, str | Markup]]:
+def _sections(
+    design: Design, *, losses: bool, waveforms: bool, simulated: bool = False
+) -> list[tuple[str, str | Markup]]:
     sections: list[tuple[str, str | Markup]] = [
         ("summary", "Summary"),
         ("machine", "Machine and assumptions"),
@@ -328,6 +332,8 @@ def _sections(design: Design, *, losses: bool, waveforms: bool) -> list[tuple[st
         sections.append(("modulation", "Modulator and frequency"))
     if design.weakening is not None:
         sections.append(("weakening", "Field weakening"))
+    if simulated:
+        sections.append(("simulation", "Simulation"))
     return [*sections, ("header", f"{design.export.prefix}.h"), ("conventions", "Conventions")]
 
 
@@ -335,7 +341,9 @@ def _has_losses(solution: Solution) -> bool:
     return solution.losses is not None or solution.mission is not None
 
 
-def report_context(solution: Solution, verification: Verification | None) -> PlainData:
+def report_context(
+    solution: Solution, verification: Verification | None, simulation: DriveSimulation | None = None
+) -> PlainData:
     """Everything that the template prints."""
     design, errors, proof = solution.design, solution.fit.errors, solution.certificate
     return {
@@ -343,7 +351,12 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         "about": design.about,
         "version": __version__,
         "digest": design.digest,
-        "sections": _sections(design, losses=_has_losses(solution), waveforms=solution.waveforms is not None),
+        "sections": _sections(
+            design,
+            losses=_has_losses(solution),
+            waveforms=solution.waveforms is not None,
+            simulated=simulation is not None,
+        ),
         "summary": summary(solution, verification),
         "tiles": tiles(solution, verification),
         "facts": fact_rows(design),
@@ -371,6 +384,7 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         "waveforms": _waveform_part(solution),
         "weakening": _weakening_part(solution),
         "choice": choice_part(solution.choice, design.export.prefix),
+        "simulation": simulation_part(simulation),
         "header": header_context(solution),
         "verification": {
             "done": verification is not None,
@@ -379,7 +393,9 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
     }
 
 
-def render_report(solution: Solution, verification: Verification | None) -> str:
+def render_report(
+    solution: Solution, verification: Verification | None, simulation: DriveSimulation | None = None
+) -> str:
     """The report of a solution as one HTML document.
 
     Parameters
@@ -388,5 +404,7 @@ def render_report(solution: Solution, verification: Verification | None) -> str:
         What was solved.
     verification:
         Outcome of compiling and running the header, or None if that was skipped; the report says which.
+    simulation:
+        Outcome of the simulation, or None where there is none.
     """
-    return render("report.html.j2", report_context(solution, verification))
+    return render("report.html.j2", report_context(solution, verification, simulation))
