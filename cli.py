@@ -384,6 +384,36 @@ def dqy(
 
 
 @app.command()
+def simulate(
+    design: DesignArgument,
+    out: OutOption = Path("out"),
+    json: JsonOption = False,
+    plot: PlotOption = None,
+    switched: Annotated[bool, typer.Option("--switched", help="Simulate every switching instant.")] = False,
+) -> None:
+    """Simulate the drive in the time domain, with the emitted controller compiled and in the loop."""
+    from dqforge.reports.console import progress
+    from dqforge.reports.drive_simulation import require_scenario, simulate_design, simulation_files
+    from dqforge.reports.files import write_all
+    from dqforge.reports.simulation_tables import plain_simulation, simulation_tables
+
+    loaded = _load_for(design, plot)
+    require_scenario(loaded, switched=switched)
+    with progress("simulating") as report:
+        found = simulate_design(loaded, switched=switched, progress=report)
+    if plot is not None:
+        from dqforge.reports.figures_simulation import plot_simulation
+
+        _plot(lambda: plot_simulation(found), plot)
+    paths = write_all(out, simulation_files(found))
+    if json:
+        _print_json("simulate", loaded.name, {"simulation": plain_simulation(found)})
+    else:
+        _show(simulation_tables(found))
+        typer.echo("written: " + " ".join(str(path) for path in paths))
+
+
+@app.command()
 def bemf(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Text file with time, or angle, and three phases.")],
     json: JsonOption = False,

@@ -14,6 +14,7 @@ from dqforge.machines.design import Design
 from dqforge.optimizer.gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.certificate_text import proof_title, proven_text
+from dqforge.reports.drive_simulation import DriveSimulation
 from dqforge.reports.figures_losses import POINTS_SHOWN
 from dqforge.reports.figures_reference import ROUNDING
 from dqforge.reports.header import header_context
@@ -39,6 +40,7 @@ from dqforge.reports.html_text import count, degrees, number, quantity, share, s
 from dqforge.reports.html_waveforms import candidates_table, comparison_text, rules_table
 from dqforge.reports.labels import FORMAT_TEXT, MODULATION_LABELS, operation_text, point_text, watts
 from dqforge.reports.reference_ir import PlainData, to_plain
+from dqforge.reports.simulation_tables import simulation_html
 from dqforge.reports.templating import render
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_tables import weakening_html
@@ -300,7 +302,9 @@ def _reference_part(solution: Solution) -> PlainData:
     }
 
 
-def _sections(design: Design, *, losses: bool, waveforms: bool) -> list[tuple[str, str | Markup]]:
+def _sections(
+    design: Design, *, losses: bool, waveforms: bool, simulated: bool = False
+) -> list[tuple[str, str | Markup]]:
     sections: list[tuple[str, str | Markup]] = [
         ("summary", "Summary"),
         ("machine", "Machine and assumptions"),
@@ -314,10 +318,31 @@ def _sections(design: Design, *, losses: bool, waveforms: bool) -> list[tuple[st
         sections.append(("waveforms", "Phase currents"))
     if design.weakening is not None:
         sections.append(("weakening", "Field weakening"))
+    if simulated:
+        sections.append(("simulation", "Simulation"))
     return [*sections, ("header", f"{design.export.prefix}.h"), ("conventions", "Conventions")]
 
 
-def report_context(solution: Solution, verification: Verification | None) -> PlainData:
+def _simulation_part(simulation: DriveSimulation | None) -> PlainData | None:
+    """Tables and figure of the simulation."""
+    if simulation is None:
+        return None
+    from markupsafe import Markup
+
+    from dqforge.reports.figures import to_svg
+    from dqforge.reports.figures_simulation import plot_simulation
+
+    return {
+        "tables": simulation_html(simulation),
+        "figure": Markup(to_svg(plot_simulation(simulation))),
+        "file": f"{simulation.design.export.prefix}_simulation.npz",
+        "controller": f"{simulation.design.export.prefix}_control.h",
+    }
+
+
+def report_context(
+    solution: Solution, verification: Verification | None, simulation: DriveSimulation | None = None
+) -> PlainData:
     """Everything that the template prints."""
     design, errors, proof = solution.design, solution.fit.errors, solution.certificate
     return {
@@ -325,7 +350,12 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         "about": design.about,
         "version": __version__,
         "digest": design.digest,
-        "sections": _sections(design, losses=solution.losses is not None, waveforms=solution.waveforms is not None),
+        "sections": _sections(
+            design,
+            losses=solution.losses is not None,
+            waveforms=solution.waveforms is not None,
+            simulated=simulation is not None,
+        ),
         "summary": summary(solution, verification),
         "tiles": tiles(solution, verification),
         "facts": fact_rows(design),
@@ -351,6 +381,7 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         "points_left_out": 0 if solution.losses is None else max(0, len(solution.losses.points) - POINTS_SHOWN),
         "waveforms": _waveform_part(solution),
         "weakening": _weakening_part(solution),
+        "simulation": _simulation_part(simulation),
         "header": header_context(solution),
         "verification": {
             "done": verification is not None,
@@ -359,7 +390,9 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
     }
 
 
-def render_report(solution: Solution, verification: Verification | None) -> str:
+def render_report(
+    solution: Solution, verification: Verification | None, simulation: DriveSimulation | None = None
+) -> str:
     """The report of a solution as one HTML document.
 
     Parameters
@@ -368,5 +401,7 @@ def render_report(solution: Solution, verification: Verification | None) -> str:
         What was solved.
     verification:
         Outcome of compiling and running the header, or None if that was skipped; the report says which.
+    simulation:
+        Outcome of the simulation, or None where there is none.
     """
-    return render("report.html.j2", report_context(solution, verification))
+    return render("report.html.j2", report_context(solution, verification, simulation))

@@ -14,6 +14,7 @@ from dqforge.machines.inverter import Inverter
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.scenario import ControlMode, Profile, Scenario
 from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
+from dqforge.optimizer.observer import ReducedOrderObserver
 
 STATES = (
     "i_x",
@@ -36,6 +37,7 @@ PARAMETERS = (
     *("counts", "speed_ratio", "angle_error"),
     *("adc_bits", "adc_full_scale", "noise", "offset_a", "offset_b", "offset_c", "gain_a", "gain_b", "gain_c"),
     *("v_bits", "v_full_scale"),
+    *("observer", "obs_a", "obs_b_u", "obs_b_i", "obs_c", "obs_l_d"),
 )
 """Fields of the C structure ``parameters_t``, all doubles, in this order."""
 
@@ -77,6 +79,8 @@ class Drive:
         Current samples per sample of the speed controller.
     phases:
         Machine with another back-EMF than a sine, None for others.
+    observer:
+        The sampled speed observer, None where there is none.
     """
 
     machine: Machine
@@ -84,6 +88,7 @@ class Drive:
     t_s: float
     ratio: int = 10
     phases: PhaseMachine | None = None
+    observer: ReducedOrderObserver | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,6 +175,18 @@ def _machine_parameters(drive: Drive, scenario: Scenario) -> dict[str, float]:
     return values | {"kind": 0.0, "psi_pm": machine.psi_pm * (1.0 + errors.psi_pm)}
 
 
+def _observer_parameters(drive: Drive, scenario: Scenario) -> dict[str, float]:
+    """Coefficients of the speed observer, which knows the machine by its data alone."""
+    names = ("observer", "obs_a", "obs_b_u", "obs_b_i", "obs_c", "obs_l_d")
+    if scenario.encoder.speed != "observer":
+        return dict.fromkeys(names, 0.0)
+    observer = drive.observer
+    if observer is None:
+        raise InputError("the speed is to come from an observer; give the drive one (control.observer)")
+    values = (1.0, observer.a, observer.b_u, observer.b_i, observer.c, drive.machine.l_d)
+    return dict(zip(names, values, strict=True))
+
+
 def carrier_halves(drive: Drive, scenario: Scenario) -> int:
     """Half carrier periods per control period.
 
@@ -242,37 +259,41 @@ def run_input(drive: Drive, scenario: Scenario, *, stride: int = 1, tail: float 
     electrical = _machine_parameters(drive, scenario)
     inductance = _least_inductances(machine) if drive.phases is None else (electrical["l_d"], electrical["l_d"])
     speed = scenario.encoder.speed
-    parameters = electrical | {
-        "mode": _MODES[scenario.mode],
-        "t_s": drive.t_s,
-        "samples": float(samples),
-        "stride": float(stride),
-        "sub_steps": float(sub_steps(drive, scenario)),
-        "tail": tail * samples * drive.t_s,
-        "progress": 0.0,
-        "seed": float(scenario.seed),
-        "i_stop": _STOP * machine.i_max,
-        "inertia": (machine.inertia or 1.0) * (1.0 + errors.inertia),
-        "friction": machine.friction,
-        "driven": 0.0 if scenario.shaft is None else 1.0,
-        "omega_m_0": scenario.omega_m,
-        "theta_m_0": scenario.theta_e / machine.pole_pairs,
-        "switched": 1.0 if scenario.inverter == "switched" else 0.0,
-        "halves": float(carrier_halves(drive, scenario)),
-        "dead_time": dead_time,
-        # What the link drives through two thirds of a winding in a dead time: below, the current may stay at zero.
-        "dead_band": max(v_dc * dead_time / (1.5 * min(inductance)), 1e-9 * machine.i_max),
-        "ripple_l_d": inductance[0],
-        "ripple_l_q": inductance[1],
-        "counts": 4.0 * scenario.encoder.lines,
-        "speed_ratio": float(drive.ratio) if speed == "difference" else 0.0,
-        "angle_error": scenario.encoder.misalignment,
-        "adc_bits": float(sensor.bits),
-        "adc_full_scale": sensor.full_scale,
-        "noise": sensor.noise,
-        "v_bits": 0.0,
-        "v_full_scale": 1.0,
-    }
+    parameters = (
+        electrical
+        | {
+            "mode": _MODES[scenario.mode],
+            "t_s": drive.t_s,
+            "samples": float(samples),
+            "stride": float(stride),
+            "sub_steps": float(sub_steps(drive, scenario)),
+            "tail": tail * samples * drive.t_s,
+            "progress": 0.0,
+            "seed": float(scenario.seed),
+            "i_stop": _STOP * machine.i_max,
+            "inertia": (machine.inertia or 1.0) * (1.0 + errors.inertia),
+            "friction": machine.friction,
+            "driven": 0.0 if scenario.shaft is None else 1.0,
+            "omega_m_0": scenario.omega_m,
+            "theta_m_0": scenario.theta_e / machine.pole_pairs,
+            "switched": 1.0 if scenario.inverter == "switched" else 0.0,
+            "halves": float(carrier_halves(drive, scenario)),
+            "dead_time": dead_time,
+            # What the link drives through two thirds of a winding in a dead time: below, the current may stay at zero.
+            "dead_band": max(v_dc * dead_time / (1.5 * min(inductance)), 1e-9 * machine.i_max),
+            "ripple_l_d": inductance[0],
+            "ripple_l_q": inductance[1],
+            "counts": 4.0 * scenario.encoder.lines,
+            "speed_ratio": float(drive.ratio) if speed == "difference" else 0.0,
+            "angle_error": scenario.encoder.misalignment,
+            "adc_bits": float(sensor.bits),
+            "adc_full_scale": sensor.full_scale,
+            "noise": sensor.noise,
+            "v_bits": 0.0,
+            "v_full_scale": 1.0,
+        }
+        | _observer_parameters(drive, scenario)
+    )
     for index, phase in enumerate("abc"):
         parameters[f"offset_{phase}"], parameters[f"gain_{phase}"] = sensor.offset[index], sensor.gain_error[index]
     link = (Profile((0.0,), (v_dc,)) if scenario.v_dc is None else scenario.v_dc).scaled(1.0 + errors.v_dc)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from dqforge.machines.design import Design
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control_header import control_files
+from dqforge.reports.drive_simulation import simulate_design, simulation_files
 from dqforge.reports.further_headers import programmes
 from dqforge.reports.header import header_files
 from dqforge.reports.html_report import render_report
@@ -64,5 +65,9 @@ def run_design(design: Design, *, verify: bool) -> RunOutput:
         As `export_design`.
     """
     output = export_design(design, verify=verify)
-    output.files["report.html"] = render_report(output.solution, output.verification).encode("utf-8")
+    simulation = None
+    if verify and design.simulation is not None:
+        simulation = simulate_design(design, solution=output.solution)
+        output.files.update(simulation_files(simulation))
+    output.files["report.html"] = render_report(output.solution, output.verification, simulation).encode("utf-8")
     return output
