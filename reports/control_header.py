@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Mapping
 from typing import Any, get_args
 
@@ -219,3 +220,9 @@ def control_files(solution: Solution) -> dict[str, bytes]:
         ],
     }
     return {f"{prefix}_control.h": render("control.h.j2", context).encode("ascii")}
+
+
+def gain_bytes(plain: Mapping[str, Any]) -> bytes:
+    """Bytes of ``<prefix>_control_gains_t`` on this machine, from data as `plain_control` makes them."""
+    numbers = [value for name in _PIS for value in plain[name]] + [plain[name] for name in _NUMBERS]
+    return struct.pack(f"={len(numbers)}fI", *numbers, plain["ratio"])

@@ -1,0 +1,297 @@
+"""Paper 001 recomputed: the integers of Table 8.1, and the transients of chapter 8 with the emitted controller.
+
+The thesis controls i_q alone (v_d = 0), without decoupling, and holds the outputs of both velocity-form controllers.
+The emitted controller does the same with other gains: those of the d axis and the decoupling at 0, a tracking of 1,
+which makes back-calculation what holding the output of the velocity form is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dqforge.machines import catalogue
+from dqforge.machines.scenario import Encoder, Profile, Scenario
+from dqforge.optimizer.fixed_point import to_q
+from dqforge.optimizer.gains import LoopGains, per_unit
+from dqforge.optimizer.observer import ObserverError, steady_state_error
+from dqforge.optimizer.solution import Solution
+from dqforge.reports.reference_ir import PlainData
+from dqforge.reports.simulation import Simulation
+from dqforge.reports.tables import Table
+from dqforge.reports.transients import RPM, Bench, bench, settling_time
+
+DESIGN_NAME = "paper001-pmsm-bench"
+
+PRINTED_INTEGERS = {"speed kp": 20000, "speed ki h": 2500, "current kp": 136, "current ki h": 26}
+"""Table 8.1 in the formats of the program: Q10, Q10, Q10, Q15."""
+
+PRINTED_TIME = 0.4
+"""Start to 1200 rpm and reversal between +-1200 rpm, s ("around 400 ms", section 8.4)."""
+
+ENCODER_LINES = 1024
+_VOLTAGE_LIMIT = 13_000 / 32_768
+_CURRENT_LIMIT = 32_000 / 32_768
+_BAND = 0.02
+_TARGET = 1200.0
+START_CURRENT, REVERSAL_CURRENT = 1.9, 3.9
+"""Limits of the current reference in A for which the transients take the printed time; the thesis states none."""
+
+_SENSORLESS_RPM = 1500.0
+
+
+@dataclass(frozen=True, slots=True)
+class Transient:
+    """How long a change of speed takes: printed, and found with a limit of the current reference in A."""
+
+    name: str
+    limit: float
+    origin: str
+    seconds: float
+    overshoot: float
+    peak_current: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Runs:
+    """Recorded transients: start and reversal, sine reference, steps, and the start without sensor."""
+
+    reversal: Simulation
+    sine: Simulation
+    steps: Simulation
+    sensorless: Simulation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reproduction:
+    """Everything that is shown of the thesis.
+
+    ``integers`` by name as in `PRINTED_INTEGERS`; ``sine_lag`` in degrees, ``sine_amplitude`` in rpm, ``step_time`` in
+    s; ``sensorless_error`` and ``sensorless`` are steady speed errors at 1500 rpm, relative, with exact parameters in
+    simulation, and by formula with what is stated in the key.
+    """
+
+    integers: dict[str, int]
+    transients: tuple[Transient, ...]
+    sine_amplitude: float
+    sine_lag: float
+    step_time: float
+    sensorless_error: float
+    sensorless: dict[str, float]
+    runs: Runs
+
+
+def _integers(solution: Solution) -> dict[str, int]:
+    control = solution.design.control
+    bases, speed = control.bases, solution.gains.speed
+    assert speed is not None
+    assert control.speed_loop is not None
+    found: dict[str, int] = {}
+    loops: tuple[tuple[str, LoopGains, float, float, Any], ...] = (
+        ("speed", speed, bases.speed, bases.torque, control.speed_loop.q_formats),
+        ("current", solution.gains.i_q, bases.current, bases.voltage, control.current_loop.q_formats),
+    )
+    for name, gains, base_in, base_out, formats in loops:
+        values = per_unit(gains, base_in, base_out)
+        for label, value, bits in zip(("kp", "ki h"), values, formats, strict=True):
+            found[f"{name} {label}"] = to_q(value, bits)
+    return found
+
+
+def thesis_gains(place: Bench, current: float) -> dict[str, Any]:
+    """Members of the gains that make the emitted controller that of the thesis, with a limit of i_q in A."""
+    design = place.solution.design
+    voltage = _VOLTAGE_LIMIT * design.control.bases.voltage
+    return {
+        "d": [0.0, 0.0, 0.0],
+        "q": [*place.gains["q"][:2], 1.0],
+        "speed": [*place.gains["speed"][:2], 1.0],
+        "l_d": 0.0,
+        "l_q": 0.0,
+        "psi_pm": 0.0,
+        "advance": 0.0,
+        "voltage_share": voltage / design.inverter.v_dc,
+        "torque_max": current * design.machine.torque_per_ampere,
+    }
+
+
+def _scenario(duration: float, reference: Profile, **changes: Any) -> Scenario:
+    return Scenario(duration, "speed", reference, encoder=Encoder(ENCODER_LINES), **changes)
+
+
+def _reversal(place: Bench, current: float) -> Simulation:
+    """Start to 1200 rpm, reversal after 1.5 s."""
+    reference = Profile((0.0, 1.5), (_TARGET * RPM, -_TARGET * RPM))
+    return place.run(_scenario(3.0, reference), thesis_gains(place, current))
+
+
+def _transients(place: Bench) -> tuple[tuple[Transient, ...], Simulation]:
+    program = _CURRENT_LIMIT * place.solution.design.control.bases.current
+    runs = {limit: _reversal(place, limit) for limit in (program, START_CURRENT, REVERSAL_CURRENT)}
+    wanted = (
+        ("start", program, "program: 32000 in Q15"),
+        ("reversal", program, "program: 32000 in Q15"),
+        ("start", START_CURRENT, "chosen for the printed time"),
+        ("reversal", REVERSAL_CURRENT, "chosen for the printed time"),
+    )
+    rows = []
+    for name, limit, origin in wanted:
+        found = runs[limit]
+        start, end, target = (0.0, 1.5, _TARGET * RPM) if name == "start" else (1.5, 3.0, -_TARGET * RPM)
+        chosen = (found.t >= start) & (found.t < end)
+        beyond = np.max(found.omega_m[chosen] * np.sign(target)) / abs(target) - 1.0
+        peak = float(np.max(np.hypot(found.i_d[chosen], found.i_q[chosen])))
+        seconds = settling_time(found, start, end, target, _BAND)
+        rows.append(Transient(name, limit, origin, seconds, float(beyond), peak))
+    return tuple(rows), runs[REVERSAL_CURRENT]
+
+
+def _sine(place: Bench) -> tuple[Simulation, float, float]:
+    """2 Hz and 200 rpm about 1200 rpm: the run, amplitude in rpm, lag in degrees over the last second."""
+    reference = Profile((0.0,), (_TARGET * RPM,), amplitude=200.0 * RPM, frequency=2.0)
+    found = place.run(_scenario(3.0, reference), thesis_gains(place, REVERSAL_CURRENT))
+    last = found.t >= 2.0
+    turn = np.exp(-2.0j * np.pi * 2.0 * found.t[last])
+    answer = 2.0 * np.mean(found.omega_m[last] * turn)
+    asked = 2.0 * np.mean(found.reference[last] * turn)
+    return found, abs(answer) / RPM, float(np.degrees(np.angle(asked / answer)))
+
+
+def _steps(place: Bench) -> tuple[Simulation, float]:
+    """Steps of 500 rpm every 0.5 s between 1000 and 2000 rpm, as in the program; the longest settling time in s."""
+    levels = np.array([1500.0, 2000.0, 1500.0, 1000.0, 1500.0]) * RPM
+    times = np.array([0.0, 1.0, 1.5, 2.0, 2.5])
+    reference = Profile(tuple(times.tolist()), tuple(levels.tolist()))
+    found = place.run(_scenario(3.0, reference), thesis_gains(place, REVERSAL_CURRENT))
+    longest = max(
+        settling_time(found, start, start + 0.4999, float(level), _BAND)
+        for start, level in zip(times[1:].tolist(), levels[1:].tolist(), strict=True)
+    )
+    return found, longest
+
+
+def _sensorless(place: Bench) -> tuple[Simulation, float]:
+    """Start to 1500 rpm with the speed of the corrected observer; the error of the estimate over the last 0.2 s."""
+    scenario = Scenario(
+        1.2, "speed", Profile((0.0,), (_SENSORLESS_RPM * RPM,)), encoder=Encoder(speed="observer"), dead_time=0.0
+    )
+    found = place.run(scenario, thesis_gains(place, REVERSAL_CURRENT))
+    last = found.t >= 1.0
+    error = np.mean(found.omega_m_measured[last] - found.omega_m[last]) / (_SENSORLESS_RPM * RPM)
+    return found, float(error)
+
+
+def _stated_errors(place: Bench) -> dict[str, float]:
+    """Steady relative errors of the estimate at 1500 rpm without load, by formula, and what makes the printed 4 %."""
+    design = place.solution.design
+    observer = place.solution.gains.observer
+    assert observer is not None
+    omega = _SENSORLESS_RPM * RPM
+
+    def error(**changes: float) -> ObserverError:
+        return steady_state_error(design.machine, observer.g, design.control.t_s, omega, **changes)
+
+    rated = 0.47
+    return {
+        "exact parameters": error().relative,
+        "psi_pm 4 % too small": error(psi_error=-0.04).relative,
+        "R 30 % too large": error(r_error=0.3).relative,
+        "0.47 N m of load": error(torque_load=rated).relative,
+        "0.47 N m of load and R 30 % too large": error(torque_load=rated, r_error=0.3).relative,
+    }
+
+
+def reproduce_paper() -> Reproduction:
+    """Everything that is shown of the thesis.
+
+    Raises
+    ------
+    VerificationError
+        There is no compiler for the simulation.
+    """
+    design = replace(catalogue.load(DESIGN_NAME), losses=None)
+    with bench(design) as place:
+        transients, reversal = _transients(place)
+        sine, amplitude, lag = _sine(place)
+        steps, step_time = _steps(place)
+        sensorless, error = _sensorless(place)
+        return Reproduction(
+            integers=_integers(place.solution),
+            transients=transients,
+            sine_amplitude=amplitude,
+            sine_lag=lag,
+            step_time=step_time,
+            sensorless_error=error,
+            sensorless=_stated_errors(place),
+            runs=Runs(reversal, sine, steps, sensorless),
+        )
+
+
+def reproduction_tables(found: Reproduction) -> list[Table]:
+    """Printed beside found."""
+    integers = tuple((name, str(PRINTED_INTEGERS[name]), str(value)) for name, value in found.integers.items())
+    transients = tuple(
+        (row.name, f"{row.limit:.3g} ({row.origin})", f"{PRINTED_TIME:.1f}", f"{row.seconds:.3f}",
+         f"{100.0 * row.overshoot:.1f}", f"{row.peak_current:.2f}")
+        for row in found.transients
+    )  # fmt: skip
+    errors = tuple((name, f"{100.0 * value:+.3f}") for name, value in found.sensorless.items())
+    return [
+        Table("Paper 001, Table 8.1 as integers of the program", ("gain", "printed", "found"), integers),
+        Table(
+            "Paper 001, section 8.4: time until the speed stays within 2 % of 1200 rpm, emitted C in the loop",
+            ("transient", "limit of i_q in A", "printed s", "found s", "overshoot %", "peak current A"),
+            transients,
+            (
+                "Gains, dead time, encoder and held outputs are those of the program; the d axis is not controlled.",
+                "The thesis states no limit of the current in A. At one limit a reversal takes about twice a start: it",
+                "changes the speed by twice as much; so each printed time needs a limit of its own.",
+            ),
+        ),
+        Table(
+            "Paper 001, Figures 8.27 and 8.28",
+            ("reference", "found"),
+            (
+                ("2 Hz, 200 rpm about 1200 rpm", f"{found.sine_amplitude:.1f} rpm, {found.sine_lag:.1f} deg behind"),
+                ("steps of 500 rpm every 0.5 s", f"within 2 % after at most {found.step_time:.3f} s"),
+            ),
+        ),
+        Table(
+            "Paper 001, section 8.5: steady error of the corrected observer at 1500 rpm (printed: about 4 %)",
+            ("parameters", "error %"),
+            (
+                ("exact, emitted C in the loop, simulated", f"{100.0 * found.sensorless_error:+.3f}"),
+                *(("by formula: " + name, error) for name, error in errors),
+            ),
+        ),
+    ]
+
+
+def plain_reproduction(found: Reproduction) -> PlainData:
+    """Tables as plain data."""
+    return {
+        "table_8_1": [
+            {"gain": name, "printed": PRINTED_INTEGERS[name], "found": value} for name, value in found.integers.items()
+        ],
+        "transients": [
+            {
+                "transient": row.name,
+                "current_limit_A": row.limit,
+                "limit_from": row.origin,
+                "printed_s": PRINTED_TIME,
+                "found_s": row.seconds,
+                "overshoot": row.overshoot,
+                "peak_current_A": row.peak_current,
+            }
+            for row in found.transients
+        ],
+        "sine": {"amplitude_rpm": found.sine_amplitude, "lag_deg": found.sine_lag},
+        "steps": {"settling_s": found.step_time},
+        "sensorless_1500_rpm": {
+            "printed_error": 0.04,
+            "simulated_error_exact_parameters": found.sensorless_error,
+            "by_formula": dict(found.sensorless),
+        },
+    }

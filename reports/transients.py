@@ -1,0 +1,76 @@
+"""Transients of a shipped drive with its emitted controller in the loop, and the figures that papers state of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dqforge.machines.design import Design
+from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.scenario import Scenario
+from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.control_header import control_files, gain_bytes, plain_control
+from dqforge.reports.header import header_files
+from dqforge.reports.plant_input import Drive
+from dqforge.reports.reference_ir import PlainData
+from dqforge.reports.simulation import Simulation, Simulator, simulate, simulator
+
+RPM = np.pi / 30.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bench:
+    """A solved design whose emitted controller is compiled into a simulation; ``gains`` are those of its header."""
+
+    solution: Solution
+    program: Simulator
+    gains: PlainData
+
+    @property
+    def drive(self) -> Drive:
+        """The plant that the design describes."""
+        design, observer = self.solution.design, self.solution.gains.observer
+        speed = design.control.speed_loop
+        ratio = 1 if speed is None else speed.ratio
+        return Drive(design.machine, design.inverter, design.control.t_s, ratio, observer=observer)
+
+    def run(self, scenario: Scenario, changes: Mapping[str, Any] | None = None, stride: int = 1) -> Simulation:
+        """One scenario, with some members of the gains changed."""
+        gains = b"" if changes is None else gain_bytes({**self.gains, **changes})
+        return simulate(self.program, self.drive, scenario, stride=stride, gains=gains)
+
+
+@contextmanager
+def bench(design: Design) -> Iterator[Bench]:
+    """A bench that lasts as long as the block.
+
+    Raises
+    ------
+    VerificationError
+        There is no compiler.
+    """
+    solution = solve(design)
+    files = header_files(solution) | control_files(solution)
+    with simulator(files, design.export.prefix) as program:
+        yield Bench(solution, program, plain_control(solution))
+
+
+def settling_time(found: Simulation, start: float, end: float, target: float, band: float) -> float:
+    """Time in s from ``start`` after which the speed stays within ``band`` (relative) of the target in rad/s.
+
+    Raises
+    ------
+    NoSolutionError
+        The speed is outside at ``end``, in s.
+    """
+    chosen = (found.t >= start) & (found.t < end)
+    outside = np.flatnonzero(np.abs(found.omega_m[chosen] - target) > band * abs(target))
+    if outside.size == 0:
+        return 0.0
+    if outside[-1] + 1 == int(np.count_nonzero(chosen)):
+        raise NoSolutionError(f"the speed does not stay within {100.0 * band:g} % of {target:.4g} rad/s")
+    return float(found.t[chosen][outside[-1] + 1] - start)
