@@ -24,6 +24,7 @@ from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
 from dqforge.reports.reference_ir import PlainData, to_plain
+from dqforge.reports.robustness_text import plain_robustness
 from dqforge.reports.surface_header import plain_weakening
 from dqforge.reports.waveform_header import plain_phase_reference
 from dqforge.reports.waveform_tables import plain_waveforms
@@ -125,6 +126,11 @@ def _plain_loop(gains: LoopGains, bases: tuple[float, float], q_formats: tuple[i
         "kp": gains.kp,
         "ki": gains.ki,
         "t_s": gains.t_s,
+        "ki_ts": gains.ki_ts,
+        "t_i_s": gains.t_i,
+        "q0": gains.velocity[0],
+        "q1": gains.velocity[1],
+        "anti_windup_per_s": gains.anti_windup,
         "kp_pu": kp_pu,
         "ki_ts_pu": ki_ts_pu,
         **integers,
@@ -151,6 +157,7 @@ def plain_gains(design: Design, gains: GainSet) -> PlainData:
         "speed": speed,
         "observer": None if gains.observer is None else asdict(gains.observer),
         "bases": asdict(control.bases),
+        **plain_robustness(gains.robust),
     }
 
 
