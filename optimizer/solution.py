@@ -14,6 +14,7 @@ from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.current_choice import CurrentChoice, OperatingPoints, SpeedPoint
 from dqforge.optimizer.fit_alternatives import Alternative, alternatives
 from dqforge.optimizer.fit_choice import FitChoice, Trial, choose_fit
+from dqforge.optimizer.gain_schedule import GainSchedule, schedule_gains
 from dqforge.optimizer.gains import LoopGains, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loop_batch import PlantBatch
 from dqforge.optimizer.loss_budget import LossComparison, compare
@@ -47,7 +48,8 @@ class Curves:
 class GainSet:
     """Gains of both current loops and, where the design asks for them, of the speed loop and the observer.
 
-    ``robust`` is what they keep over the tolerances, None where the design names none.
+    ``robust`` is what they keep over the tolerances, None where the design names none; ``schedule`` the current loops'
+    gains over the current, None where it asks for none.
     """
 
     i_d: LoopGains
@@ -55,6 +57,7 @@ class GainSet:
     speed: LoopGains | None
     observer: ReducedOrderObserver | None
     robust: RobustSet | None = None
+    schedule: GainSchedule | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,16 +137,16 @@ def solve_gains(design: Design) -> GainSet:
     machine, control = design.machine, design.control
     nominal, largest = inductance_range(machine, design.i_max)
     box = drive_box(design, nominal, largest)
-    optimised = "optimised" in (control.current_loop.method, getattr(control.speed_loop, "method", ""))
+    named = control.tolerances is not None
 
     def axis_corners(axis: Axis) -> PlantBatch | None:
-        if box is None or not optimised:
+        if control.current_loop.method != "optimised":
             return None
         points = box.current_points(axis)
         return box.current_loop_plants(axis, points).some(np.arange(points.corners))
 
     def speed_corners() -> PlantBatch | None:
-        if box is None or not optimised:
+        if control.speed_loop is None or control.speed_loop.method != "optimised":
             return None
         points = box.speed_points()
         return box.speed_loop_plants(points, (i_q.kp, i_q.ki)).some(np.arange(points.corners))
@@ -156,13 +159,15 @@ def solve_gains(design: Design) -> GainSet:
         reduced_order_observer(machine, control.observer.pole, control.t_s) if control.observer is not None else None
     )
     robust = None
-    if box is not None:
+    if named:
         robust = RobustSet(
             current_robustness(box, i_d, "i_d"),
             current_robustness(box, i_q, "i_q"),
             None if speed is None else speed_robustness(box, speed, i_q),
         )
-    return GainSet(i_d, i_q, speed, observer, robust)
+    wanted = control.current_loop.schedule
+    schedule = schedule_gains(design, box if named else None, i_d, i_q) if wanted else None
+    return GainSet(i_d, i_q, speed, observer, robust, schedule)
 
 
 def solve_losses(design: Design) -> LossComparison | None:

@@ -189,8 +189,8 @@ class DriveBox:
         return np.asarray(np.where(everywhere, factor, by_magnet), dtype=np.float64)
 
 
-def drive_box(design: Design, nominal: tuple[float, float], largest: tuple[float, float]) -> DriveBox | None:
-    """The design's box, None where it names no tolerances.
+def drive_box(design: Design, nominal: tuple[float, float], largest: tuple[float, float]) -> DriveBox:
+    """The design's box; of a design without tolerances the inductances that saturation lets appear, alone.
 
     Parameters
     ----------
@@ -199,9 +199,7 @@ def drive_box(design: Design, nominal: tuple[float, float], largest: tuple[float
     nominal, largest:
         (l_d, l_q) in H that the loops are tuned for, and the largest ones along the current reference.
     """
-    tolerances = design.control.tolerances
-    if tolerances is None:
-        return None
+    tolerances = design.control.tolerances or Tolerances()
     follows = design.control.current_loop.schedule or isinstance(design.machine, LinearMachine)
     spread = (1.0, 1.0) if follows else (largest[0] / nominal[0], largest[1] / nominal[1])
     return DriveBox(design, tolerances, nominal, spread)

@@ -25,7 +25,12 @@ from dqforge.reports.verify import WARNINGS
 
 __all__ = ["TARGETS", "TargetVerification", "target_of", "verify_on_target"]
 
-_DIFFERS = {101: "current reference", 102: "phase currents", 103: "current reference with field weakening"}
+_DIFFERS = {
+    101: "current reference",
+    102: "phase currents",
+    103: "current reference with field weakening",
+    104: "gains over the current",
+}
 """Exit codes of the program on the target; the emulator's own failures end with 1."""
 
 _VECTOR_TORQUE = re.compile(rb"\{ 0x([0-9A-F]{8})U, 0x[0-9A-F]{8}U, 0x[0-9A-F]{8}U \}")
@@ -94,7 +99,8 @@ def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> Ta
         "prefix": prefix,
         "waveform": f"{prefix}_waveform_vectors.h" in files,
         "weakening": f"{prefix}_weakening_vectors.h" in files,
-        "differs": dict(zip(("reference", "phases", "weakening"), _DIFFERS, strict=True)),
+        "gains": f"{prefix}_gains_vectors.h" in files,
+        "differs": dict(zip(("reference", "phases", "weakening", "gains"), _DIFFERS, strict=True)),
     }
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         main = render("target_main.c.j2", context).encode("ascii")

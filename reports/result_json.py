@@ -23,8 +23,10 @@ from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
+from dqforge.reports.gains_header import plain_evaluator
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.robustness_text import plain_robustness
+from dqforge.reports.schedule_text import plain_schedule
 from dqforge.reports.surface_header import plain_weakening
 from dqforge.reports.waveform_header import plain_phase_reference
 from dqforge.reports.waveform_tables import plain_waveforms
@@ -158,6 +160,7 @@ def plain_gains(design: Design, gains: GainSet) -> PlainData:
         "observer": None if gains.observer is None else asdict(gains.observer),
         "bases": asdict(control.bases),
         **plain_robustness(gains.robust),
+        **plain_schedule(gains.schedule),
     }
 
 
@@ -210,7 +213,7 @@ def plain_weakening_fit(fit: WeakeningFit | None) -> PlainData | None:
 
 def plain_solution(solution: Solution) -> PlainData:
     """Everything that a run found, with what `dqforge verify` needs under ``header``."""
-    design, weakening = solution.design, solution.weakening
+    design, weakening, schedule = solution.design, solution.weakening, solution.gains.schedule
     return {
         "input": plain_design(design),
         "header": {
@@ -226,4 +229,5 @@ def plain_solution(solution: Solution) -> PlainData:
         "waveform_header": None if solution.phases is None else plain_phase_reference(solution.phases.reference),
         "weakening": plain_weakening_fit(weakening),
         "weakening_header": None if weakening is None else plain_weakening(weakening.reference),
+        "gains_header": None if schedule is None else plain_evaluator(schedule.fit.evaluator),
     }

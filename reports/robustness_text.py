@@ -96,3 +96,11 @@ def plain_robustness(robust: RobustSet | None) -> PlainData:
     for name, loop in _loops(robust):
         plain[name] = {units.get(key, key): value for key, value in asdict(loop).items()}
     return {"tolerances": plain}
+
+
+def robust_text(kept: LoopRobustness) -> str:
+    """Least phase margin and largest M_s over the tolerances in a few words."""
+    return (
+        f"phase margin {math.degrees(kept.phase_margin.value):.1f} deg or more ({kept.phase_margin.at}), "
+        f"M_s {kept.max_sensitivity.value:.2f} or less"
+    )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from dqforge.machines.design import Design
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.gains_header import gains_files
 from dqforge.reports.header import header_files
 from dqforge.reports.html_report import render_report
 from dqforge.reports.result_json import plain_solution, to_text
@@ -27,7 +28,8 @@ def _verified(solution: Solution, files: dict[str, bytes]) -> Verification:
     export = solution.design.export
     phases = None if solution.phases is None else solution.phases.reference
     weakening = None if solution.weakening is None else solution.weakening.reference
-    return verify_files(files, export.prefix, solution.fit.reference, export.vectors, phases, weakening)
+    schedule = None if solution.gains.schedule is None else solution.gains.schedule.fit.evaluator
+    return verify_files(files, export.prefix, solution.fit.reference, export.vectors, phases, weakening, schedule)
 
 
 def export_design(design: Design, *, verify: bool) -> RunOutput:
@@ -44,6 +46,8 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
         files |= waveform_files(design, solution.phases)
     if solution.weakening is not None:
         files |= weakening_files(design, solution.weakening)
+    if solution.gains.schedule is not None:
+        files |= gains_files(design, solution.gains.schedule)
     verification = _verified(solution, files) if verify else None
     files["result.json"] = to_text("run", design.name, plain_solution(solution)).encode("ascii")
     return RunOutput(solution, verification, files)

@@ -22,8 +22,10 @@ from dqforge.optimizer.current_reference import CurrentReference, Reference
 from dqforge.optimizer.fixed_polynomial import CodeArray
 from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.phase_reference import PhaseReference
+from dqforge.optimizer.schedule_fit import GainEvaluator
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.surface_reference import WeakeningReference
+from dqforge.reports.gains_header import evaluator_from, schedule_inputs
 from dqforge.reports.reference_header import vector_codes, vector_torques
 from dqforge.reports.reference_ir import from_plain
 from dqforge.reports.surface_header import weakening_currents, weakening_from, weakening_inputs
@@ -45,6 +47,7 @@ _TIMEOUT_S = 60
 _SWEEP_POINTS = 20_000
 _SWEEP_SEED = 7
 _LARGEST_FILE = 64 * 1024 * 1024
+_OTHER_HEADERS = ("waveform_header", "weakening_header", "gains_header")
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +197,7 @@ def verify_files(
     vectors: int,
     phases: PhaseReference | None = None,
     weakening: WeakeningReference | None = None,
+    schedule: GainEvaluator | None = None,
 ) -> Verification:
     """Compile a header and its vectors as C99 and as C++11, run both, and compare every bit with the model.
 
@@ -211,6 +215,8 @@ def verify_files(
         The model of the phase currents, where such a header was made.
     weakening:
         The model of the two-dimensional references, where such a header was made.
+    schedule:
+        The model of gains over the current, where such a header was made.
 
     Raises
     ------
@@ -225,6 +231,9 @@ def verify_files(
     if weakening is not None:
         inputs = weakening_inputs(weakening, _SWEEP_POINTS // 2, _SWEEP_SEED, patterns=_SWEEP_POINTS // 2)
         programmes.append(_Programme("surface_harness.c.j2", inputs, weakening_currents(weakening, inputs)))
+    if schedule is not None:
+        currents = schedule_inputs(schedule, _SWEEP_POINTS // 2, _SWEEP_SEED, patterns=_SWEEP_POINTS // 2)
+        programmes.append(_Programme("gains_harness.c.j2", currents, schedule.gains(currents)))
     checks = []
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         folder = Path(name)
@@ -260,8 +269,8 @@ def _read(path: Path) -> bytes:
         ) from error
 
 
-def _load_result(path: Path) -> tuple[dict[str, Any], dict[str, Any] | None, dict[str, Any] | None]:
-    """What a result says of the header and, where there are any, of phase currents and two-dimensional references."""
+def _load_result(path: Path) -> tuple[dict[str, Any], list[dict[str, Any] | None]]:
+    """What a result says of the header and, None where there are none, of the others in the order of their names."""
     content = _read(path)
     try:
         loaded = json.loads(content)
@@ -269,11 +278,11 @@ def _load_result(path: Path) -> tuple[dict[str, Any], dict[str, Any] | None, dic
         raise InputError("is not JSON; run the design again", source=str(path)) from error
     if not isinstance(loaded, dict) or not isinstance(loaded.get("header"), dict):
         raise InputError("holds no header; run the design again", source=str(path))
-    others = loaded.get("waveform_header"), loaded.get("weakening_header")
-    for name, part in zip(("waveform_header", "weakening_header"), others, strict=True):
+    others = [loaded.get(name) for name in _OTHER_HEADERS]
+    for name, part in zip(_OTHER_HEADERS, others, strict=True):
         if part is not None and not isinstance(part, dict):
             raise InputError(f"{name} is not what dqforge writes; run the design again", source=str(path))
-    return dict(loaded["header"]), *others
+    return dict(loaded["header"]), others
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,6 +295,7 @@ class WrittenHeaders:
     vectors: int
     phases: PhaseReference | None
     weakening: WeakeningReference | None = None
+    schedule: GainEvaluator | None = None
 
 
 def read_folder(folder: Path) -> WrittenHeaders:
@@ -297,7 +307,7 @@ def read_folder(folder: Path) -> WrittenHeaders:
         A file is missing or is not what dqforge writes.
     """
     path = folder / "result.json"
-    header, waveform, surfaces = _load_result(path)
+    header, (waveform, surfaces, gains) = _load_result(path)
     vectors = header.get("vectors")
     try:
         prefix = check_prefix(str(header.get("prefix", "")))
@@ -309,13 +319,15 @@ def read_folder(folder: Path) -> WrittenHeaders:
         reference = from_plain(header["reference"])
         phases = None if waveform is None else phase_reference_from(waveform)
         weakening = None if surfaces is None else weakening_from(surfaces)
+        schedule = None if gains is None else evaluator_from(gains)
     except InputError as error:
         raise InputError(error.message, source=str(path)) from error
     names = [f"{prefix}.h", f"{prefix}_vectors.h"]
     names += [] if phases is None else [f"{prefix}_waveform.h", f"{prefix}_waveform_vectors.h"]
     names += [] if weakening is None else [f"{prefix}_weakening.h", f"{prefix}_weakening_vectors.h"]
+    names += [] if schedule is None else [f"{prefix}_gains.h", f"{prefix}_gains_vectors.h"]
     files = {name: _read(folder / name) for name in names}
-    return WrittenHeaders(files, prefix, reference, vectors, phases, weakening)
+    return WrittenHeaders(files, prefix, reference, vectors, phases, weakening, schedule)
 
 
 def verify_folder(folder: Path) -> Verification:
@@ -329,4 +341,5 @@ def verify_folder(folder: Path) -> Verification:
         As `verify_files`.
     """
     found = read_folder(folder)
-    return verify_files(found.files, found.prefix, found.reference, found.vectors, found.phases, found.weakening)
+    others = (found.phases, found.weakening, found.schedule)
+    return verify_files(found.files, found.prefix, found.reference, found.vectors, *others)
