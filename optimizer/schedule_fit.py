@@ -58,7 +58,7 @@ class GainEvaluator:
     constants: Mapping[str, np.float32]
     starts: SingleArray = field(default_factory=lambda: np.zeros(1, dtype=np.float32))
     polynomials: Mapping[str, SingleArray] = field(default_factory=dict)
-    inverse_step: np.float32 = np.float32(0.0)
+    inverse_step: np.float32 = field(default_factory=np.float32)
     tables: Mapping[str, SingleArray] = field(default_factory=dict)
 
     @property
@@ -110,7 +110,7 @@ class GainEvaluator:
 
 @dataclass(frozen=True, slots=True)
 class ScheduleFit:
-    """An evaluator with its largest relative error by gain, and the bytes of the best of each form, None if none held."""
+    """An evaluator, its largest relative error by gain, and the bytes of the best of each form, None if none held."""
 
     evaluator: GainEvaluator
     errors: Mapping[str, float]

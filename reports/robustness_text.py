@@ -80,9 +80,9 @@ def robust_lines(gains: GainSet, loop: str) -> list[str]:
     if loop not in found:
         return []
     kept = found[loop]
+    phase, gain = math.degrees(kept.phase_margin.value), _decibel(kept.gain_margin.value)
     return [
-        f"Within the tolerances at least {math.degrees(kept.phase_margin.value):.1f} deg phase margin "
-        f"and {_decibel(kept.gain_margin.value)} gain margin,",
+        f"Within the tolerances at least {phase:.1f} deg phase margin and {gain} gain margin,",
         f"M_s at most {kept.max_sensitivity.value:.2f} ({kept.max_sensitivity.at}).",
     ]
 

@@ -62,10 +62,8 @@ def schedule_lines(schedule: GainSchedule) -> list[str]:
     kind = kind if evaluator.tables or evaluator.polynomials else "constant"
     others = [f"{form} {size} B" for form, size in fit.flash.items() if size is not None and form != evaluator.form]
     than = f" ({', '.join(others)})" if others else ""
-    lines = [
-        f"Gains over |i_q| are {kind}, about {evaluator.flash} bytes{than}; "
-        f"off by at most {rounded_up(100.0 * max(fit.errors.values()), 2)} %."
-    ]
+    error = rounded_up(100.0 * max(fit.errors.values()), 2)
+    lines = [f"Gains over |i_q| are {kind}, about {evaluator.flash} bytes{than}; off by at most {error} %."]
     for axis in schedule.axes:
         least = [float(np.min(np.abs(m.phase_margin))) for m in (axis.scheduled, axis.constant)]
         slowest = [float(np.nanmin(m.crossover)) / (2.0 * math.pi) for m in (axis.scheduled, axis.constant)]
