@@ -60,7 +60,7 @@ def test_run_writes_verified_headers_that_verify_reads_back(form: str, tmp_path:
 
     header = tmp_path / f"{found.prefix}_gains.h"
     text = header.read_text(encoding="ascii")
-    literal = re.findall(r"\d+\.\d+F", text.split("not-a-number")[-1])[-1]
+    literal = re.findall(r"\d+\.\d+F", text)[-1]
     changed = f"{float(literal[:-1]) * 1.001:.8g}F"
     header.write_text(text.replace(literal, changed), encoding="ascii")
     with pytest.raises(VerificationError, match="does not give the results"):
