@@ -127,8 +127,9 @@ def _kept(
             pair = formula(calmer(settings, factor))
         except NoSolutionError:
             return False
-        positive = min(pair) > 0.0
-        return positive and _first_fault(evaluate(pair), points, required) is None
+        if not min(pair) > 0.0 or np.max(close_loops(plants, *pair).radius) >= 1.0:
+            return False  # without the margins, which take far longer
+        return _first_fault(evaluate(pair), points, required) is None
 
     margins = evaluate((gains.kp, gains.ki))
     fault = _first_fault(margins, points, required)

@@ -230,6 +230,7 @@ def test_optimised_constant_gains_of_a_saturated_machine_hold_at_every_current()
         assert again.max_sensitivity <= 1.6 * (1.0 + 2e-6)
 
 
+@pytest.mark.slow
 def test_optimised_loops_keep_their_bound_in_the_whole_box() -> None:
     tolerances = Tolerances(r_s=0.3, l_d=0.2, l_q=0.2, psi_pm=0.05, inertia=0.2, v_dc=0.05)
     current = CurrentLoopSettings("optimised", max_sensitivity=1.5)
