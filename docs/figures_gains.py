@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from dqforge.machines import catalogue
+from dqforge.machines.settings import CurrentLoopSettings
 from dqforge.optimizer.gains import analyse_current_loop, current_step_response
 from dqforge.optimizer.observer import steady_state_error
+from dqforge.optimizer.solution import solve_gains
 from dqforge.reports.figures import save
 
 _METHODS_HZ = {"crossover at 1/30 of the sampling rate": 30.0, "1/12": 12.0, "1/8": 8.0}
@@ -52,4 +55,25 @@ def observer_error(path: Path) -> None:
     axes.axhline(0.0, color="0.7", linewidth=0.8)
     axes.set(xlabel="Load torque in N m", ylabel="Speed error in %, 1500 rpm", xlim=(0.0, 0.47))
     axes.legend(frameon=False)
+    save(figure, path)
+
+
+def gain_schedule(path: Path) -> None:
+    """Crossover and phase margin of both axes of a saturated reluctance machine, with constant and scheduled gains."""
+    design = catalogue.load("abb-syrm-6k7-saturated")
+    settings = CurrentLoopSettings("optimised", schedule=True)
+    control = replace(design.control, current_loop=settings, speed_loop=None)
+    schedule = solve_gains(replace(design, control=control)).schedule
+    if schedule is None:
+        raise ValueError("the design asks for a schedule")
+    figure = Figure(figsize=(7.0, 3.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for axis, colour in zip(schedule.axes, ("C0", "C1"), strict=True):
+        for name, margins, style in (("scheduled", axis.scheduled, "-"), ("constant", axis.constant, "--")):
+            label = f"{axis.axis}, {name}"
+            left.plot(schedule.i_q, margins.crossover / (2.0 * np.pi), style, color=colour, label=label)
+            right.plot(schedule.i_q, np.degrees(np.abs(margins.phase_margin)), style, color=colour, label=label)
+    left.set(xlabel="i_q in A along the MTPA locus", ylabel="Crossover in Hz", ylim=(0.0, None))
+    right.set(xlabel="i_q in A along the MTPA locus", ylabel="Phase margin in deg", ylim=(0.0, None))
+    right.legend(frameon=False, loc="lower right")
     save(figure, path)

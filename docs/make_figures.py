@@ -34,6 +34,7 @@ def main() -> None:
     figures_fixed_point.sixteen_bits(folder / "fixed-point.svg")
     figures_flux_maps.flux_map(folder / "flux-map.svg")
     figures_gains.current_loop_step(folder / "current-loop-step.svg")
+    figures_gains.gain_schedule(folder / "gain-schedule.svg")
     figures_gains.observer_error(folder / "observer-error.svg")
     figures_operating_points.operating_points_map(folder / "operating-map.svg")
     figures_losses.modulation_waveforms(folder / "modulation-waveforms.svg")

@@ -98,6 +98,7 @@ def check_loops(sections: DesignFile, machine: Machine, document: YamlDocument) 
     """Check that each controller has the keys that its method needs; raises `InputError` with a position."""
     control = sections.control
     _check_method(control.current_loop, ("control", "current_loop"), document)
+    _check_schedule(control.current_loop, machine, document)
     wants_inertia = []
     if control.speed_loop is not None:
         _check_method(control.speed_loop, ("control", "speed_loop"), document)
@@ -129,6 +130,25 @@ def _check_method(loop: CurrentLoopSection | SpeedLoopSection, path: KeyPath, do
                 (*path, key),
                 key=True,
             )
+    if "max_sensitivity" in loop.model_fields_set and loop.method != "optimised":
+        raise document.error(
+            f"{where}: the method '{loop.method}' does not use 'max_sensitivity'; write method: optimised, "
+            "or remove the key",
+            (*path, "max_sensitivity"),
+            key=True,
+        )
+
+
+def _check_schedule(loop: CurrentLoopSection, machine: Machine, document: YamlDocument) -> None:
+    path = ("control", "current_loop", "schedule")
+    if not loop.schedule:
+        return
+    if isinstance(machine, LinearMachine):
+        message = "control.current_loop.schedule: the machine's inductances are constant, so are the gains; remove it"
+        raise document.error(message, path)
+    if loop.method == "given":
+        message = "control.current_loop.schedule: given gains are constant; write another method, or schedule: false"
+        raise document.error(message, path)
 
 
 def check_fit(sections: DesignFile, machine: Machine, i_max: float, document: YamlDocument) -> None:

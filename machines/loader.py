@@ -41,6 +41,7 @@ from dqforge.machines.settings import (
     WaveformSettings,
 )
 from dqforge.machines.synchronous import LinearMachine, Machine
+from dqforge.machines.tolerance_reader import read_tolerances
 from dqforge.machines.validation import read_sections
 from dqforge.machines.weakening_reader import read_weakening
 from dqforge.machines.yaml_source import YamlDocument, parse_yaml, read_bytes
@@ -170,6 +171,7 @@ class _Build:
             speed_loop=None if section.speed_loop is None else _speed_loop(section.speed_loop),
             observer=None if section.observer is None else ObserverSettings(section.observer.pole.si),
             bases=self.bases(section, machine, inverter, i_max),
+            tolerances=read_tolerances(self.sections, machine, inverter, i_max, self.reading),
         )
 
     def bases(self, section: ControlSection, machine: Machine, inverter: Inverter, i_max: float) -> PerUnitBases:
@@ -260,6 +262,8 @@ def _current_loop(section: CurrentLoopSection) -> CurrentLoopSettings:
         ki=si_of(section.ki),
         phase_margin_min=_DEFAULT_MARGIN if margin is None else margin,
         q_formats=section.q_formats,
+        max_sensitivity=section.max_sensitivity,
+        schedule=section.schedule,
     )
 
 
@@ -276,6 +280,7 @@ def _speed_loop(section: SpeedLoopSection) -> SpeedLoopSettings:
         ki=si_of(section.ki),
         phase_margin_min=_DEFAULT_MARGIN if margin is None else margin,
         q_formats=section.q_formats,
+        max_sensitivity=section.max_sensitivity,
     )
 
 

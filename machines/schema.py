@@ -47,6 +47,7 @@ from dqforge.machines.schema_entries import (
 )
 from dqforge.machines.schema_machine import MachineSection
 from dqforge.machines.schema_simulation import SimulationSection
+from dqforge.machines.schema_tolerances import TolerancesSection
 from dqforge.machines.settings import (
     BreakpointMode,
     ChoiceSettings,
@@ -125,6 +126,15 @@ class CurrentLoopSection(Section):
     q_formats: Annotated[tuple[Bits, Bits], Field(strict=False)] | None = Field(
         default=None, description="fractional bits of the per-unit integers kp and ki t_s, such as [10, 15]"
     )
+    max_sensitivity: float = Field(
+        default=_CURRENT.max_sensitivity,
+        ge=1.05,
+        le=4.0,
+        description="for optimised: largest M_s within the tolerances",
+    )
+    schedule: bool = Field(
+        default=_CURRENT.schedule, description="gains over the current, for machines that saturate: a header of its own"
+    )
 
 
 class SpeedLoopSection(Section):
@@ -145,6 +155,9 @@ class SpeedLoopSection(Section):
     )
     q_formats: Annotated[tuple[Bits, Bits], Field(strict=False)] | None = Field(
         default=None, description="fractional bits of the per-unit integers kp and ki t_s, such as [10, 10]"
+    )
+    max_sensitivity: float = Field(
+        default=_SPEED.max_sensitivity, ge=1.05, le=4.0, description="for optimised: largest M_s within the tolerances"
     )
 
 
@@ -177,6 +190,9 @@ class ControlSection(Section):
     speed_loop: SpeedLoopSection | None = Field(default=None, description="speed controller, if one is wanted")
     observer: ObserverSection | None = Field(default=None, description="speed observer, if one is wanted")
     per_unit: PerUnitSection = Field(default=PerUnitSection(), description="bases of the per-unit gains")
+    tolerances: TolerancesSection | None = Field(
+        default=None, description="how far the drive may be from its data; every loop must hold throughout"
+    )
 
 
 class OperationSection(Section):

@@ -18,8 +18,8 @@ FitForm = Literal["polynomial", "even-odd", "torque-exact", "closed-form"]
 NumberFormat = Literal["float32", "q15", "q31"]
 Core = Literal["cortex-m0plus", "cortex-m3", "cortex-m4", "cortex-m7", "cortex-m33"]
 BreakpointMode = Literal["shared", "own"]
-CurrentLoopMethod = Literal["bandwidth", "damping", "magnitude-optimum", "symmetrical-optimum", "given"]
-SpeedLoopMethod = Literal["bandwidth", "damping", "symmetrical-optimum", "given"]
+CurrentLoopMethod = Literal["bandwidth", "damping", "magnitude-optimum", "symmetrical-optimum", "optimised", "given"]
+SpeedLoopMethod = Literal["bandwidth", "damping", "symmetrical-optimum", "optimised", "given"]
 ModulationName = Literal[
     "spwm",
     "thipwm6",
@@ -113,6 +113,8 @@ class CurrentLoopSettings:
     ``bandwidth`` in rad/s is for the methods ``bandwidth`` and ``damping`` (there the natural frequency); ``damping``
     is the damping ratio; ``spread`` is a of the symmetrical optimum; ``kp`` in V/A and ``ki`` in V/(A s) are for the
     method ``given`` (both axes). ``q_formats`` are the fractional bits (kp, ki t_s) of the per-unit integers, if asked.
+    ``max_sensitivity`` bounds M_s of the method ``optimised``. With ``schedule`` the gains follow the inductances of a
+    machine that saturates.
     """
 
     method: CurrentLoopMethod = "magnitude-optimum"
@@ -123,6 +125,8 @@ class CurrentLoopSettings:
     ki: float | None = None
     phase_margin_min: float = 0.5235987755982988
     q_formats: tuple[int, int] | None = None
+    max_sensitivity: float = 1.6
+    schedule: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +147,27 @@ class SpeedLoopSettings:
     ki: float | None = None
     phase_margin_min: float = 0.5235987755982988
     q_formats: tuple[int, int] | None = None
+    max_sensitivity: float = 1.6
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """How far the drive may be from its data, both ways; 0 where a value is taken as exact.
+
+    ``r_s``, ``l_d``, ``l_q``, ``psi_pm`` and ``inertia`` are relative; ``v_dc`` is that of the voltage
+    that acts from the one that duty cycles are computed with. ``dead_time`` in s is what the compensation of the
+    dead time gets wrong, and ``low_current`` in A (peak of phase) the smallest current at which the loops must hold
+    in spite of it.
+    """
+
+    r_s: float = 0.0
+    l_d: float = 0.0
+    l_q: float = 0.0
+    psi_pm: float = 0.0
+    inertia: float = 0.0
+    v_dc: float = 0.0
+    dead_time: float = 0.0
+    low_current: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,13 +189,17 @@ class PerUnitBases:
 
 @dataclass(frozen=True, slots=True)
 class ControlSettings:
-    """Sampling and controllers; ``t_s`` is the current-control sampling period in s."""
+    """Sampling and controllers; ``t_s`` is the current-control sampling period in s.
+
+    ``tolerances`` is the box in which every loop must hold, None where only the data themselves count.
+    """
 
     t_s: float
     current_loop: CurrentLoopSettings
     speed_loop: SpeedLoopSettings | None
     observer: ObserverSettings | None
     bases: PerUnitBases
+    tolerances: Tolerances | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.settings import ControlSettings, CurrentLoopSettings, SpeedLoopSettings
 from dqforge.machines.synchronous import Machine
+from dqforge.optimizer.loop_batch import DriveVariants, PlantBatch, current_plants, speed_plants
 from dqforge.optimizer.loops import (
     DisturbanceResponse,
     PiLoop,
@@ -29,7 +30,9 @@ from dqforge.optimizer.loops import (
     speed_loop,
     speed_step,
 )
+from dqforge.optimizer.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.pi_methods import (
+    CURRENT_DELAY,
     Settings,
     advice,
     calmer,
@@ -205,7 +208,12 @@ def analyse_speed_loop(
 
 
 def tune_current_loop(
-    r_s: float, inductance: float, t_s: float, settings: CurrentLoopSettings, loop: LoopName = "i_q"
+    r_s: float,
+    inductance: float,
+    t_s: float,
+    settings: CurrentLoopSettings,
+    loop: LoopName = "i_q",
+    plants: PlantBatch | None = None,
 ) -> LoopGains:
     """PI gains of one current loop by the method of the settings, checked on the sampled loop.
 
@@ -219,15 +227,24 @@ def tune_current_loop(
         Sampling period in s.
     loop:
         Which axis, for the messages: ``i_d`` or ``i_q``.
+    plants:
+        For the method ``optimised`` the plants whose M_s is bounded, such as the corners of a tolerance box; None for
+        the winding alone.
 
     Raises
     ------
     NoSolutionError
         If a gain is not positive, the loop is unstable or its phase margin too small; says what would hold.
     """
+    key, one = "control.current_loop", np.ones(1)
+    bounded = current_plants(r_s * one, inductance * one, t_s, one) if plants is None else plants
 
     def attempt(trial: CurrentLoopSettings, *, respond: bool = False) -> LoopGains:
-        kp, ki = current_pi(r_s, inductance, t_s, trial)
+        kp, ki = (
+            optimised_pi(bounded, trial.max_sensitivity, pi_scale(inductance, r_s, CURRENT_DELAY * t_s), key)
+            if trial.method == "optimised"
+            else current_pi(r_s, inductance, t_s, trial)
+        )
         require_positive("control.current_loop", loop, trial, (kp, ki), r_s / (2.0 * inductance))
         return analyse_current_loop(r_s, inductance, t_s, kp, ki, trial.method, loop, respond=respond)
 
@@ -241,7 +258,9 @@ def tune_current_loop(
     return gains
 
 
-def tune_speed_loop(machine: Machine, current_gains: LoopGains, control: ControlSettings) -> LoopGains:
+def tune_speed_loop(
+    machine: Machine, current_gains: LoopGains, control: ControlSettings, plants: PlantBatch | None = None
+) -> LoopGains:
     """PI gains of the speed loop (output: torque) by the method of the settings, checked on the exact two-rate loop.
 
     Parameters
@@ -252,6 +271,8 @@ def tune_speed_loop(machine: Machine, current_gains: LoopGains, control: Control
         Gains of the q axis.
     control:
         Sampling and settings; ``speed_loop`` must be there.
+    plants:
+        As in `tune_current_loop`.
 
     Raises
     ------
@@ -264,7 +285,16 @@ def tune_speed_loop(machine: Machine, current_gains: LoopGains, control: Control
     t_sum = speed_delay(current_gains, control.t_s, settings)
 
     def attempt(trial: SpeedLoopSettings, *, respond: bool = False) -> LoopGains:
-        kp, ki = speed_pi(inertia, machine.friction, t_sum, trial)
+        kp, ki = (
+            optimised_pi(
+                _nominal_plant(machine, current_gains, control) if plants is None else plants,
+                trial.max_sensitivity,
+                pi_scale(inertia, machine.friction, t_sum),
+                "control.speed_loop",
+            )
+            if trial.method == "optimised"
+            else speed_pi(inertia, machine.friction, t_sum, trial)
+        )
         require_positive("control.speed_loop", "speed", trial, (kp, ki), machine.friction / (2.0 * inertia))
         return analyse_speed_loop(machine, current_gains, control, kp, ki, trial.method, respond=respond)
 
@@ -367,6 +397,15 @@ def _speed_model(
         speed_gains=speed_gains,
         filter_time=settings.filter_time,
     )
+
+
+def _nominal_plant(machine: Machine, current_gains: LoopGains, control: ControlSettings) -> PlantBatch:
+    """The speed loop's plant as one of a batch."""
+    settings, one = _speed_settings(control), np.ones(1)
+    l_q = (current_gains.inductance or machine.l_q) * one
+    variants = DriveVariants(machine.r_s * one, l_q, _inertia(machine) * one, one, one, 0.0 * one)
+    gains = (current_gains.kp, current_gains.ki)
+    return speed_plants(variants, machine.friction, control.t_s, gains, settings.ratio, settings.filter_time)
 
 
 def _require_crossover(key: str, gains: LoopGains) -> None:

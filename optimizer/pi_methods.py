@@ -110,6 +110,8 @@ def calmer(settings: Settings, factor: float) -> Settings:
         return replace(settings, kp=kp * factor, ki=ki * factor)
     if settings.method == "symmetrical-optimum":
         return replace(settings, spread=settings.spread / factor)
+    if settings.method == "optimised":
+        return replace(settings, max_sensitivity=1.0 + (settings.max_sensitivity - 1.0) * factor)
     return replace(settings, bandwidth=need(settings.bandwidth, "bandwidth", settings.method) * factor)
 
 
@@ -146,5 +148,8 @@ def advice(key: str, settings: CurrentLoopSettings | SpeedLoopSettings, factor: 
         return f"multiply {key}.kp and {key}.ki by {_three_digits(factor, up=False):.6g} or less"
     if settings.method == "symmetrical-optimum":
         return f"it holds from {key}.spread = {_three_digits(settings.spread / factor, up=True):.6g} upwards"
+    if settings.method == "optimised":
+        largest = 1.0 + _three_digits((settings.max_sensitivity - 1.0) * factor, up=False)
+        return f"it holds from {key}.max_sensitivity = {largest:.6g} downwards"
     limit = _rate_text(need(settings.bandwidth, "bandwidth", settings.method) * factor, up=False)
     return f"method '{settings.method}' holds up to {key}.bandwidth = {limit}"

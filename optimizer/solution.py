@@ -18,7 +18,9 @@ from dqforge.optimizer.drive_budget import BudgetOptions
 from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.fit_alternatives import Alternative, alternatives
 from dqforge.optimizer.fit_choice import FitChoice, Trial, choose_fit
+from dqforge.optimizer.gain_schedule import GainSchedule, schedule_gains
 from dqforge.optimizer.gains import LoopGains, tune_current_loop, tune_speed_loop
+from dqforge.optimizer.loop_batch import PlantBatch
 from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.mission_budget import MissionComparison, compare_mission
 from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
@@ -26,7 +28,9 @@ from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
 from dqforge.optimizer.phase_reference import PhaseFit, fit_phases
 from dqforge.optimizer.reference_fit import ReferenceFit, domain_end, fit_reference
+from dqforge.optimizer.robustness import RobustSet, current_robustness, speed_robustness
 from dqforge.optimizer.surface_fit import WeakeningFit, fit_weakening
+from dqforge.optimizer.tolerance_box import Axis, drive_box
 from dqforge.optimizer.waveform_comparison import WaveformComparison, compare_waveforms, limits_of, require_phases
 
 _CURVE_POINTS = 201
@@ -47,12 +51,18 @@ class Curves:
 
 @dataclass(frozen=True, slots=True)
 class GainSet:
-    """Gains of both current loops and, where the design asks for them, of the speed loop and the observer."""
+    """Gains of both current loops and, where the design asks for them, of the speed loop and the observer.
+
+    ``robust`` is what they keep over the tolerances, None where the design names none; ``schedule`` the current loops'
+    gains over the current, None where it asks for none.
+    """
 
     i_d: LoopGains
     i_q: LoopGains
     speed: LoopGains | None
     observer: ReducedOrderObserver | None
+    robust: RobustSet | None = None
+    schedule: GainSchedule | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,24 +127,55 @@ def tuning_inductances(machine: Machine, i_max: float) -> tuple[float, float]:
     Those of a saturated machine are the least incremental ones along its MTPA locus up to ``i_max`` A: a loop is
     fastest there, so that it is slower and has more margin everywhere else.
     """
+    return inductance_range(machine, i_max)[0]
+
+
+def inductance_range(machine: Machine, i_max: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Least and largest incremental inductances (l_d, l_q) in H along the MTPA locus up to ``i_max`` A."""
     if isinstance(machine, LinearMachine):
-        return machine.l_d, machine.l_q
+        return (machine.l_d, machine.l_q), (machine.l_d, machine.l_q)
     locus = mtpa_locus(machine, i_max)
     jet = machine.jet(locus.i_d, locus.i_q)
-    return float(np.min(jet.l_dd)), float(np.min(jet.l_qq))
+    least, largest = ((float(of(jet.l_dd)), float(of(jet.l_qq))) for of in (np.min, np.max))
+    return least, largest
 
 
 def solve_gains(design: Design) -> GainSet:
-    """Gains of the design, every loop checked as it is sampled."""
+    """Gains of the design, every loop checked as it is sampled, and over the tolerances where it names any."""
     machine, control = design.machine, design.control
-    l_d, l_q = tuning_inductances(machine, design.i_max)
-    i_d = tune_current_loop(machine.r_s, l_d, control.t_s, control.current_loop, "i_d")
-    i_q = tune_current_loop(machine.r_s, l_q, control.t_s, control.current_loop, "i_q")
-    speed = tune_speed_loop(machine, i_q, control) if control.speed_loop is not None else None
+    nominal, largest = inductance_range(machine, design.i_max)
+    box = drive_box(design, nominal, largest)
+    named = control.tolerances is not None
+
+    def axis_corners(axis: Axis) -> PlantBatch | None:
+        if control.current_loop.method != "optimised":
+            return None
+        points = box.current_points(axis)
+        return box.current_loop_plants(axis, points).some(np.arange(points.corners))
+
+    def speed_corners() -> PlantBatch | None:
+        if control.speed_loop is None or control.speed_loop.method != "optimised":
+            return None
+        points = box.speed_points()
+        return box.speed_loop_plants(points, (i_q.kp, i_q.ki)).some(np.arange(points.corners))
+
+    l_d, l_q = nominal
+    i_d = tune_current_loop(machine.r_s, l_d, control.t_s, control.current_loop, "i_d", axis_corners("i_d"))
+    i_q = tune_current_loop(machine.r_s, l_q, control.t_s, control.current_loop, "i_q", axis_corners("i_q"))
+    speed = tune_speed_loop(machine, i_q, control, speed_corners()) if control.speed_loop is not None else None
     observer = (
         reduced_order_observer(machine, control.observer.pole, control.t_s) if control.observer is not None else None
     )
-    return GainSet(i_d, i_q, speed, observer)
+    robust = None
+    if named:
+        robust = RobustSet(
+            current_robustness(box, i_d, "i_d"),
+            current_robustness(box, i_q, "i_q"),
+            None if speed is None else speed_robustness(box, speed, i_q),
+        )
+    wanted = control.current_loop.schedule
+    schedule = schedule_gains(design, box if named else None, i_d, i_q) if wanted else None
+    return GainSet(i_d, i_q, speed, observer, robust, schedule)
 
 
 def solve_losses(design: Design) -> LossComparison | None:

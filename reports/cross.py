@@ -30,6 +30,7 @@ _DIFFERS = {
     102: "phase currents",
     103: "current reference with field weakening",
     104: "choice of modulator",
+    105: "gains over the current",
 }
 """Exit codes of the program on the target; the emulator's own failures end with 1."""
 
@@ -100,7 +101,8 @@ def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> Ta
         "waveform": f"{prefix}_waveform_vectors.h" in files,
         "weakening": f"{prefix}_weakening_vectors.h" in files,
         "modulation": f"{prefix}_modulation_vectors.h" in files,
-        "differs": dict(zip(("reference", "phases", "weakening", "modulation"), _DIFFERS, strict=True)),
+        "gains": f"{prefix}_gains_vectors.h" in files,
+        "differs": dict(zip(("reference", "phases", "weakening", "modulation", "gains"), _DIFFERS, strict=True)),
     }
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         main = render("target_main.c.j2", context).encode("ascii")

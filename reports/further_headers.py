@@ -12,8 +12,10 @@ from typing import Any
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.phase_reference import PhaseReference
+from dqforge.optimizer.schedule_fit import GainEvaluator
 from dqforge.optimizer.surface_reference import WeakeningReference
 from dqforge.reports.control_header import control_from, control_programme
+from dqforge.reports.gains_header import evaluator_from, schedule_inputs
 from dqforge.reports.programme import Programme
 from dqforge.reports.rule_header import EmittedRule, emitted_from, rule_inputs, rule_results
 from dqforge.reports.surface_header import weakening_currents, weakening_from, weakening_inputs
@@ -72,10 +74,17 @@ def _rule_programme(rule: EmittedRule) -> Programme:
     return Programme("choice_harness.c.j2", inputs, rule_results(rule, inputs), name="choice of modulator")
 
 
+def _gains_programme(evaluator: GainEvaluator) -> Programme:
+    half = SWEEP_POINTS // 2
+    currents = schedule_inputs(evaluator, half, SWEEP_SEED, patterns=half)
+    return Programme("gains_harness.c.j2", currents, evaluator.gains(currents), name="gains over the current")
+
+
 FURTHER_HEADERS = (
     FurtherHeader("waveform", lambda own, _: phase_reference_from(own), _waveform_programme),
     FurtherHeader("weakening", lambda own, _: weakening_from(own), _weakening_programme),
     FurtherHeader("modulation", lambda own, _: emitted_from(own), _rule_programme),
+    FurtherHeader("gains", lambda own, _: evaluator_from(own), _gains_programme),
     FurtherHeader("control", control_from, control_programme, vectors=False),
 )
 """All kinds, in the order in which they are written and verified."""

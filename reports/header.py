@@ -16,6 +16,7 @@ from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.reference_header import reference_context, vectors_context, vectors_template
 from dqforge.reports.reference_ir import PlainData, shortest, to_plain
+from dqforge.reports.robustness_text import robust_lines
 from dqforge.reports.templating import render
 
 _COMPILING = {
@@ -108,9 +109,17 @@ def margin_text(gains: LoopGains) -> list[str]:
 
 
 def _gain_group(
-    gains: LoopGains, name: str, units: tuple[str, str], bases: tuple[float, float], q_formats: tuple[int, int] | None
+    gains: LoopGains,
+    name: str,
+    units: tuple[str, str],
+    bases: tuple[float, float],
+    q_formats: tuple[int, int] | None,
+    robust: list[str],
 ) -> PlainData:
-    """Macros of one PI controller; ``units`` are those of kp and ki as (macro suffix, text) pairs joined by '|'."""
+    """Macros of one PI controller; ``units`` are those of kp and ki as (macro suffix, text) pairs joined by '|'.
+
+    ``robust`` are the lines on the tolerances.
+    """
     kp_suffix, kp_unit = units[0].split("|")
     ki_suffix, ki_unit = units[1].split("|")
     kp_pu, ki_ts_pu = per_unit(gains, *bases)
@@ -119,6 +128,10 @@ def _gain_group(
         _entry(f"{name}_KI_{ki_suffix}", gains.ki, f"integral gain, {ki_unit}"),
         _entry(f"{name}_KI_TS_{kp_suffix}", gains.ki_ts, f"integral gain times sampling period, {kp_unit}"),
         _entry(f"{name}_T_I_S", gains.t_i, "integral time kp/ki of the series form, s"),
+        _entry(
+            f"{name}_Q0_{kp_suffix}", gains.velocity[0], f"velocity form d[k] = d[k-1] + q0 e[k] + q1 e[k-1], {kp_unit}"
+        ),
+        _entry(f"{name}_Q1_{kp_suffix}", gains.velocity[1], f"its factor of e[k-1], {kp_unit}"),
         _entry(f"{name}_ANTI_WINDUP_PER_S", gains.anti_windup, "back-calculation gain, 1/s"),
         _entry(f"{name}_KP_PU", kp_pu, "proportional gain, per unit"),
         _entry(f"{name}_KI_TS_PU", ki_ts_pu, "integral gain times sampling period, per unit"),
@@ -134,7 +147,7 @@ def _gain_group(
     }
     return {
         "title": f"{titles[name]}: method {gains.method}, sampled every {gains.t_s * 1e6:.6g} us",
-        "comment": ["d[k] = d[k-1] + kp (e[k] - e[k-1]) + ki_ts e[k]", *margin_text(gains)],
+        "comment": ["d[k] = d[k-1] + kp (e[k] - e[k-1]) + ki_ts e[k]", *margin_text(gains), *robust],
         "entries": entries,
     }
 
@@ -150,12 +163,13 @@ def _gain_groups(solution: Solution) -> list[PlainData]:
             "comment": [],
             "entries": [_entry("T_S_S", control.t_s, "sampling period of the current control, s")],
         },
-        _gain_group(gains.i_d, "ID", volts, current, control.current_loop.q_formats),
-        _gain_group(gains.i_q, "IQ", volts, current, control.current_loop.q_formats),
+        _gain_group(gains.i_d, "ID", volts, current, control.current_loop.q_formats, robust_lines(gains, "i_d")),
+        _gain_group(gains.i_q, "IQ", volts, current, control.current_loop.q_formats, robust_lines(gains, "i_q")),
     ]
     if gains.speed is not None and control.speed_loop is not None:
         torque = ("NMS_PER_RAD|N m s/rad", "NM_PER_RAD|N m/rad")
-        group = _gain_group(gains.speed, "SPEED", torque, (bases.speed, bases.torque), control.speed_loop.q_formats)
+        of_speed, lines = (bases.speed, bases.torque), robust_lines(gains, "speed")
+        group = _gain_group(gains.speed, "SPEED", torque, of_speed, control.speed_loop.q_formats, lines)
         ratio = _entry("SPEED_RATIO", control.speed_loop.ratio, "current samples per speed sample")
         group["entries"].insert(0, ratio)
         groups.append(group)

@@ -39,6 +39,7 @@ from dqforge.reports.html_tables import (
     value_rows,
 )
 from dqforge.reports.html_text import count, degrees, number, quantity, share, symbols
+from dqforge.reports.html_tolerances import tolerance_tables
 from dqforge.reports.html_waveforms import candidates_table, comparison_text, rules_table
 from dqforge.reports.labels import FORMAT_TEXT, MODULATION_LABELS, operation_text, point_text, watts
 from dqforge.reports.reference_ir import PlainData, to_plain
@@ -376,6 +377,7 @@ def report_context(
         },
         "loops": [
             loop_table(design, solution.gains),
+            *tolerance_tables(solution.gains),
             *observer_tables(design, solution.gains, solution.fit.torque_max),
         ],
         "losses": [] if solution.losses is None else loss_tables(solution.losses),

@@ -27,8 +27,11 @@ from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
 from dqforge.reports.choice_tables import plain_choice
 from dqforge.reports.control_header import plain_control
 from dqforge.reports.drive_losses_tables import plain_mission
+from dqforge.reports.gains_header import plain_evaluator
 from dqforge.reports.reference_ir import PlainData, to_plain
+from dqforge.reports.robustness_text import plain_robustness
 from dqforge.reports.rule_header import choice_model, plain_emitted
+from dqforge.reports.schedule_text import plain_schedule
 from dqforge.reports.surface_header import plain_weakening
 from dqforge.reports.waveform_header import plain_phase_reference
 from dqforge.reports.waveform_tables import plain_waveforms
@@ -154,6 +157,11 @@ def _plain_loop(gains: LoopGains, bases: tuple[float, float], q_formats: tuple[i
         "kp": gains.kp,
         "ki": gains.ki,
         "t_s": gains.t_s,
+        "ki_ts": gains.ki_ts,
+        "t_i_s": gains.t_i,
+        "q0": gains.velocity[0],
+        "q1": gains.velocity[1],
+        "anti_windup_per_s": gains.anti_windup,
         "kp_pu": kp_pu,
         "ki_ts_pu": ki_ts_pu,
         **integers,
@@ -180,6 +188,8 @@ def plain_gains(design: Design, gains: GainSet) -> PlainData:
         "speed": speed,
         "observer": None if gains.observer is None else asdict(gains.observer),
         "bases": asdict(control.bases),
+        **plain_robustness(gains.robust),
+        **plain_schedule(gains.schedule),
     }
 
 
@@ -238,7 +248,7 @@ def plain_weakening_fit(fit: WeakeningFit | None) -> PlainData | None:
 
 def plain_solution(solution: Solution) -> PlainData:
     """Everything that a run found, with what `dqforge verify` needs under ``header``."""
-    design, weakening = solution.design, solution.weakening
+    design, weakening, schedule = solution.design, solution.weakening, solution.gains.schedule
     return {
         "input": plain_design(design),
         "drive": plain_drive(design),
@@ -259,4 +269,5 @@ def plain_solution(solution: Solution) -> PlainData:
         "control_header": plain_control(solution) if "float32" in design.export.control else None,
         "modulation_choice": None if solution.choice is None else plain_choice(solution.choice),
         "modulation_header": None if solution.choice is None else plain_emitted(choice_model(solution.choice)),
+        "gains_header": None if schedule is None else plain_evaluator(schedule.fit.evaluator),
     }

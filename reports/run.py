@@ -9,6 +9,7 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control_header import control_files
 from dqforge.reports.drive_simulation import simulate_design, simulation_files
 from dqforge.reports.further_headers import programmes
+from dqforge.reports.gains_header import gains_files
 from dqforge.reports.header import header_files
 from dqforge.reports.html_report import render_report
 from dqforge.reports.reference_ir import PlainData
@@ -51,6 +52,8 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
         files |= weakening_files(design, solution.weakening)
     if solution.choice is not None:
         files |= choice_files(design, solution.choice)
+    if solution.gains.schedule is not None:
+        files |= gains_files(design, solution.gains.schedule)
     if "float32" in design.export.control:
         files |= control_files(solution)
     plain = plain_solution(solution)

@@ -29,6 +29,8 @@ from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.choice_text import choice_rows
 from dqforge.reports.cross import TargetVerification
 from dqforge.reports.labels import core_name, obstacle, operation_text, part_label, shown_parts
+from dqforge.reports.robustness_text import FORM_COLUMNS, ROBUST_COLUMNS, form_rows, robust_notes, robust_rows
+from dqforge.reports.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_text import domain_text, errors_text, proof_text
 
@@ -226,6 +228,13 @@ def gains_tables(design: Design, gains: GainSet) -> list[Table]:
         "M_s",
     )
     tables = [Table(f"{design.name}: gains, sampled every {control.t_s * 1e6:.4g} us", columns, tuple(rows))]
+    tables.append(Table("Parallel, series and velocity form", FORM_COLUMNS, form_rows(gains)))
+    if gains.robust is not None:
+        rows_, notes = robust_rows(gains.robust), robust_notes(gains.robust)
+        tables.append(Table("Worst within control.tolerances", ROBUST_COLUMNS, rows_, notes))
+    if gains.schedule is not None:
+        rows_, notes = schedule_rows(gains.schedule), schedule_notes(gains.schedule)
+        tables.append(Table("Scheduled gains along the current reference", SCHEDULE_COLUMNS, rows_, notes))
     if gains.observer is not None:
         tables.append(_observer_table(design, gains))
     return tables

@@ -85,6 +85,11 @@ def _choice(*lines: str) -> str:
     return text + "".join(f"  {line}\n" for line in ("min_frequency: 8 kHz", "max_frequency: 20 kHz", *lines))
 
 
+def _tolerances(*lines: str, speed: bool = True) -> str:
+    text = changed("    ratio: 10\n", "    ratio: 10\n  tolerances:\n" + "".join(f"    {line}\n" for line in lines))
+    return text if speed else text.replace("  speed_loop:\n    method: symmetrical-optimum\n    ratio: 10\n", "")
+
+
 Broken = tuple[str, str | bytes, int, int, str]
 
 _YAML: list[Broken] = [
@@ -440,4 +445,51 @@ _CHOICE: list[Broken] = [
     ("choice-hot", _choice("max_junction_temperature: 400 degC"), 45, 29, "max_junction_temperature"),
 ]
 
-BROKEN: list[Broken] = [*_YAML, *_STRUCTURE, *_UNITS, *_CONTRADICTIONS, *_CHOICE]
+_LOOPS: list[Broken] = [
+    ("tolerance-too-large", _tolerances("l_q: 95 %"), 26, 10, "'95 %' is outside 0 to 0.9"),
+    ("tolerance-unknown", _tolerances("resistance: 20 %"), 26, 5, "unknown key 'resistance'"),
+    ("tolerance-unit", _tolerances("r_s: 0.2 Ohm"), 26, 10, "Ohm"),
+    ("tolerance-dead-time-bare", _tolerances("dead_time: 0.2"), 26, 16, "such as '20 %' or a time such as '0.2 us'"),
+    ("tolerance-dead-time-long", _tolerances("dead_time: 20 us"), 26, 16, "outside 0 s to 10 us"),
+    (
+        "tolerance-of-no-dead-time",
+        _tolerances("dead_time: 20 %").replace("  dead_time: 2 us\n", ""),
+        25,
+        16,
+        "which is 0; write inverter.dead_time",
+    ),
+    ("tolerance-low-current-alone", _tolerances("low_current: 1 A"), 26, 5, "goes with dead_time"),
+    (
+        "tolerance-low-current-high",
+        _tolerances("dead_time: 20 %", "low_current: 9 A"),
+        27,
+        18,
+        "above the current limit 6.4 A peak",
+    ),
+    ("tolerance-inertia-alone", _tolerances("inertia: 20 %", speed=False), 23, 5, "the speed loop alone"),
+    ("tolerance-magnet-alone", _tolerances("psi_pm: 5 %", speed=False), 23, 5, "the speed loop alone"),
+    (
+        "schedule-of-constants",
+        changed("    bandwidth: 200 Hz\n", "    bandwidth: 200 Hz\n    schedule: true\n"),
+        22,
+        15,
+        "the machine's inductances are constant",
+    ),
+    (
+        "sensitivity-of-another-method",
+        changed("    bandwidth: 200 Hz\n", "    bandwidth: 200 Hz\n    max_sensitivity: 1.5\n"),
+        22,
+        5,
+        "does not use 'max_sensitivity'; write method: optimised",
+    ),
+    (
+        "sensitivity-too-small",
+        changed("    ratio: 10\n", "    ratio: 10\n    max_sensitivity: 1.0\n"),
+        25,
+        22,
+        "max_sensitivity",
+    ),
+    ("optimised-bandwidth", changed("method: bandwidth", "method: optimised"), 21, 5, "does not use 'bandwidth'"),
+]
+
+BROKEN: list[Broken] = [*_YAML, *_STRUCTURE, *_UNITS, *_CONTRADICTIONS, *_CHOICE, *_LOOPS]

@@ -5,16 +5,18 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import math
+from dataclasses import astuple
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
 from dqforge.machines import catalogue
 from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import SwitchDevice
 from dqforge.machines.loader import load_design, load_text
-from dqforge.machines.settings import CurrentLoopSettings, SpeedLoopSettings
+from dqforge.machines.settings import CurrentLoopSettings, SpeedLoopSettings, Tolerances
 
 
 def _corpus() -> ModuleType:
@@ -395,6 +397,36 @@ def test_each_setting_of_the_current_loop_reaches_its_own_field() -> None:
     assert load_text(text, "drive.yaml").control.current_loop == CurrentLoopSettings(
         method="given", kp=1.5, ki=32.0, damping=0.9, spread=3.5, phase_margin_min=0.4, q_formats=(9, 14)
     )
+
+
+def test_tolerances_reach_their_own_fields() -> None:
+    lines = "r_s: 30 %, l_d: 20 %, l_q: 0.25, psi_pm: 5 %, inertia: 40 %, v_dc: 10 %, dead_time: 15 %"
+    loop = "    ratio: 10\n"
+    text = _changed((loop, f"{loop}  tolerances: {{{lines}, low_current: {{value: 1 A, kind: rms}}}}\n"))
+    found = load_text(text, "drive.yaml").control.tolerances
+    assert found is not None
+    expected = Tolerances(0.3, 0.2, 0.25, 0.05, 0.4, 0.1, 0.15 * 2e-6, math.sqrt(2.0))
+    np.testing.assert_allclose(astuple(found), astuple(expected), rtol=1e-12)
+
+    text = _changed((loop, f"{loop}  tolerances: {{dead_time: 0.3 us}}\n"))
+    loaded = load_text(text, "drive.yaml")
+    assert loaded.control.tolerances is not None
+    np.testing.assert_allclose(
+        astuple(loaded.control.tolerances), astuple(Tolerances(dead_time=3e-7, low_current=0.64))
+    )
+    assert any("low_current is 640 mA peak" in sentence for sentence in loaded.assumptions)
+    assert load_text(_changed(), "drive.yaml").control.tolerances is None
+
+
+def test_optimised_loops_and_their_bounds_are_read() -> None:
+    text = _changed(
+        ("    method: bandwidth\n    bandwidth: 200 Hz\n", "    method: optimised\n    max_sensitivity: 1.4\n"),
+        ("    method: symmetrical-optimum\n", "    method: optimised\n    max_sensitivity: 2\n"),
+    )
+    control = load_text(text, "drive.yaml").control
+    assert (control.current_loop.method, control.current_loop.max_sensitivity) == ("optimised", 1.4)
+    assert control.speed_loop is not None
+    assert (control.speed_loop.method, control.speed_loop.max_sensitivity) == ("optimised", 2.0)
 
 
 @pytest.mark.parametrize(("sampling", "belongs"), [("500 Hz", True), ("499 Hz", False), ("10 kHz", True)])

@@ -21,6 +21,7 @@ from dqforge.machines.settings import (
     FitSettings,
     PerUnitBases,
     SpeedLoopSettings,
+    Tolerances,
 )
 
 
@@ -73,6 +74,7 @@ def test_json_schema_shows_choices_and_defaults() -> None:
         ("SpeedLoopSection", SpeedLoopSettings),
         ("ExportSection", ExportSettings),
         ("PerUnitSection", PerUnitBases),
+        ("TolerancesSection", Tolerances),
         ("DeviceSection", SwitchDevice),
     ],
 )

@@ -17,10 +17,18 @@ import pytest
 from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, make_design
 
 from dqforge.machines import catalogue
-from dqforge.machines.settings import FitSettings, ModulationName, WaveformForm, WaveformSettings, WeakeningSettings
+from dqforge.machines.settings import (
+    CurrentLoopSettings,
+    FitSettings,
+    ModulationName,
+    WaveformForm,
+    WaveformSettings,
+    WeakeningSettings,
+)
 from dqforge.optimizer.choice_rule import Leaf, Question, Rule, SimplifiedChoice
-from dqforge.optimizer.solution import solve, solve_phases, solve_weakening
+from dqforge.optimizer.solution import solve, solve_gains, solve_phases, solve_weakening
 from dqforge.reports.control_header import control_files
+from dqforge.reports.gains_header import gains_files
 from dqforge.reports.header import header_files
 from dqforge.reports.rule_header import Alternative, rule_header
 from dqforge.reports.surface_header import weakening_files
@@ -87,6 +95,14 @@ def headers() -> dict[str, dict[str, bytes]]:
     for name, rule in rules.items():
         priced = SimplifiedChoice(rule, 101.0, 100.0, True)
         found[f"modulation {name}"] = rule_header(make_design(), priced, alternatives, reach=(200.0, 900.0))
+    for name, drive in (("table", "baldor-pmsyrm-5k6"), ("segments", "abb-syrm-6k7-saturated")):
+        made = catalogue.load(drive)
+        current = CurrentLoopSettings("magnitude-optimum", schedule=True)
+        control = replace(made.control, current_loop=current, speed_loop=None, observer=None)
+        made = replace(made, control=control, export=replace(made.export, prefix="drive"))
+        schedule = solve_gains(made).schedule
+        assert schedule is not None
+        found[f"gains {name}"] = gains_files(made, schedule)
     return found
 
 
@@ -120,7 +136,7 @@ def written(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     for file_name, content in HEADERS[name].items():
         (tmp_path / file_name).write_bytes(content)
     kind = name.split()[0]
-    part = f"drive_{kind}" if kind in {"waveform", "weakening", "modulation"} else "drive"
+    part = f"drive_{kind}" if kind in {"waveform", "weakening", "modulation", "gains"} else "drive"
     call = f"{part}_mismatches" if part != "drive" else "drive_vectors_mismatches"
     main = f'#include "{part}_vectors.h"\nint main(void)\n{{\n    return ({call}() == 0U) ? 0 : 1;\n}}\n'
     (tmp_path / "main.c").write_text(CONTROL_MAIN if kind == "control" else main, encoding="ascii")

@@ -44,12 +44,16 @@ def test_gains_and_margins() -> None:
     The loop is nearly k/(z (z - 1)) with k = w t_s; z^2 - z + k has its roots on the unit circle at k = 1.
     """
     design = make_design()
-    table, observer = gains_tables(design, solve_gains(design))
+    table, forms, observer = gains_tables(design, solve_gains(design))
     assert table.title == "test drive: gains, sampled every 10 us"
     for heading, expected in (("crossover Hz", 1000.0), ("phase margin deg", 84.6), ("delay margin us", 235.0)):
         for cell in column(table, heading)[:2]:
             assert float(cell) == pytest.approx(expected, rel=5e-3)
     assert [float(cell) for cell in column(table, "gain margin dB")[:2]] == pytest.approx([24.04] * 2, abs=0.1)
+    q_axis = solve_gains(design).i_q
+    kp, ki_ts, q0, q1 = (float(column(forms, name)[1]) for name in forms.columns[1:6] if not name.startswith("series"))
+    assert (q0, q1) == pytest.approx((kp + ki_ts, -kp), rel=1e-5)
+    assert column(forms, "series: T_i")[1] == f"{1e3 * q_axis.kp / q_axis.ki:.5g} ms"
     load, resistance = (float(re.findall(r"(?:by|high by) (-?[\d.e-]+) rpm", note)[0]) for note in observer.notes[1:])
     # T_L/(J g) and -0.3 R g/(g p psi) at g = 500/s, J = 0.05 kg m^2; 30/pi rpm for each rad/s.
     assert load == pytest.approx(1.0 / (0.05 * 500.0) * 30.0 / math.pi, rel=5e-3)

@@ -1,0 +1,71 @@
+"""Reading of the section on tolerances."""
+
+from __future__ import annotations
+
+from dqforge.machines.checks import si_of
+from dqforge.machines.inverter import Inverter
+from dqforge.machines.quantities import format_quantity
+from dqforge.machines.reading import Reading
+from dqforge.machines.schema import DesignFile
+from dqforge.machines.settings import Tolerances
+from dqforge.machines.synchronous import Machine
+
+_SECTION = ("control", "tolerances")
+_LOW_CURRENT = 0.1  # of the current limit
+
+
+def read_tolerances(
+    sections: DesignFile, machine: Machine, inverter: Inverter, i_max: float, reading: Reading
+) -> Tolerances | None:
+    """Tolerances in SI units, None where the file has no such section.
+
+    ``i_max`` is the current limit in A (peak), a tenth of which is the smallest current unless the file says.
+
+    Raises
+    ------
+    InputError
+        A tolerance has nothing that it could change, or is larger than what it belongs to.
+    """
+    section, document = sections.control.tolerances, reading.document
+    if section is None:
+        return None
+    control = sections.control
+    for key, missing, why in (
+        ("psi_pm", machine.psi_pm == 0.0, "the machine has no magnets"),
+        ("psi_pm", control.speed_loop is None, "it changes the speed loop alone, and there is none"),
+        ("inertia", control.speed_loop is None, "it changes the speed loop alone, and there is none"),
+    ):
+        if getattr(section, key) is not None and missing:
+            raise document.error(f"control.tolerances.{key}: {why}; remove the key", (*_SECTION, key), key=True)
+    dead_time = 0.0
+    if section.dead_time is not None:
+        share = section.dead_time.unit == ""
+        if share and inverter.dead_time == 0.0:
+            message = (
+                "control.tolerances.dead_time is a share of inverter.dead_time, which is 0; write inverter.dead_time"
+            )
+            raise document.error(message, (*_SECTION, "dead_time"))
+        dead_time = section.dead_time.si * (inverter.dead_time if share else 1.0)
+    elif section.low_current is not None:
+        message = "control.tolerances.low_current goes with dead_time; write dead_time: 20 %, or remove the key"
+        raise document.error(message, (*_SECTION, "low_current"), key=True)
+    low_current = 0.0
+    if section.low_current is not None:
+        low_current = reading.peak(section.low_current, "control.tolerances.low_current")
+        if low_current > i_max:
+            message = f"control.tolerances.low_current is above the current limit {format_quantity(i_max, 'A')} peak"
+            raise document.error(f"{message}; write less", (*_SECTION, "low_current"))
+    elif dead_time > 0.0:
+        low_current = _LOW_CURRENT * i_max
+        shown = format_quantity(low_current, "A")
+        reading.remarks.append(f"control.tolerances.low_current is {shown} peak: 10 % of the current limit")
+    return Tolerances(
+        r_s=si_of(section.r_s) or 0.0,
+        l_d=si_of(section.l_d) or 0.0,
+        l_q=si_of(section.l_q) or 0.0,
+        psi_pm=si_of(section.psi_pm) or 0.0,
+        inertia=si_of(section.inertia) or 0.0,
+        v_dc=si_of(section.v_dc) or 0.0,
+        dead_time=dead_time,
+        low_current=low_current,
+    )

@@ -1,0 +1,173 @@
+"""The C header of current-loop gains over the current and its test vectors, as plain data and as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dqforge import __version__
+from dqforge.machines.design import Design
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.gain_schedule import GainSchedule
+from dqforge.optimizer.schedule_fit import GAIN_NAMES, GainEvaluator
+from dqforge.optimizer.single_precision import SingleArray
+from dqforge.reports.reference_ir import PlainData, shortest
+from dqforge.reports.schedule_text import schedule_lines
+from dqforge.reports.templating import render
+
+_SEED = 20_261_121
+_MOST_VALUES = 256
+_FAULT = InputError("gains_header is not what dqforge writes; run the design again")
+
+
+def _list(values: SingleArray) -> list[float]:
+    return [shortest(value) for value in values]
+
+
+def plain_evaluator(evaluator: GainEvaluator) -> PlainData:
+    """The evaluator as plain data; every number is a float32 value."""
+    return {
+        "end": shortest(evaluator.end),
+        "fallback": {name: shortest(value) for name, value in evaluator.fallback.items()},
+        "constants": {name: shortest(value) for name, value in evaluator.constants.items()},
+        "starts": _list(evaluator.starts),
+        "polynomials": {name: [_list(row) for row in rows] for name, rows in evaluator.polynomials.items()},
+        "inverse_step": shortest(evaluator.inverse_step),
+        "tables": {name: _list(values) for name, values in evaluator.tables.items()},
+    }
+
+
+def evaluator_from(plain: Mapping[str, Any]) -> GainEvaluator:
+    """Read an evaluator back.
+
+    Raises
+    ------
+    InputError
+        The data are not what `plain_evaluator` makes.
+    """
+    try:
+        found = GainEvaluator(
+            end=_single(plain["end"]),
+            fallback={name: _single(plain["fallback"][name]) for name in GAIN_NAMES},
+            constants={name: _single(value) for name, value in plain["constants"].items()},
+            starts=_singles(plain["starts"]),
+            polynomials={
+                name: np.stack([_singles(row) for row in rows]) for name, rows in plain["polynomials"].items()
+            },
+            inverse_step=_single(plain["inverse_step"]),
+            tables={name: _singles(values) for name, values in plain["tables"].items()},
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise _FAULT from error
+    names = sorted([*found.constants, *found.polynomials, *found.tables])
+    sizes = {table.size for table in found.tables.values()}
+    rows = {rows.shape[0] for rows in found.polynomials.values()}
+    reach = float(found.end) * float(found.inverse_step)
+    sound = (
+        names == sorted(GAIN_NAMES)
+        and found.end > 0.0
+        and not (found.tables and found.polynomials)
+        and (not found.tables or (len(sizes) == 1 and min(sizes) > 1 and 0.0 < reach < min(sizes)))
+        and (not found.polynomials or rows == {found.starts.size})
+        and found.starts[0] == 0.0
+        and bool(np.all(np.diff(found.starts) > 0.0))
+    )
+    if not sound:
+        raise _FAULT
+    return found
+
+
+def _single(value: Any) -> np.float32:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError
+    with np.errstate(over="ignore"):
+        single = np.float32(value)
+    if not math.isfinite(single):
+        raise ValueError
+    return single
+
+
+def _singles(values: Any) -> SingleArray:
+    array: SingleArray = np.array([_single(value) for value in values], dtype=np.float32)
+    if not 1 <= array.size <= _MOST_VALUES:
+        raise ValueError
+    return array
+
+
+def schedule_inputs(evaluator: GainEvaluator, count: int, seed: int, patterns: int = 0) -> SingleArray:
+    """Currents i_q in A, shape (count + patterns + 20,): all over the domain and beyond it, special ones, any bits."""
+    generator = np.random.default_rng(seed)
+    end = float(evaluator.end)
+    across = (generator.uniform(-1.2, 1.2, count) * end).astype(np.float32)
+    beside = [np.nextafter(np.float32(v), np.float32(s)) for v in (end, *evaluator.starts[1:]) for s in (0.0, np.inf)]
+    special = [
+        0.0,
+        -0.0,
+        np.nan,
+        -np.nan,
+        np.inf,
+        -np.inf,
+        1e-45,
+        -1e-45,
+        end,
+        -end,
+        *evaluator.starts.tolist(),
+        *beside,
+    ]
+    bits = generator.integers(0, 2**32, patterns, dtype=np.uint32).view(np.float32)
+    return np.concatenate([np.array(special, dtype=np.float32), across, bits])
+
+
+def _context(design: Design, schedule: GainSchedule) -> PlainData:
+    evaluator = schedule.fit.evaluator
+    plain = plain_evaluator(evaluator)
+    ends = [*plain["starts"][1:], None]
+    segments = [
+        {
+            "start": start,
+            "end": end,
+            "polynomials": [(name, plain["polynomials"][name][place]) for name in plain["polynomials"]],
+        }
+        for place, (start, end) in enumerate(zip(plain["starts"], ends, strict=True))
+    ]
+    return {
+        "prefix": design.export.prefix,
+        "macro": design.export.prefix.upper(),
+        "name": design.name,
+        "version": __version__,
+        "digest": design.digest,
+        "form": plain,
+        "names": GAIN_NAMES,
+        "segments": segments,
+        "points": max((len(values) for values in plain["tables"].values()), default=0),
+        "preamble": [
+            f"Method {design.control.current_loop.method}, sampled every {design.control.t_s * 1e6:.6g} us.",
+            "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated errors hold either way.",
+        ],
+        "comment": [
+            "i_q_A: q-axis current reference in A, either sign; beyond SCHEDULE_END the gains stay as they are there.",
+            "kp_d, kp_q: proportional gains, V/A; ki_ts_d, ki_ts_q: integral gains times the sampling period, V/A.",
+            "d[k] = d[k-1] + kp (e[k] - e[k-1]) + ki_ts e[k]: in this form the output does not step with the gains.",
+            "Not-a-number gives the constant gains, those for the least inductance.",
+            "",
+            *schedule_lines(schedule),
+            "Margins are those of frozen currents along the current reference.",
+        ],
+    }
+
+
+def gains_files(design: Design, schedule: GainSchedule) -> dict[str, bytes]:
+    """Names and bytes of the header of gains over the current and of its test vectors."""
+    context, prefix, evaluator = _context(design, schedule), design.export.prefix, schedule.fit.evaluator
+    inputs = schedule_inputs(evaluator, design.export.vectors, _SEED)
+    vectors = np.concatenate([inputs[:, np.newaxis], evaluator.gains(inputs)], axis=1)
+    texts = {
+        f"{prefix}_gains.h": render("gains.h.j2", context),
+        f"{prefix}_gains_vectors.h": render(
+            "gains_vectors.h.j2", context | {"vectors": [list(row) for row in vectors]}
+        ),
+    }
+    return {name: text.encode("ascii") for name, text in texts.items()}
