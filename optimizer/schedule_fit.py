@@ -40,7 +40,7 @@ class GainEvaluator:
     end:
         Largest |i_q| in A; beyond it the gains stay.
     fallback:
-        Gains by name for a current that is not a number: those that hold at every current.
+        Gains by name for a current that is not a number: the constant ones, for the least inductance.
     constants:
         Gains that do not change with the current.
     starts:
