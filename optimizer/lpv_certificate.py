@@ -151,7 +151,10 @@ def _positive(matrix: list[list[Any]]) -> bool:
 
 def common_lyapunov(matrices: FloatArray, contraction: float) -> FloatArray | None:
     """P with A^T P A < contraction^2 P for all A of shape (V, n, n) as a solver finds it, or None."""
-    import cvxpy as cp
+    try:
+        import cvxpy as cp
+    except ImportError as error:
+        raise InputError("the certificate needs cvxpy and clarabel; install dqforge[lmi]") from error
 
     n = matrices.shape[1]
     p, size = cp.Variable((n, n), symmetric=True), cp.Variable()
