@@ -206,6 +206,7 @@ def _disturbances() -> Disturbances:
     return Disturbances(i_noise=1.0, v_noise=1.0, i_load=100.0, acceleration=2000.0)
 
 
+@pytest.mark.slow
 @EVERY
 def test_optimised_tuning_beats_the_usual_one_in_simulation(method: ObserverMethod) -> None:
     """R.m.s. angle error of ramps under noise and wrong parameters, by simulation and not by the judgement."""
