@@ -8,7 +8,7 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.settings import Strategy
-from dqforge.machines.synchronous import LinearMachine, Machine
+from dqforge.machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.optimizer.certificate import Certificate, certify
 from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.choice_solution import ModulationChoice, solve_choice
@@ -26,6 +26,7 @@ from dqforge.optimizer.mission_budget import MissionComparison, compare_mission
 from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
+from dqforge.optimizer.observer_tuning import PositionObserver, tune_position_observer
 from dqforge.optimizer.phase_reference import PhaseFit, fit_phases
 from dqforge.optimizer.reference_fit import ReferenceFit, domain_end, fit_reference
 from dqforge.optimizer.robustness import RobustSet, current_robustness, speed_robustness
@@ -51,8 +52,9 @@ class Curves:
 
 @dataclass(frozen=True, slots=True)
 class GainSet:
-    """Gains of both current loops and, where the design asks for them, of the speed loop and the observer.
+    """Gains of both current loops and, where the design asks for them, of the speed loop and an observer.
 
+    ``observer`` is the reduced-order speed observer, ``position`` one of the position; a design has at most one.
     ``robust`` is what they keep over the tolerances, None where the design names none; ``schedule`` the current loops'
     gains over the current, None where it asks for none.
     """
@@ -63,6 +65,7 @@ class GainSet:
     observer: ReducedOrderObserver | None
     robust: RobustSet | None = None
     schedule: GainSchedule | None = None
+    position: PositionObserver | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +143,19 @@ def inductance_range(machine: Machine, i_max: float) -> tuple[tuple[float, float
     return least, largest
 
 
+def _solve_observer(design: Design) -> tuple[ReducedOrderObserver | None, PositionObserver | None]:
+    """The observer of the speed, or that of the position, which the design asks for."""
+    machine, control = design.machine, design.control
+    wanted = control.observer
+    if wanted is None:
+        return None, None
+    if wanted.method == "reduced-order" and wanted.pole is not None:
+        return reduced_order_observer(machine, wanted.pole, control.t_s), None
+    omega_m = machine.omega_m_max if machine.omega_m_max is not None else control.bases.speed
+    omega_max = omega_m * machine.pole_pairs
+    return None, tune_position_observer(linearised(machine), wanted, control.t_s, design.inverter.v_dc, omega_max)
+
+
 def solve_gains(design: Design) -> GainSet:
     """Gains of the design, every loop checked as it is sampled, and over the tolerances where it names any."""
     machine, control = design.machine, design.control
@@ -163,9 +179,7 @@ def solve_gains(design: Design) -> GainSet:
     i_d = tune_current_loop(machine.r_s, l_d, control.t_s, control.current_loop, "i_d", axis_corners("i_d"))
     i_q = tune_current_loop(machine.r_s, l_q, control.t_s, control.current_loop, "i_q", axis_corners("i_q"))
     speed = tune_speed_loop(machine, i_q, control, speed_corners()) if control.speed_loop is not None else None
-    observer = (
-        reduced_order_observer(machine, control.observer.pole, control.t_s) if control.observer is not None else None
-    )
+    observer, position = _solve_observer(design)
     robust = None
     if named:
         robust = RobustSet(
@@ -175,7 +189,7 @@ def solve_gains(design: Design) -> GainSet:
         )
     wanted = control.current_loop.schedule
     schedule = schedule_gains(design, box if named else None, i_d, i_q) if wanted else None
-    return GainSet(i_d, i_q, speed, observer, robust, schedule)
+    return GainSet(i_d, i_q, speed, observer, robust, schedule, position)
 
 
 def solve_losses(design: Design) -> LossComparison | None:

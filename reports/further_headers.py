@@ -16,6 +16,8 @@ from dqforge.optimizer.schedule_fit import GainEvaluator
 from dqforge.optimizer.surface_reference import WeakeningReference
 from dqforge.reports.control_header import control_from, control_programme
 from dqforge.reports.gains_header import evaluator_from, schedule_inputs
+from dqforge.reports.observer_header import EmittedObserver, observer_from
+from dqforge.reports.observer_model import observer_inputs, observer_outputs
 from dqforge.reports.programme import Programme
 from dqforge.reports.rule_header import EmittedRule, emitted_from, rule_inputs, rule_results
 from dqforge.reports.surface_header import weakening_currents, weakening_from, weakening_inputs
@@ -80,11 +82,18 @@ def _gains_programme(evaluator: GainEvaluator) -> Programme:
     return Programme("gains_harness.c.j2", currents, evaluator.gains(currents), name="gains over the current")
 
 
+def _observer_programme(observer: EmittedObserver) -> Programme:
+    method, inputs = observer.method, observer_inputs(observer.gains, SWEEP_POINTS, SWEEP_SEED)
+    outputs = observer_outputs(method, observer.gains, inputs)
+    return Programme("observer_harness.c.j2", inputs, outputs, {"code": method.code}, name="position observer")
+
+
 FURTHER_HEADERS = (
     FurtherHeader("waveform", lambda own, _: phase_reference_from(own), _waveform_programme),
     FurtherHeader("weakening", lambda own, _: weakening_from(own), _weakening_programme),
     FurtherHeader("modulation", lambda own, _: emitted_from(own), _rule_programme),
     FurtherHeader("gains", lambda own, _: evaluator_from(own), _gains_programme),
+    FurtherHeader("observer", lambda own, _: observer_from(own), _observer_programme, vectors=False),
     FurtherHeader("control", control_from, control_programme, vectors=False),
 )
 """All kinds, in the order in which they are written and verified."""

@@ -20,6 +20,7 @@ from dqforge.optimizer.fixed_point import to_q
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.observer import ObserverError, steady_state_error
+from dqforge.optimizer.observer_tuning import PositionObserver
 from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet
 from dqforge.reports.c_numbers import rounded_up
@@ -33,6 +34,7 @@ from dqforge.reports.labels import (
     shown_parts,
     watts,
 )
+from dqforge.reports.observer_text import position_parts
 from dqforge.reports.reference_ir import PlainData
 
 if TYPE_CHECKING:
@@ -326,7 +328,7 @@ def observer_tables(design: Design, gains: GainSet, torque_max: float) -> list[H
     """Coefficients of the speed observer; its steady speed error with and without load and error of the resistance."""
     observer, machine = gains.observer, design.machine
     if observer is None:
-        return []
+        return [] if gains.position is None else _position_tables(gains.position)
     coefficients = (
         ("A", f"{number(observer.a, 8)}", "pole in the z plane"),
         ("B_u", f"{number(observer.b_u, 8)}{NARROW}rad/(s V)", "factor of the voltage u_q"),
@@ -354,6 +356,13 @@ def observer_tables(design: Design, gains: GainSet, torque_max: float) -> list[H
     caption = f"Steady speed error at {quantity(speed, 'rpm')}, half the base speed, with an unknown load at i_d = 0"
     columns = ("", "load torque", "exact values", f"resistance {100.0 * R_ERROR:.0f} % too large")
     return [first, HtmlTable(symbols(caption), _headings(*columns), tuple(rows))]
+
+
+def _position_tables(position: PositionObserver) -> list[HtmlTable]:
+    return [
+        HtmlTable(symbols(f"{title}: {'; '.join(notes)}"), _headings(*columns), tuple(Row(cells) for cells in rows))
+        for title, columns, rows, notes in position_parts(position)
+    ]
 
 
 def _speed_error_text(error: ObserverError) -> str:

@@ -28,6 +28,8 @@ from dqforge.reports.choice_tables import plain_choice
 from dqforge.reports.control_header import plain_control
 from dqforge.reports.drive_losses_tables import plain_mission
 from dqforge.reports.gains_header import plain_evaluator
+from dqforge.reports.observer_header import emitted, plain_observer
+from dqforge.reports.observer_text import plain_position
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.robustness_text import plain_robustness
 from dqforge.reports.rule_header import choice_model, plain_emitted
@@ -187,6 +189,7 @@ def plain_gains(design: Design, gains: GainSet) -> PlainData:
         "i_q": _plain_loop(gains.i_q, current, control.current_loop.q_formats),
         "speed": speed,
         "observer": None if gains.observer is None else asdict(gains.observer),
+        "position": None if gains.position is None else plain_position(gains.position),
         "bases": asdict(control.bases),
         **plain_robustness(gains.robust),
         **plain_schedule(gains.schedule),
@@ -249,6 +252,7 @@ def plain_weakening_fit(fit: WeakeningFit | None) -> PlainData | None:
 def plain_solution(solution: Solution) -> PlainData:
     """Everything that a run found, with what `dqforge verify` needs under ``header``."""
     design, weakening, schedule = solution.design, solution.weakening, solution.gains.schedule
+    observer = emitted(solution.gains.position)
     return {
         "input": plain_design(design),
         "drive": plain_drive(design),
@@ -270,4 +274,5 @@ def plain_solution(solution: Solution) -> PlainData:
         "modulation_choice": None if solution.choice is None else plain_choice(solution.choice),
         "modulation_header": None if solution.choice is None else plain_emitted(choice_model(solution.choice)),
         "gains_header": None if schedule is None else plain_evaluator(schedule.fit.evaluator),
+        "observer_header": None if observer is None else plain_observer(observer),
     }

@@ -12,6 +12,7 @@ from dqforge.reports.further_headers import programmes
 from dqforge.reports.gains_header import gains_files
 from dqforge.reports.header import header_files
 from dqforge.reports.html_report import render_report
+from dqforge.reports.observer_header import observer_files
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.result_json import plain_solution, to_text
 from dqforge.reports.rule_header import choice_files
@@ -54,6 +55,8 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
         files |= choice_files(design, solution.choice)
     if solution.gains.schedule is not None:
         files |= gains_files(design, solution.gains.schedule)
+    if solution.gains.position is not None:
+        files |= observer_files(design, solution.gains.position)
     if "float32" in design.export.control:
         files |= control_files(solution)
     plain = plain_solution(solution)

@@ -29,6 +29,7 @@ from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.choice_text import choice_rows
 from dqforge.reports.cross import TargetVerification
 from dqforge.reports.labels import core_name, obstacle, operation_text, part_label, shown_parts
+from dqforge.reports.observer_text import position_parts
 from dqforge.reports.robustness_text import FORM_COLUMNS, ROBUST_COLUMNS, form_rows, robust_notes, robust_rows
 from dqforge.reports.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
 from dqforge.reports.verify import Verification
@@ -237,6 +238,8 @@ def gains_tables(design: Design, gains: GainSet) -> list[Table]:
         tables.append(Table("Scheduled gains along the current reference", SCHEDULE_COLUMNS, rows_, notes))
     if gains.observer is not None:
         tables.append(_observer_table(design, gains))
+    if gains.position is not None:
+        tables += [Table(*part) for part in position_parts(gains.position)]
     return tables
 
 

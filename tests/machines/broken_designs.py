@@ -361,6 +361,20 @@ _CONTRADICTIONS: list[Broken] = [
         3,
         "needs a magnet flux",
     ),
+    (
+        "observer-pole-missing",
+        changed("operation:", "  observer: {bandwidth: 400 rad/s}\noperation:"),
+        25,
+        3,
+        "needs the key 'pole'; write pole: 400 rad/s",
+    ),
+    (
+        "observer-key-not-used",
+        changed("operation:", "  observer: {method: extended-emf, speed_gain: 0.2}\noperation:"),
+        25,
+        36,
+        "does not use 'speed_gain'",
+    ),
     ("id0-without-magnets", changed("0.06 Wb", "0 Wb").replace("mtpa", "id0"), 26, 13, "write strategy: mtpa"),
     (
         "closed-form-without-saliency",

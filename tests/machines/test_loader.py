@@ -261,6 +261,7 @@ control:
     assert design.inverter.coolant_temperature == 0.0
     assert design.control.observer is not None
     assert design.control.observer.pole == pytest.approx(200.0 * math.pi, rel=1e-14)
+    assert design.control.observer.method == "reduced-order"
     assert design.losses is not None
     assert design.losses.points[0].torque == -1.0
     assert design.losses.points[0].omega_m == pytest.approx(40.0 * math.pi, rel=1e-14)

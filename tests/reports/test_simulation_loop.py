@@ -253,6 +253,7 @@ def test_speed_of_the_observer_in_the_loop() -> None:
     true = float(np.mean(found.omega_m[-500:]))
     assert estimate == pytest.approx(omega, rel=1e-4)  # the controller holds what it believes
     assert design.control.observer is not None
+    assert design.control.observer.pole is not None
     expected = steady_state_error(
         design.machine, design.control.observer.pole, design.control.t_s, true, torque_load=0.2
     )
