@@ -12,7 +12,8 @@ whose matrix exponential gives, without approximation for a constant speed,
 
 with i[k] and v[k] in the frame of the beginning and i[k+1] in that of the end of the period. Phi, Gamma and h are
 entire functions of omega; mirrored in the d axis the machine runs backwards, so that each entry is even or odd.
-Polynomials of four coefficients in (omega t_s)^2 hold them to some 1e-9 over the speed range, without any function of libm.
+Polynomials of four coefficients in (omega t_s)^2 hold them to some 1e-9 over the speed range, without any function of
+libm.
 
 References
 ----------
