@@ -176,7 +176,9 @@ def correct(
     return corrected, 0.5 * (left + np.swapaxes(left, -1, -2)), innovation, s
 
 
-def run(filter_: Ekf, trial: Trial, theta_error: float = 0.0, omega_error: float = 0.0) -> EkfRun:
+def run(
+    filter_: Ekf, trial: Trial, theta_error: float | FloatArray = 0.0, omega_error: float | FloatArray = 0.0
+) -> EkfRun:
     """Run the filter over a trial, from its measured currents and from errors of angle (rad) and speed (rad/s)."""
     periods, drives = trial.v.shape[:2]
     model, q = filter_.model, filter_.q

@@ -229,7 +229,7 @@ def cross_saturation_error(machine: Machine, i_d: FloatArray, i_q: FloatArray) -
 
 
 def usable_saliency(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
-    """Relative saliency sqrt((l_qq - l_dd)^2 + 4 l_dq^2)/(l_dd + l_qq) at currents in A, shape (N,); 0 shows nothing."""
+    """Relative saliency sqrt((l_qq - l_dd)^2 + 4 l_dq^2)/(l_dd + l_qq) at currents in A, shape (N,)."""
     jet = machine.jet(np.asarray(i_d, dtype=np.float64), np.asarray(i_q, dtype=np.float64))
     return np.asarray(np.hypot(jet.l_qq - jet.l_dd, jet.l_dq + jet.l_qd) / (jet.l_dd + jet.l_qq))
 

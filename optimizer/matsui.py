@@ -230,7 +230,9 @@ def step(observer: Matsui, state: MatsuiState, v: FloatArray, i: FloatArray, i_n
     return MatsuiState(ahead, np.clip(speed + observer.k_p * angle + integral, -limit, limit), speed, integral)
 
 
-def run(observer: Matsui, trial: Trial, theta_error: float = 0.0, omega_error: float = 0.0) -> ObserverRun:
+def run(
+    observer: Matsui, trial: Trial, theta_error: float | FloatArray = 0.0, omega_error: float | FloatArray = 0.0
+) -> ObserverRun:
     """Run the estimator over a trial, from errors of angle (rad) and speed (rad/s)."""
     periods, drives = trial.v.shape[:2]
     theta, omega = np.empty((periods + 1, drives)), np.empty((periods + 1, drives))
