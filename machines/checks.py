@@ -9,7 +9,7 @@ import numpy as np
 from dqforge.machines import datasheet
 from dqforge.machines.entries import Quantity
 from dqforge.machines.quantities import format_quantity
-from dqforge.machines.schema import CurrentLoopSection, DesignFile, SpeedLoopSection
+from dqforge.machines.schema import CurrentLoopSection, DesignFile, ObserverSection, SpeedLoopSection
 from dqforge.machines.schema_machine import MachineSection
 from dqforge.machines.settings import Strategy
 from dqforge.machines.synchronous import LinearMachine, Machine
@@ -103,13 +103,38 @@ def check_loops(sections: DesignFile, machine: Machine, document: YamlDocument) 
         _check_method(control.speed_loop, ("control", "speed_loop"), document)
         wants_inertia.append("speed_loop")
     if control.observer is not None:
-        wants_inertia.append("observer")
+        _check_observer(control.observer, document)
+        if control.observer.method == "reduced-order":
+            wants_inertia.append("observer")
         if machine.psi_pm == 0.0:
             message = "control.observer: this observer needs a magnet flux, the machine has none; remove it"
             raise document.error(message, ("control", "observer"), key=True)
     if wants_inertia and machine.inertia is None:
         message = f"control.{wants_inertia[0]} needs the inertia; write machine.inertia, such as 200e-6 kg m^2"
         raise document.error(message, ("control", wants_inertia[0]), key=True)
+
+
+_OBSERVER_KEYS = {
+    "reduced-order": ("pole",),
+    "extended-emf": ("bandwidth", "pll_bandwidth", "damping"),
+    "flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
+    "open-loop-flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
+}
+
+
+def _check_observer(observer: ObserverSection, document: YamlDocument) -> None:
+    path, used = ("control", "observer"), _OBSERVER_KEYS[observer.method]
+    if observer.method == "reduced-order" and observer.pole is None:
+        message = "control.observer: the method 'reduced-order' needs the key 'pole'; write pole: 400 rad/s"
+        raise document.error(message, path, key=True)
+    for key in ("pole", "bandwidth", "pll_bandwidth", "damping", "speed_gain"):
+        if getattr(observer, key) is not None and key not in used:
+            raise document.error(
+                f"control.observer: the method '{observer.method}' does not use '{key}'; remove it, or write another "
+                f"method (it uses {', '.join(used)})",
+                (*path, key),
+                key=True,
+            )
 
 
 def _check_method(loop: CurrentLoopSection | SpeedLoopSection, path: KeyPath, document: YamlDocument) -> None:

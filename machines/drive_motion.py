@@ -142,6 +142,36 @@ def next_flux(
     return psi
 
 
+def steady_voltage(plant: Plants, i_dq: ComplexArray, omega: FloatArray, t_s: float) -> ComplexArray:
+    """Voltage d + j q in V, in rotor coordinates at the END of a period, that brings the current back where it began.
+
+    Held in stationary coordinates it turns by -omega t_s within the period; the state (i_d, i_q, v_d, v_q, 1) is linear
+    and its transition an exponential, so that the voltage is exact. Arrays of shape (N,).
+    """
+    from scipy.linalg import expm
+
+    zero = np.zeros_like(omega)
+    rows = [
+        [-plant.r_s / plant.l_d, omega * plant.l_q / plant.l_d, 1.0 / plant.l_d + zero, zero, zero],
+        [
+            -omega * plant.l_d / plant.l_q,
+            -plant.r_s / plant.l_q,
+            zero,
+            1.0 / plant.l_q + zero,
+            -omega * plant.psi_pm / plant.l_q,
+        ],
+        [zero, zero, zero, omega, zero],
+        [zero, zero, -omega, zero, zero],
+        [zero, zero, zero, zero, zero],
+    ]
+    matrix = np.moveaxis(np.array([[np.broadcast_to(x, zero.shape) for x in row] for row in rows]), -1, 0)
+    step = np.asarray(expm(matrix * t_s), dtype=np.float64)
+    i = np.stack(np.broadcast_arrays(i_dq.real, i_dq.imag, zero)[:2], axis=-1)
+    rest = i - np.einsum("nij,nj->ni", step[:, :2, :2], i) - step[:, :2, 4]
+    v = np.linalg.solve(step[:, :2, 2:4], rest[..., None])[..., 0]
+    return np.asarray((v[:, 0] + 1j * v[:, 1]) * np.exp(-1j * omega * t_s), dtype=np.complex128)
+
+
 def drive_motion(
     machine: LinearMachine,
     t_s: float,

@@ -22,6 +22,7 @@ from dqforge.machines.schema import (
     DesignFile,
     FitSection,
     InverterSection,
+    ObserverSection,
     OperationSection,
     SpeedLoopSection,
     WaveformSection,
@@ -164,7 +165,7 @@ class _Build:
             t_s=1.0 / f_s,
             current_loop=_current_loop(section.current_loop),
             speed_loop=None if section.speed_loop is None else _speed_loop(section.speed_loop),
-            observer=None if section.observer is None else ObserverSettings(section.observer.pole.si),
+            observer=None if section.observer is None else _observer(section.observer),
             bases=self.bases(section, machine, inverter, i_max),
         )
 
@@ -272,6 +273,18 @@ def _speed_loop(section: SpeedLoopSection) -> SpeedLoopSettings:
         ki=si_of(section.ki),
         phase_margin_min=_DEFAULT_MARGIN if margin is None else margin,
         q_formats=section.q_formats,
+    )
+
+
+def _observer(section: ObserverSection) -> ObserverSettings:
+    return ObserverSettings(
+        pole=si_of(section.pole),
+        method=section.method,
+        bandwidth=si_of(section.bandwidth),
+        pll_bandwidth=si_of(section.pll_bandwidth),
+        damping=section.damping,
+        speed_gain=section.speed_gain,
+        tuning=section.tuning,
     )
 
 

@@ -55,6 +55,8 @@ from dqforge.machines.settings import (
     LossSettings,
     ModulationName,
     NumberFormat,
+    ObserverMethodName,
+    ObserverTuningName,
     OpenPhase,
     OperationSettings,
     SpeedLoopMethod,
@@ -143,9 +145,27 @@ class SpeedLoopSection(Section):
 
 
 class ObserverSection(Section):
-    """Reduced-order speed observer."""
+    """Speed or position observer."""
 
-    pole: Bandwidth = Field(description="the observer's pole lies at -pole (rad/s, or Hz times 2 pi)")
+    method: ObserverMethodName = Field(default="reduced-order", description="how speed or position is observed")
+    pole: Bandwidth | None = Field(
+        default=None, description="for reduced-order: the pole lies at -pole (rad/s, or Hz times 2 pi)"
+    )
+    bandwidth: Bandwidth | None = Field(
+        default=None, description="of the EMF filter or of the flux correction at rest (rad/s, or Hz times 2 pi)"
+    )
+    pll_bandwidth: Bandwidth | None = Field(
+        default=None, description="natural frequency of the phase-locked loop (rad/s, or Hz times 2 pi)"
+    )
+    damping: Annotated[float, Field(gt=0.0, le=10.0)] | None = Field(
+        default=None, description="damping ratio of the phase-locked loop; default 1"
+    )
+    speed_gain: Annotated[float, Field(ge=0.0, le=10.0)] | None = Field(
+        default=None, description="for flux and open-loop-flux: share of the speed in the correction of the flux"
+    )
+    tuning: ObserverTuningName = Field(
+        default="named", description="named: what is left open has its usual value; optimised: it is searched for"
+    )
 
 
 class PerUnitSection(Section):

@@ -18,6 +18,8 @@ Core = Literal["cortex-m0plus", "cortex-m3", "cortex-m4", "cortex-m7", "cortex-m
 BreakpointMode = Literal["shared", "own"]
 CurrentLoopMethod = Literal["bandwidth", "damping", "magnitude-optimum", "symmetrical-optimum", "given"]
 SpeedLoopMethod = Literal["bandwidth", "damping", "symmetrical-optimum", "given"]
+ObserverMethodName = Literal["reduced-order", "extended-emf", "flux", "open-loop-flux"]
+ObserverTuningName = Literal["named", "optimised"]
 ModulationName = Literal[
     "spwm",
     "thipwm6",
@@ -145,9 +147,20 @@ class SpeedLoopSettings:
 
 @dataclass(frozen=True, slots=True)
 class ObserverSettings:
-    """Reduced-order speed observer with its pole at ``-pole`` (rad/s, positive)."""
+    """Speed or position observer.
 
-    pole: float
+    ``pole`` is for the reduced-order speed observer, whose pole lies at ``-pole`` (rad/s, positive). The others are for
+    the position observers, None for what the method usually has: ``bandwidth`` and ``pll_bandwidth`` in rad/s,
+    ``damping`` of the phase-locked loop, ``speed_gain`` the share of the speed in the correction of the flux.
+    """
+
+    pole: float | None = None
+    method: ObserverMethodName = "reduced-order"
+    bandwidth: float | None = None
+    pll_bandwidth: float | None = None
+    damping: float | None = None
+    speed_gain: float | None = None
+    tuning: ObserverTuningName = "named"
 
 
 @dataclass(frozen=True, slots=True)

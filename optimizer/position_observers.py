@@ -32,8 +32,8 @@ class ObserverMethod:
         (machine, t_s, largest electrical speed in rad/s) -> the tuning where the design leaves it open.
     keys:
         The tuning entries that the method uses, of bandwidth, speed_gain.
-    holds_at_rest:
-        Whether no back-EMF is needed.
+    gains:
+        The dataclass that ``design`` returns.
     """
 
     name: str
@@ -44,6 +44,7 @@ class ObserverMethod:
     step: Callable[[Any, ObserverState, Pair, Pair, Arithmetic], ObserverState]
     usual: Callable[[LinearMachine, float, float], ObserverTuning]
     keys: tuple[str, ...]
+    gains: type[Any]
 
 
 def _pll_bandwidth(t_s: float) -> float:
@@ -80,6 +81,7 @@ METHODS: dict[str, ObserverMethod] = {
             eemf_observer.step,
             _usual_eemf,
             ("bandwidth",),
+            eemf_observer.EemfGains,
         ),
         ObserverMethod(
             "flux",
@@ -90,6 +92,7 @@ METHODS: dict[str, ObserverMethod] = {
             flux_observer.step,
             _usual_flux,
             ("bandwidth", "speed_gain"),
+            flux_observer.FluxGains,
         ),
         ObserverMethod(
             "open-loop-flux",
@@ -100,6 +103,7 @@ METHODS: dict[str, ObserverMethod] = {
             open_loop_flux.step,
             _usual_open_loop,
             ("bandwidth", "speed_gain"),
+            open_loop_flux.OpenLoopGains,
         ),
     )
 }

@@ -8,7 +8,7 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.settings import Strategy
-from dqforge.machines.synchronous import LinearMachine, Machine
+from dqforge.machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.optimizer.certificate import Certificate, certify
 from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.current_choice import CurrentChoice, OperatingPoints, SpeedPoint
@@ -19,6 +19,7 @@ from dqforge.optimizer.loss_budget import LossComparison, compare
 from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
+from dqforge.optimizer.observer_tuning import PositionObserver, tune_position_observer
 from dqforge.optimizer.phase_reference import PhaseFit, fit_phases
 from dqforge.optimizer.reference_fit import ReferenceFit, domain_end, fit_reference
 from dqforge.optimizer.surface_fit import WeakeningFit, fit_weakening
@@ -42,12 +43,16 @@ class Curves:
 
 @dataclass(frozen=True, slots=True)
 class GainSet:
-    """Gains of both current loops and, where the design asks for them, of the speed loop and the observer."""
+    """Gains of both current loops and, where the design asks for them, of the speed loop and an observer.
+
+    ``observer`` is the reduced-order speed observer, ``position`` one of the position; a design has at most one.
+    """
 
     i_d: LoopGains
     i_q: LoopGains
     speed: LoopGains | None
     observer: ReducedOrderObserver | None
+    position: PositionObserver | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,10 +128,14 @@ def solve_gains(design: Design) -> GainSet:
     i_d = tune_current_loop(machine.r_s, l_d, control.t_s, control.current_loop, "i_d")
     i_q = tune_current_loop(machine.r_s, l_q, control.t_s, control.current_loop, "i_q")
     speed = tune_speed_loop(machine, i_q, control) if control.speed_loop is not None else None
-    observer = (
-        reduced_order_observer(machine, control.observer.pole, control.t_s) if control.observer is not None else None
-    )
-    return GainSet(i_d, i_q, speed, observer)
+    wanted, pole = control.observer, None if control.observer is None else control.observer.pole
+    observer = None if pole is None else reduced_order_observer(machine, pole, control.t_s)
+    position = None
+    if wanted is not None and wanted.method != "reduced-order":
+        omega_m = machine.omega_m_max if machine.omega_m_max is not None else control.bases.speed
+        omega_max = omega_m * machine.pole_pairs
+        position = tune_position_observer(linearised(machine), wanted, control.t_s, design.inverter.v_dc, omega_max)
+    return GainSet(i_d, i_q, speed, observer, position)
 
 
 def solve_losses(design: Design) -> LossComparison | None:

@@ -13,6 +13,7 @@ from dqforge.optimizer.observer_parts import Arithmetic, cast
 from dqforge.optimizer.position_observers import ObserverMethod
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.reports.control_types_model import rotation, wrap
+from dqforge.reports.reference_ir import shortest
 
 SINGLE = Arithmetic(np.float32, wrap, rotation)
 """Single precision with the polynomials of ``control_types.j2``."""
@@ -65,9 +66,9 @@ def plain_gains_of(gains: Any) -> dict[str, Any]:
         if is_dataclass(value):
             plain[field.name] = plain_gains_of(value)
         elif isinstance(value, tuple):
-            plain[field.name] = [float(np.float32(item)) for item in value]
+            plain[field.name] = [shortest(np.float32(item)) for item in value]
         else:
-            plain[field.name] = float(np.float32(value))
+            plain[field.name] = shortest(np.float32(value))
     return plain
 
 

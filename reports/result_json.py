@@ -23,6 +23,8 @@ from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
+from dqforge.reports.observer_header import emitted, plain_observer
+from dqforge.reports.observer_text import plain_position
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.surface_header import plain_weakening
 from dqforge.reports.waveform_header import plain_phase_reference
@@ -150,6 +152,7 @@ def plain_gains(design: Design, gains: GainSet) -> PlainData:
         "i_q": _plain_loop(gains.i_q, current, control.current_loop.q_formats),
         "speed": speed,
         "observer": None if gains.observer is None else asdict(gains.observer),
+        "position": None if gains.position is None else plain_position(gains.position),
         "bases": asdict(control.bases),
     }
 
@@ -203,7 +206,7 @@ def plain_weakening_fit(fit: WeakeningFit | None) -> PlainData | None:
 
 def plain_solution(solution: Solution) -> PlainData:
     """Everything that a run found, with what `dqforge verify` needs under ``header``."""
-    design, weakening = solution.design, solution.weakening
+    design, weakening, observer = solution.design, solution.weakening, emitted(solution.gains.position)
     return {
         "input": plain_design(design),
         "header": {
@@ -219,4 +222,5 @@ def plain_solution(solution: Solution) -> PlainData:
         "waveform_header": None if solution.phases is None else plain_phase_reference(solution.phases.reference),
         "weakening": plain_weakening_fit(weakening),
         "weakening_header": None if weakening is None else plain_weakening(weakening.reference),
+        "observer_header": None if observer is None else plain_observer(observer),
     }

@@ -8,6 +8,7 @@ from dqforge.machines.design import Design
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.header import header_files
 from dqforge.reports.html_report import render_report
+from dqforge.reports.observer_header import emitted, observer_files
 from dqforge.reports.result_json import plain_solution, to_text
 from dqforge.reports.surface_header import weakening_files
 from dqforge.reports.verify import Verification, verify_files
@@ -27,7 +28,8 @@ def _verified(solution: Solution, files: dict[str, bytes]) -> Verification:
     export = solution.design.export
     phases = None if solution.phases is None else solution.phases.reference
     weakening = None if solution.weakening is None else solution.weakening.reference
-    return verify_files(files, export.prefix, solution.fit.reference, export.vectors, phases, weakening)
+    observer = emitted(solution.gains.position)
+    return verify_files(files, export.prefix, solution.fit.reference, export.vectors, phases, weakening, observer)
 
 
 def export_design(design: Design, *, verify: bool) -> RunOutput:
@@ -44,6 +46,8 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
         files |= waveform_files(design, solution.phases)
     if solution.weakening is not None:
         files |= weakening_files(design, solution.weakening)
+    if solution.gains.position is not None:
+        files |= observer_files(design, solution.gains.position)
     verification = _verified(solution, files) if verify else None
     files["result.json"] = to_text("run", design.name, plain_solution(solution)).encode("ascii")
     return RunOutput(solution, verification, files)

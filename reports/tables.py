@@ -28,6 +28,7 @@ from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.cross import TargetVerification
 from dqforge.reports.labels import core_name, obstacle, operation_text
+from dqforge.reports.observer_text import position_parts
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_text import domain_text, errors_text, proof_text
 
@@ -227,6 +228,8 @@ def gains_tables(design: Design, gains: GainSet) -> list[Table]:
     tables = [Table(f"{design.name}: gains, sampled every {control.t_s * 1e6:.4g} us", columns, tuple(rows))]
     if gains.observer is not None:
         tables.append(_observer_table(design, gains))
+    if gains.position is not None:
+        tables += [Table(*part) for part in position_parts(gains.position)]
     return tables
 
 

@@ -24,6 +24,8 @@ from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.phase_reference import PhaseReference
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.surface_reference import WeakeningReference
+from dqforge.reports.observer_header import EmittedObserver, observer_from
+from dqforge.reports.observer_model import observer_inputs, observer_outputs
 from dqforge.reports.reference_header import vector_codes, vector_torques
 from dqforge.reports.reference_ir import from_plain
 from dqforge.reports.surface_header import weakening_currents, weakening_from, weakening_inputs
@@ -194,6 +196,7 @@ def verify_files(
     vectors: int,
     phases: PhaseReference | None = None,
     weakening: WeakeningReference | None = None,
+    observer: EmittedObserver | None = None,
 ) -> Verification:
     """Compile a header and its vectors as C99 and as C++11, run both, and compare every bit with the model.
 
@@ -211,6 +214,8 @@ def verify_files(
         The model of the phase currents, where such a header was made.
     weakening:
         The model of the two-dimensional references, where such a header was made.
+    observer:
+        The position observer, where such a header was made.
 
     Raises
     ------
@@ -225,6 +230,10 @@ def verify_files(
     if weakening is not None:
         inputs = weakening_inputs(weakening, _SWEEP_POINTS // 2, _SWEEP_SEED, patterns=_SWEEP_POINTS // 2)
         programmes.append(_Programme("surface_harness.c.j2", inputs, weakening_currents(weakening, inputs)))
+    if observer is not None:
+        method, inputs = observer.method, observer_inputs(observer.gains, _SWEEP_POINTS, _SWEEP_SEED)
+        outputs = observer_outputs(method, observer.gains, inputs)
+        programmes.append(_Programme("observer_harness.c.j2", inputs, outputs, {"code": method.code}))
     checks = []
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         folder = Path(name)
@@ -260,8 +269,10 @@ def _read(path: Path) -> bytes:
         ) from error
 
 
-def _load_result(path: Path) -> tuple[dict[str, Any], dict[str, Any] | None, dict[str, Any] | None]:
-    """What a result says of the header and, where there are any, of phase currents and two-dimensional references."""
+def _load_result(
+    path: Path,
+) -> tuple[dict[str, Any], dict[str, Any] | None, dict[str, Any] | None, dict[str, Any] | None]:
+    """What a result says of the header and, where there are any, of phase currents, 2-D references and observer."""
     content = _read(path)
     try:
         loaded = json.loads(content)
@@ -269,8 +280,8 @@ def _load_result(path: Path) -> tuple[dict[str, Any], dict[str, Any] | None, dic
         raise InputError("is not JSON; run the design again", source=str(path)) from error
     if not isinstance(loaded, dict) or not isinstance(loaded.get("header"), dict):
         raise InputError("holds no header; run the design again", source=str(path))
-    others = loaded.get("waveform_header"), loaded.get("weakening_header")
-    for name, part in zip(("waveform_header", "weakening_header"), others, strict=True):
+    others = loaded.get("waveform_header"), loaded.get("weakening_header"), loaded.get("observer_header")
+    for name, part in zip(("waveform_header", "weakening_header", "observer_header"), others, strict=True):
         if part is not None and not isinstance(part, dict):
             raise InputError(f"{name} is not what dqforge writes; run the design again", source=str(path))
     return dict(loaded["header"]), *others
@@ -286,6 +297,7 @@ class WrittenHeaders:
     vectors: int
     phases: PhaseReference | None
     weakening: WeakeningReference | None = None
+    observer: EmittedObserver | None = None
 
 
 def read_folder(folder: Path) -> WrittenHeaders:
@@ -297,7 +309,7 @@ def read_folder(folder: Path) -> WrittenHeaders:
         A file is missing or is not what dqforge writes.
     """
     path = folder / "result.json"
-    header, waveform, surfaces = _load_result(path)
+    header, waveform, surfaces, observed = _load_result(path)
     vectors = header.get("vectors")
     try:
         prefix = check_prefix(str(header.get("prefix", "")))
@@ -309,13 +321,15 @@ def read_folder(folder: Path) -> WrittenHeaders:
         reference = from_plain(header["reference"])
         phases = None if waveform is None else phase_reference_from(waveform)
         weakening = None if surfaces is None else weakening_from(surfaces)
+        observer = None if observed is None else observer_from(observed)
     except InputError as error:
         raise InputError(error.message, source=str(path)) from error
     names = [f"{prefix}.h", f"{prefix}_vectors.h"]
     names += [] if phases is None else [f"{prefix}_waveform.h", f"{prefix}_waveform_vectors.h"]
     names += [] if weakening is None else [f"{prefix}_weakening.h", f"{prefix}_weakening_vectors.h"]
+    names += [] if observer is None else [f"{prefix}_observer.h"]
     files = {name: _read(folder / name) for name in names}
-    return WrittenHeaders(files, prefix, reference, vectors, phases, weakening)
+    return WrittenHeaders(files, prefix, reference, vectors, phases, weakening, observer)
 
 
 def verify_folder(folder: Path) -> Verification:
@@ -329,4 +343,5 @@ def verify_folder(folder: Path) -> Verification:
         As `verify_files`.
     """
     found = read_folder(folder)
-    return verify_files(found.files, found.prefix, found.reference, found.vectors, found.phases, found.weakening)
+    models = found.phases, found.weakening, found.observer
+    return verify_files(found.files, found.prefix, found.reference, found.vectors, *models)

@@ -1,0 +1,285 @@
+"""How good a position observer is: steady error, poles and noise at any speed, and the speed range that follows.
+
+In coordinates that turn with the rotor a steady drive stands still, and so does its observer: its state is a fixed
+point of the step, found by Newton's method at many speeds and many wrong machines at once. The derivative there has the
+poles of the whole observer, loop included, as eigenvalues; it carries the noise of currents and voltages into the angle
+(Lyapunov equation). A constant acceleration is a steady state, too, with a speed that moves by a t_s per sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.drive_motion import ComplexArray, Plants, plants, steady_voltage
+from dqforge.machines.synchronous import FloatArray, LinearMachine
+from dqforge.optimizer.observer_parts import EXACT, ObserverState, Pair
+from dqforge.optimizer.observer_settings import LARGEST_TURN, Disturbances
+from dqforge.optimizer.position_observers import ObserverMethod
+
+ANGLE_LIMIT = np.radians(10.0)
+"""Largest r.m.s. error of the angle in rad at which an observer counts as holding: 1.5 % of the torque."""
+
+_NEWTON_STEPS = 12
+_DOUBLINGS = 40
+_SPEEDS = 60
+_PARAMETERS = ("r_s", "l_d", "l_q", "psi_pm")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SteadyObserver:
+    """Steady states of an observer, arrays over M cases.
+
+    ``theta_error`` in rad and ``omega_error`` in rad/s are estimate minus truth, shape (M,); ``jacobian`` (M, n, n) the
+    derivative of one step by the state (vectors, angle, speed); ``by_current``, ``by_voltage`` (M, n, 2) that by the
+    measured current and voltage; ``found`` (M,) whether a fixed point was found.
+    """
+
+    theta_error: FloatArray
+    omega_error: FloatArray
+    jacobian: FloatArray
+    by_current: FloatArray
+    by_voltage: FloatArray
+    found: NDArray[np.bool_]
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles in the z plane, largest modulus first, shape (M, n)."""
+        values = np.linalg.eigvals(self.jacobian).astype(np.complex128)
+        order = np.argsort(-np.abs(values), axis=1, kind="stable")
+        return np.take_along_axis(values, order, axis=1)
+
+    def angle_noise(self, i_noise: float, v_noise: float) -> FloatArray:
+        """Standard deviation of the angle in rad under white noise of A and V per component; inf if unstable."""
+        drive = i_noise**2 * _square(self.by_current) + v_noise**2 * _square(self.by_voltage)
+        covariance, power = drive, self.jacobian.copy()
+        stable = np.max(np.abs(np.linalg.eigvals(self.jacobian)), axis=1) < 1.0 - 1e-9
+        power[~stable] = 0.0
+        for _ in range(_DOUBLINGS):
+            covariance = covariance + power @ covariance @ np.swapaxes(power, 1, 2)
+            power = power @ power
+        return np.where(stable, np.sqrt(np.maximum(covariance[:, -2, -2], 0.0)), np.inf)
+
+
+def _square(matrix: FloatArray) -> FloatArray:
+    return np.asarray(matrix @ np.swapaxes(matrix, 1, 2), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Case:
+    """M steady operating points in rotor coordinates at the instant of sampling."""
+
+    omega: FloatArray
+    turn: FloatArray
+    drift: FloatArray
+    v: ComplexArray
+    i: ComplexArray
+
+    def repeated(self, count: int) -> _Case:
+        omega, turn, drift = (np.tile(part, count) for part in (self.omega, self.turn, self.drift))
+        return _Case(omega, turn, drift, np.tile(self.v, count), np.tile(self.i, count))
+
+
+def _pair(value: ComplexArray) -> Pair:
+    return value.real.copy(), value.imag.copy()
+
+
+def _stepped(method: ObserverMethod, gains: Any, case: _Case, states: FloatArray) -> FloatArray:
+    """States (M, n) one sample on; angle and speed in them are relative to the truth."""
+    back = np.exp(-1j * case.turn)
+    count = states.shape[1] // 2 - 1
+    vectors = tuple(_pair((states[:, 2 * n] + 1j * states[:, 2 * n + 1]) * back) for n in range(count))
+    before = ObserverState(vectors, states[:, -2] - case.turn, states[:, -1] + case.omega - case.drift)
+    after = method.step(gains, before, _pair(case.v), _pair(case.i), EXACT)
+    columns = [part for vector in after.vectors for part in vector]
+    return np.stack([*columns, EXACT.wrap(after.theta_e), after.omega_e - case.omega], axis=1)
+
+
+def _first(method: ObserverMethod, gains: Any, case: _Case) -> FloatArray:
+    state = method.step(gains, method.start(np.zeros_like(case.omega), case.omega), _pair(case.v), _pair(case.i), EXACT)
+    columns = [part for vector in state.vectors for part in vector]
+    return np.stack([*columns, np.zeros_like(case.omega), np.zeros_like(case.omega)], axis=1)
+
+
+def _derivative(method: ObserverMethod, gains: Any, case: _Case, states: FloatArray) -> FloatArray:
+    """Central differences of a step by the state, shape (M, n, n)."""
+    m, n = states.shape
+    size = np.ones((m, n))
+    for k in range(0, n - 2, 2):
+        norm = np.hypot(states[:, k], states[:, k + 1])
+        size[:, k] = size[:, k + 1] = np.where(norm > 0.0, norm, 1.0)
+    size[:, -1] = np.maximum(np.abs(case.omega), 1.0)
+    steps = 1e-6 * size
+    moved = np.concatenate([states + sign * steps * np.eye(n)[k] for sign in (1.0, -1.0) for k in range(n)])
+    values = _stepped(method, gains, case.repeated(2 * n), moved).reshape(2, n, m, n)
+    slope = (values[0] - values[1]) / (2.0 * steps.T[:, :, None])
+    return np.asarray(np.moveaxis(slope, 0, -1), dtype=np.float64)
+
+
+def _by_input(method: ObserverMethod, gains: Any, case: _Case, states: FloatArray, name: str) -> FloatArray:
+    """Central differences of a step by current or voltage, shape (M, n, 2)."""
+    columns = []
+    value = case.i if name == "i" else case.v
+    size = 1e-6 * (np.max(np.abs(value)) + 1e-3)
+    for direction in (1.0, 1j):
+        ends = []
+        for sign in (1.0, -1.0):
+            other = value + sign * size * direction
+            moved = _Case(
+                case.omega,
+                case.turn,
+                case.drift,
+                case.v if name == "i" else other,
+                other if name == "i" else case.i,
+            )
+            ends.append(_stepped(method, gains, moved, states))
+        columns.append((ends[0] - ends[1]) / (2.0 * size))
+    return np.stack(columns, axis=-1)
+
+
+def steady_observer(
+    method: ObserverMethod,
+    gains: Any,
+    t_s: float,
+    plant: Plants,
+    i_dq: ComplexArray,
+    omega: FloatArray,
+    acceleration: FloatArray | float = 0.0,
+) -> SteadyObserver:
+    """Steady states of an observer on M drives.
+
+    Parameters
+    ----------
+    plant:
+        The true machines, M of them; the observer knows the one of its gains.
+    i_dq:
+        True currents i_d + j i_q in A, shape (M,).
+    omega, acceleration:
+        Electrical speed in rad/s at the sampling instant and acceleration in rad/s^2, shape (M,).
+    """
+    drift = np.broadcast_to(np.asarray(acceleration, dtype=np.float64) * t_s, omega.shape)
+    mean = omega - 0.5 * drift
+    i_dq = np.array(np.broadcast_to(i_dq, omega.shape), dtype=np.complex128)
+    case = _Case(omega, mean * t_s, np.array(drift), steady_voltage(plant, i_dq, mean, t_s), i_dq)
+    states = _first(method, gains, case)
+    jacobian = _derivative(method, gains, case, states)
+    for _ in range(_NEWTON_STEPS):
+        gap = _stepped(method, gains, case, states) - states
+        gap[:, -2] = EXACT.wrap(gap[:, -2])
+        if np.max(np.abs(gap) / (1.0 + np.abs(states))) < 1e-11:
+            break
+        move = np.linalg.solve(np.eye(states.shape[1]) * (1.0 + 1e-13) - jacobian, gap[..., None])[..., 0]
+        states = states + move
+        states[:, -2] = EXACT.wrap(states[:, -2])
+        jacobian = _derivative(method, gains, case, states)
+    gap = _stepped(method, gains, case, states) - states
+    found = (np.abs(EXACT.wrap(gap[:, -2])) < 1e-9) & (np.abs(states[:, -2]) < 0.5 * np.pi)
+    return SteadyObserver(
+        theta_error=states[:, -2],
+        omega_error=states[:, -1],
+        jacobian=jacobian,
+        by_current=_by_input(method, gains, case, states, "i"),
+        by_voltage=_by_input(method, gains, case, states, "v"),
+        found=found,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObserverJudgement:
+    """Errors of an observer over S electrical speeds in rad/s, ascending; all angles in rad, shape (S,).
+
+    ``bias`` maps a parameter to the steady angle error where the machine's is off by the tolerance to the worse side
+    (inf where the angle is lost); ``lag`` is the error at the acceleration, ``noise`` the standard deviation, ``total``
+    the root of the sum of all squares (inf where unstable); ``poles`` (S, n) in the z plane, largest first.
+    ``omega_low`` and ``omega_high`` in rad/s bound the speeds at which bias and noise stay below 10 degrees together;
+    nan where they never do.
+    """
+
+    omega: FloatArray
+    bias: dict[str, FloatArray]
+    lag: FloatArray
+    noise: FloatArray
+    total: FloatArray
+    poles: ComplexArray
+    omega_low: float
+    omega_high: float
+
+    @property
+    def radius(self) -> FloatArray:
+        """Largest modulus of a pole, shape (S,)."""
+        return np.abs(self.poles[:, 0])
+
+
+def judge_at(
+    method: ObserverMethod,
+    gains: Any,
+    t_s: float,
+    machine: LinearMachine,
+    disturbances: Disturbances,
+    omega: FloatArray,
+) -> ObserverJudgement:
+    """Judge an observer at electrical speeds in rad/s, ascending, shape (S,)."""
+    count = len(omega)
+    cases = 2 * len(_PARAMETERS) + 2
+    case = np.repeat(np.arange(cases), count)
+    errors = {
+        name: ((case == 2 * k + 2) * 1.0 - (case == 2 * k + 3) * 1.0) * getattr(disturbances, name)
+        for k, name in enumerate(_PARAMETERS)
+    }
+    acceleration = (case == 1) * disturbances.acceleration
+    found = steady_observer(
+        method,
+        gains,
+        t_s,
+        plants(machine, errors),
+        np.full(cases * count, 1j * disturbances.i_load),
+        np.tile(omega, cases),
+        acceleration,
+    )
+    theta = np.where(found.found, found.theta_error, np.inf).reshape(cases, count)
+    poles = found.poles[:count]
+    noise = found.angle_noise(disturbances.i_noise, disturbances.v_noise).reshape(cases, count)[0]
+    offset = theta[0]
+    bias = {name: _worse(theta[2 * k + 2], theta[2 * k + 3]) for k, name in enumerate(_PARAMETERS)}
+    lag = theta[1] - np.where(np.isfinite(offset), offset, 0.0)
+    squares = noise**2 + sum((part**2 for part in bias.values()), np.zeros(count))
+    steady, total = (np.where(np.abs(poles[:, 0]) < 1.0, np.sqrt(part), np.inf) for part in (squares, squares + lag**2))
+    low, high = _range(omega, steady)
+    return ObserverJudgement(omega, bias, lag, noise, total, poles, low, high)
+
+
+def _worse(high: FloatArray, low: FloatArray) -> FloatArray:
+    return np.where(np.abs(high) >= np.abs(low), high, low)
+
+
+def judge(
+    method: ObserverMethod, gains: Any, t_s: float, machine: LinearMachine, disturbances: Disturbances, omega_max: float
+) -> ObserverJudgement:
+    """Judge an observer from 0.1 % of ``omega_max`` rad/s to where sampling ends it, omega t_s = 0.8."""
+    omega = np.unique(np.append(np.geomspace(1e-3 * omega_max, LARGEST_TURN / t_s, _SPEEDS), omega_max))
+    return judge_at(method, gains, t_s, machine, disturbances, omega)
+
+
+def _range(omega: FloatArray, total: FloatArray) -> tuple[float, float]:
+    """Ends of the longest run of speeds at which the error stays within the limit."""
+    good = np.concatenate([[False], total <= ANGLE_LIMIT, [False]])
+    starts, ends = np.flatnonzero(good[1:] & ~good[:-1]), np.flatnonzero(~good[1:] & good[:-1])
+    if not len(starts):
+        return float("nan"), float("nan")
+    longest = int(np.argmax(ends - starts))
+    return float(omega[starts[longest]]), float(omega[ends[longest] - 1])
+
+
+def closed_form_error(machine: LinearMachine, believed: LinearMachine, i_dq: complex, omega: FloatArray) -> FloatArray:
+    """Steady angle error in rad of the extended EMF and of the open-loop flux, shape (S,).
+
+    Both follow psi_a = psi_pm + (L_d - L_q^) i_d + j (L_q - L_q^) i_q + (R - R^) (i_d + j i_q)/(j omega), with ^ for
+    what the observer believes; neither L_d^ nor psi_pm^ matters. The error theta_hat - theta is the angle of psi_a.
+    """
+    along = machine.psi_pm + (machine.l_d - believed.l_q) * i_dq.real
+    across = (machine.l_q - believed.l_q) * i_dq.imag
+    drop = (machine.r_s - believed.r_s) * i_dq / (1j * omega)
+    return np.asarray(np.arctan2(across + drop.imag, along + drop.real), dtype=np.float64)

@@ -1,0 +1,89 @@
+"""The C header of a position observer, as plain data and as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from dqforge import __version__
+from dqforge.machines.design import Design
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.observer_tuning import PositionObserver
+from dqforge.optimizer.position_observers import METHODS, ObserverMethod
+from dqforge.reports.observer_model import gains_from, plain_gains_of
+from dqforge.reports.reference_ir import PlainData
+from dqforge.reports.templating import render
+
+
+@dataclass(frozen=True, slots=True)
+class EmittedObserver:
+    """What verification needs: the method and its gains (of the type ``method.gains``)."""
+
+    method: ObserverMethod
+    gains: Any
+
+
+def emitted(observer: PositionObserver | None) -> EmittedObserver | None:
+    """The part of a tuned observer that reaches the firmware."""
+    return None if observer is None else EmittedObserver(observer.method, observer.gains)
+
+
+def plain_observer(observer: EmittedObserver) -> PlainData:
+    """Method and gains as plain data; every number is a float32 value."""
+    return {"method": observer.method.name, "gains": plain_gains_of(observer.gains)}
+
+
+def observer_from(plain: Mapping[str, Any]) -> EmittedObserver:
+    """Read an observer back.
+
+    Raises
+    ------
+    InputError
+        The data are not what `plain_observer` makes.
+    """
+    method = METHODS.get(str(plain.get("method")))
+    if method is None or not isinstance(plain.get("gains"), dict):
+        raise InputError("observer_header is not what dqforge writes; run the design again")
+    return EmittedObserver(method, gains_from(method.gains, plain["gains"]))
+
+
+def speed_range_text(observer: PositionObserver) -> str:
+    """Speeds at which the observer holds, in words."""
+    judgement = observer.judgement
+    if math.isnan(judgement.omega_low):
+        return "no speed: the angle errs by more than 10 deg r.m.s. everywhere"
+    low, high = (value / (2.0 * math.pi) for value in (judgement.omega_low, judgement.omega_high))
+    return f"{low:.3g} to {high:.3g} Hz (electrical) below 10 deg r.m.s."
+
+
+def _preamble(design: Design, observer: PositionObserver) -> list[str]:
+    tuning, wrong = observer.tuning, observer.disturbances
+    code, prefix = observer.method.code, design.export.prefix
+    return [
+        f"Method: {observer.method.title}, sampled every {observer.t_s * 1e6:.6g} us.",
+        f"Bandwidth {tuning.bandwidth:.6g} rad/s, loop {tuning.pll_bandwidth:.6g} rad/s, damping {tuning.damping:.4g}.",
+        f"Holds from {speed_range_text(observer)}",
+        f"with R {100.0 * wrong.r_s:.3g} %, L {100.0 * wrong.l_q:.3g} %, psi {100.0 * wrong.psi_pm:.3g} % wrong,",
+        f"noise of {wrong.i_noise:.3g} A and {wrong.v_noise:.3g} V r.m.s., i_q = {wrong.i_load:.4g} A.",
+        "",
+        f"Call {prefix}_{code}_start() once and {prefix}_{code}_step() at every sample with the voltage that acted",
+        "over the period that ends there. Compile with -ffp-contract=off to equal the model bit for bit.",
+    ]
+
+
+def observer_files(design: Design, observer: PositionObserver) -> dict[str, bytes]:
+    """Name and bytes of the header of a position observer."""
+    prefix = design.export.prefix
+    context: PlainData = {
+        "prefix": prefix,
+        "macro": prefix.upper(),
+        "name": design.name,
+        "version": __version__,
+        "digest": design.digest,
+        "preamble": _preamble(design, observer),
+        "code": observer.method.code,
+        "gains": asdict(observer.gains),
+    }
+    return {f"{prefix}_observer.h": render("observer.h.j2", context).encode("ascii")}
