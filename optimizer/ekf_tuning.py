@@ -115,6 +115,7 @@ def tuned_ekf(
     i_ref: FloatArray,
     *,
     start: Ekf | None = None,
+    omega_max: float | None = None,
     seed: int = 100,
 ) -> Ekf:
     """The filter whose innovations are likeliest on simulated drives around ``speed`` (electrical, rad/s).
@@ -125,6 +126,8 @@ def tuned_ekf(
         Currents (i_d, i_q) in A during the trial, shape (2,).
     start:
         Where the search begins, by default `first_guess`; the result does not depend on it.
+    omega_max:
+        Limit of the estimated electrical speed in rad/s.
     seed:
         Of the training drives.
 
@@ -135,7 +138,7 @@ def tuned_ekf(
     """
     import nlopt
 
-    first = first_guess(machine, t_s, noise)
+    first = first_guess(machine, t_s, noise, omega_max)
     begin = first if start is None else start
     periods, drives = _TRAINING
     trial = noisy_trial(machine, t_s, noise, speed, i_ref, periods, drives, seed)

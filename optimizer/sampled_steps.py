@@ -85,11 +85,15 @@ class EkfGains:
     omega_max: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EkfState(ObserverState):
-    """Besides angle and speed: the current in ``vectors``, and the covariance as 4 rows of 4 arrays."""
+_UPPER = tuple((n, m) for n in range(4) for m in range(n, 4))
+"""Places of the covariance that are kept: behind i_d and i_q the upper triangle, row by row."""
 
-    p: tuple[tuple[Reals, ...], ...] = ()
+
+def _full(upper: tuple[Reals, ...]) -> list[list[Reals]]:
+    rows = [[upper[0]] * 4 for _ in range(4)]
+    for (n, m), value in zip(_UPPER, upper, strict=True):
+        rows[n][m] = rows[m][n] = value
+    return rows
 
 
 def ekf_gains(filter_: Ekf) -> EkfGains:
@@ -99,16 +103,19 @@ def ekf_gains(filter_: Ekf) -> EkfGains:
     return EkfGains(sampled_gains(filter_.model), *(float(value) for value in values))
 
 
-def ekf_start(theta_e: Reals, omega_e: Reals) -> EkfState:
-    """State before the first step: angle in rad (wrapped), speed in rad/s."""
+def ekf_start(theta_e: Reals, omega_e: Reals) -> ObserverState:
+    """State before the first step: angle in rad (wrapped), speed in rad/s.
+
+    Its scalars are i_d and i_q in A and the upper triangle of the covariance of (i_d, i_q, omega, theta).
+    """
     zero = np.zeros_like(theta_e)
-    return EkfState(((zero, zero),), theta_e, omega_e, started=False)
+    return ObserverState((), theta_e, omega_e, False, (zero,) * (2 + len(_UPPER)))
 
 
 def _ekf_predicted(
-    gains: EkfGains, state: EkfState, v: Pair, maths: Arithmetic
+    gains: EkfGains, state: ObserverState, v: Pair, maths: Arithmetic
 ) -> tuple[Pair, list[list[Reals]], Reals]:
-    model, p, i = gains.model, state.p, state.vectors[0]
+    model, p, i = gains.model, _full(state.scalars[2:]), (state.scalars[0], state.scalars[1])
     u = park(v, maths.rotation(state.theta_e))
     x = limited(model.t_s * state.omega_e, model.x_max)
     e = _entries(model, x)
@@ -138,14 +145,14 @@ def _ekf_predicted(
     return _next(e, i, u), new, maths.wrap(state.theta_e + model.t_s * state.omega_e)
 
 
-def ekf_step(gains: EkfGains, state: EkfState, v: Pair, i: Pair, maths: Arithmetic) -> EkfState:
+def ekf_step(gains: EkfGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic) -> ObserverState:
     """Next state; ``v`` in V acted over the period that ends at the instant of ``i`` in A (alpha, beta)."""
     if not state.started:
         first = park(i, maths.rotation(state.theta_e))
         zero = np.zeros_like(state.theta_e)
         diagonal = [zero + value for value in (gains.r, gains.r, gains.p_omega, gains.p_theta)]
-        rows = tuple(tuple(diagonal[n] if n == m else zero for m in range(4)) for n in range(4))
-        return EkfState((first,), state.theta_e, state.omega_e, p=rows)
+        rows = tuple(diagonal[n] if n == m else zero for n, m in _UPPER)
+        return ObserverState((), state.theta_e, state.omega_e, True, (*first, *rows))
     (i_d, i_q), p, theta = _ekf_predicted(gains, state, v, maths)
     seen = park(i, maths.rotation(theta))
     nu_d, nu_q = seen[0] - i_d, seen[1] - i_q
@@ -161,8 +168,8 @@ def ekf_step(gains: EkfGains, state: EkfState, v: Pair, i: Pair, maths: Arithmet
         for m in range(n + 1):
             p[m][n] = p[n][m] = p[m][n] - (k[m][0] * h[n][0] + k[m][1] * h[n][1])
     speed = limited(state.omega_e + x[2], gains.omega_max)
-    rows = tuple(tuple(row) for row in p)
-    return EkfState(((i_d + x[0], i_q + x[1]),), maths.wrap(theta + x[3]), speed, p=rows)
+    rows = tuple(p[n][m] for n, m in _UPPER)
+    return ObserverState((), maths.wrap(theta + x[3]), speed, True, (i_d + x[0], i_q + x[1], *rows))
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,14 +206,6 @@ class MatsuiCurrentGains:
     omega_max: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MatsuiState(ObserverState):
-    """Besides angle and speed: the last current in ``vectors``; ``speed`` and ``integral`` in rad/s."""
-
-    speed: Reals | None = None
-    integral: Reals | None = None
-
-
 def matsui_gains(observer: Matsui) -> MatsuiVoltageGains | MatsuiCurrentGains:
     """What the firmware needs of an estimator."""
     model, machine = observer.model, observer.model.machine
@@ -221,10 +220,19 @@ def matsui_gains(observer: Matsui) -> MatsuiVoltageGains | MatsuiCurrentGains:
     )
 
 
-def matsui_start(theta_e: Reals, omega_e: Reals) -> MatsuiState:
-    """State before the first step: angle in rad (wrapped), speed in rad/s."""
+def matsui_voltage_start(theta_e: Reals, omega_e: Reals) -> ObserverState:
+    """State before the first step: angle in rad (wrapped), speed in rad/s.
+
+    Its vector is the last current; its scalars are the low-pass speed less omega_e, and the integral, both in rad/s.
+    """
     zero = np.zeros_like(theta_e)
-    return MatsuiState(((zero, zero),), theta_e, omega_e, False, omega_e, zero)
+    return ObserverState(((zero, zero),), theta_e, omega_e, False, (zero, zero))
+
+
+def matsui_current_start(theta_e: Reals, omega_e: Reals) -> ObserverState:
+    """State before the first step: angle in rad (wrapped), speed in rad/s; its vector is the last current."""
+    zero = np.zeros_like(theta_e)
+    return ObserverState(((zero, zero),), theta_e, omega_e, started=False)
 
 
 def _shown_errors(shown: ShownGains, omega: Reals, v: Pair, i: Pair) -> Pair:
@@ -234,33 +242,60 @@ def _shown_errors(shown: ShownGains, omega: Reals, v: Pair, i: Pair) -> Pair:
     return (scale * (cross * v[1] - active * v[0])) * share, scale * (active * v[1] + cross * v[0])
 
 
-def matsui_step(gains: Any, state: MatsuiState, v: Pair, i: Pair, maths: Arithmetic) -> MatsuiState:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Gap:
+    """What a period showed: angle ahead, current there, entries, (cos, sin) of half the turn, current gap."""
+
+    theta: Reals
+    now: Pair
+    entries: list[Reals]
+    cosine: Reals
+    half: Reals
+    gap: Pair
+
+
+def _gap(model: SampledGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic) -> _Gap:
+    turn = maths.rotation(state.theta_e)
+    theta = maths.wrap(state.theta_e + model.t_s * state.omega_e)
+    now = park(i, maths.rotation(theta))
+    x = limited(model.t_s * state.omega_e, model.x_max)
+    half = 0.5 * x
+    e = _entries(model, x)
+    foretold = _next(e, park(state.vectors[0], turn), park(v, turn))
+    return _Gap(theta, now, e, 1.0 - 0.5 * (half * half), half, (now[0] - foretold[0], now[1] - foretold[1]))
+
+
+def matsui_voltage_step(
+    gains: MatsuiVoltageGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic
+) -> ObserverState:
     """Next state; ``v`` in V acted over the period that ends at the instant of ``i`` in A (alpha, beta)."""
     if not state.started:
         return replace(state, vectors=(i,), started=True)
-    model, omega = gains.model, state.omega_e
-    turn = maths.rotation(state.theta_e)
-    theta = maths.wrap(state.theta_e + model.t_s * omega)
-    now = park(i, maths.rotation(theta))
-    x = limited(model.t_s * omega, model.x_max)
-    half = 0.5 * x
-    cosine = 1.0 - 0.5 * (half * half)
-    e = _entries(model, x)
-    foretold = _next(e, park(state.vectors[0], turn), park(v, turn))
-    gap = now[0] - foretold[0], now[1] - foretold[1]
-    if isinstance(gains, MatsuiVoltageGains):
-        scale = -1.0 / (e[2] * e[3] - e[7] * e[8])
-        v_d, v_q = scale * (e[3] * gap[0] - e[7] * gap[1]), scale * (e[2] * gap[1] - e[8] * gap[0])
-        difference = cosine * v_d + half * v_q, cosine * v_q - half * v_d
-        angle, slip = _shown_errors(gains.shown, omega, difference, now)
-        assert state.speed is not None
-        assert state.integral is not None
-        speed = state.speed + gains.speed_share * ((omega + slip) - state.speed)
-        integral = limited(state.integral + gains.k_i * angle, gains.omega_max)
-        turning = limited((speed + gains.k_p * angle) + integral, gains.omega_max)
-        return MatsuiState((i,), theta, turning, True, speed, integral)
-    difference = gains.g_d * (cosine * gap[0] - half * gap[1]), gains.g_q * (cosine * gap[1] + half * gap[0])
-    angle, slip = _shown_errors(gains.shown, omega, difference, now)
-    moved = maths.wrap(theta + gains.l_theta * (angle + (0.5 * model.t_s) * slip))
-    turning = limited(omega + gains.speed_share * slip, gains.omega_max)
-    return MatsuiState((i,), moved, turning, True, turning, state.integral)
+    found = _gap(gains.model, state, v, i, maths)
+    e, gap = found.entries, found.gap
+    scale = -1.0 / (e[2] * e[3] - e[7] * e[8])
+    v_d, v_q = scale * (e[3] * gap[0] - e[7] * gap[1]), scale * (e[2] * gap[1] - e[8] * gap[0])
+    difference = found.cosine * v_d + found.half * v_q, found.cosine * v_q - found.half * v_d
+    angle, slip = _shown_errors(gains.shown, state.omega_e, difference, found.now)
+    behind, integral = state.scalars
+    speed = (state.omega_e + behind) + gains.speed_share * (slip - behind)
+    integral = limited(integral + gains.k_i * angle, gains.omega_max)
+    turning = limited(speed + (gains.k_p * angle + integral), gains.omega_max)
+    return ObserverState((i,), found.theta, turning, True, (speed - turning, integral))
+
+
+def matsui_current_step(
+    gains: MatsuiCurrentGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic
+) -> ObserverState:
+    """Next state; ``v`` in V acted over the period that ends at the instant of ``i`` in A (alpha, beta)."""
+    if not state.started:
+        return replace(state, vectors=(i,), started=True)
+    found = _gap(gains.model, state, v, i, maths)
+    gap, half = found.gap, found.half
+    difference = (
+        gains.g_d * (found.cosine * gap[0] - half * gap[1]),
+        gains.g_q * (found.cosine * gap[1] + half * gap[0]),
+    )
+    angle, slip = _shown_errors(gains.shown, state.omega_e, difference, found.now)
+    moved = maths.wrap(found.theta + gains.l_theta * (angle + (0.5 * gains.model.t_s) * slip))
+    return ObserverState((i,), moved, limited(state.omega_e + gains.speed_share * slip, gains.omega_max))

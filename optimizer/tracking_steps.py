@@ -116,7 +116,7 @@ def third_harmonic_gains(tracker: ThirdHarmonic) -> ThirdHarmonicGains:
 def third_harmonic_start(theta_e: Reals, omega_e: Reals) -> ThirdHarmonicState:
     """State before the first step: angle in rad (wrapped), speed in rad/s."""
     zero = np.zeros_like(theta_e)
-    return ThirdHarmonicState((), theta_e, omega_e, False, zero, zero)
+    return ThirdHarmonicState((), theta_e, omega_e, started=False, flux=zero, offset=zero)
 
 
 def third_harmonic_step(
@@ -138,7 +138,6 @@ def third_harmonic_step(
         (),
         maths.wrap(ahead + gains.k_p * error),
         limited(state.omega_e + gains.k_i * error, gains.omega_max),
-        True,
-        flux - gains.k * rest,
-        state.offset + gains.k_b * rest,
+        flux=flux - gains.k * rest,
+        offset=state.offset + gains.k_b * rest,
     )

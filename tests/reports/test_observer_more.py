@@ -26,7 +26,16 @@ from dqforge.optimizer.injection_run import track
 from dqforge.optimizer.observer_parts import EXACT, Arithmetic, cast
 from dqforge.optimizer.observer_trials import CurrentSensor, Trial, simulate
 from dqforge.optimizer.sampled_machine import wrapped
-from dqforge.optimizer.sampled_steps import ekf_gains, ekf_start, ekf_step, matsui_gains, matsui_start, matsui_step
+from dqforge.optimizer.sampled_steps import (
+    ekf_gains,
+    ekf_start,
+    ekf_step,
+    matsui_current_start,
+    matsui_current_step,
+    matsui_gains,
+    matsui_voltage_start,
+    matsui_voltage_step,
+)
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.tracking_steps import (
     injection_gains,
@@ -103,7 +112,9 @@ def emitted(code: str) -> Emitted:
         observer = matsui_models.matsui(
             IPM, T_S, "voltage" if "voltage" in code else "current", 200.0, omega_max=2000.0
         )
-        return Emitted(code, matsui_gains(observer), matsui_start, matsui_step)
+        if observer.kind == "voltage":
+            return Emitted(code, matsui_gains(observer), matsui_voltage_start, matsui_voltage_step)
+        return Emitted(code, matsui_gains(observer), matsui_current_start, matsui_current_step)
     if code == "injection":
         extra = "out[2] = observer.v.alpha; out[3] = observer.v.beta;"
         tracker = injection(IPM, T_S, 60.0, 120.0, samples=8, omega_max=2000.0)
@@ -145,7 +156,7 @@ def modelled(item: Emitted, sequences: FloatArray, maths: Arithmetic) -> Any:
         state = item.step(gains, state, v, i, maths, *more)
         found[:, k, 0], found[:, k, 1] = state.theta_e, state.omega_e
         if item.code == "ekf":
-            found[:, k, 2], found[:, k, 3] = state.p[2][3], state.vectors[0][1]
+            found[:, k, 2], found[:, k, 3] = state.scalars[2 + 8], state.scalars[1]
         elif item.code == "injection":
             found[:, k, 2], found[:, k, 3] = state.vectors[0]
         elif item.code == "third_harmonic":
