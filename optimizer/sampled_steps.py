@@ -30,6 +30,11 @@ class SampledGains:
     x_max: float
     table: tuple[float, ...]
 
+    def __post_init__(self) -> None:
+        """Refuse another number of coefficients."""
+        if len(self.table) != 8 * EVEN:
+            raise ValueError
+
 
 def sampled_gains(model: SampledMachine) -> SampledGains:
     """What the firmware needs of a sampled machine."""

@@ -59,10 +59,11 @@ def observer_outputs(method: ObserverMethod, gains: Any, inputs: SingleArray) ->
     rows = inputs.reshape(-1, _LENGTH, 7)
     state = method.start(wrap(rows[:, 0, 1].copy()), rows[:, 0, 2].copy())
     found = np.empty((*rows.shape[:2], 2), dtype=np.float32)
-    for k in range(_LENGTH):
-        v_alpha, v_beta, i_alpha, i_beta = (rows[:, k, column].copy() for column in (3, 4, 5, 6))
-        state = method.step(own, state, (v_alpha, v_beta), (i_alpha, i_beta), SINGLE)
-        found[:, k, 0], found[:, k, 1] = state.theta_e, state.omega_e
+    with np.errstate(all="ignore"):  # rough sequences may leave the range of single precision, as in C
+        for k in range(_LENGTH):
+            v_alpha, v_beta, i_alpha, i_beta = (rows[:, k, column].copy() for column in (3, 4, 5, 6))
+            state = method.step(own, state, (v_alpha, v_beta), (i_alpha, i_beta), SINGLE)
+            found[:, k, 0], found[:, k, 1] = state.theta_e, state.omega_e
     return found.reshape(-1, 2)
 
 
@@ -104,7 +105,7 @@ def _gains_from(kind: type[Any], plain: Mapping[str, Any]) -> Any:
         elif hint is float:
             values[field.name] = _finite(value)
         else:
-            if len(value) != len(hint.__args__):
+            if Ellipsis not in hint.__args__ and len(value) != len(hint.__args__):
                 raise ValueError
             values[field.name] = tuple(_finite(item) for item in value)
     return kind(**values)
