@@ -15,6 +15,7 @@ import figures_flux_maps
 import figures_gains
 import figures_losses
 import figures_modulation
+import figures_observers
 import figures_operating_points
 import figures_waveforms
 import figures_weakening
@@ -36,6 +37,7 @@ def main() -> None:
     figures_gains.current_loop_step(folder / "current-loop-step.svg")
     figures_gains.observer_error(folder / "observer-error.svg")
     figures_estimators.estimators(folder / "estimators.svg")
+    figures_observers.position_errors(folder / "position-observers.svg")
     figures_operating_points.operating_points_map(folder / "operating-map.svg")
     figures_losses.modulation_waveforms(folder / "modulation-waveforms.svg")
     figures_modulation.zero_sequences(folder / "modulation-family.svg")

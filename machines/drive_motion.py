@@ -142,14 +142,25 @@ def next_flux(
     return psi
 
 
+def _exponentials(matrices: FloatArray) -> FloatArray:
+    """Exponentials of small matrices, shape (N, n, n), by Taylor series and squaring (scipy's: in a loop)."""
+    halvings = 6
+    scaled = matrices / 2.0**halvings
+    total = power = np.broadcast_to(np.eye(matrices.shape[-1]), matrices.shape)
+    for k in range(1, 14):
+        power = power @ scaled / k
+        total = total + power
+    for _ in range(halvings):
+        total = total @ total
+    return np.asarray(total, dtype=np.float64)
+
+
 def steady_voltage(plant: Plants, i_dq: ComplexArray, omega: FloatArray, t_s: float) -> ComplexArray:
     """Voltage d + j q in V, in rotor coordinates at the END of a period, that brings the current back where it began.
 
     Held in stationary coordinates it turns by -omega t_s within the period; the state (i_d, i_q, v_d, v_q, 1) is linear
     and its transition an exponential, so that the voltage is exact. Arrays of shape (N,).
     """
-    from scipy.linalg import expm
-
     zero = np.zeros_like(omega)
     rows = [
         [-plant.r_s / plant.l_d, omega * plant.l_q / plant.l_d, 1.0 / plant.l_d + zero, zero, zero],
@@ -165,7 +176,7 @@ def steady_voltage(plant: Plants, i_dq: ComplexArray, omega: FloatArray, t_s: fl
         [zero, zero, zero, zero, zero],
     ]
     matrix = np.moveaxis(np.array([[np.broadcast_to(x, zero.shape) for x in row] for row in rows]), -1, 0)
-    step = np.asarray(expm(matrix * t_s), dtype=np.float64)
+    step = _exponentials(matrix * t_s)
     i = np.stack(np.broadcast_arrays(i_dq.real, i_dq.imag, zero)[:2], axis=-1)
     rest = i - np.einsum("nij,nj->ni", step[:, :2, :2], i) - step[:, :2, 4]
     v = np.linalg.solve(step[:, :2, 2:4], rest[..., None])[..., 0]

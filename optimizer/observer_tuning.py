@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -146,7 +147,7 @@ def tune_position_observer(
     if omega_max * t_s > LARGEST_TURN:
         raise NoSolutionError(
             f"control.observer: at the largest speed the rotor turns by {omega_max * t_s:.3g} rad (electrical) per "
-            f"sample, at most {LARGEST_TURN:g}; sample at {omega_max / LARGEST_TURN:.4g} Hz or more"
+            f"sample, at most {LARGEST_TURN:g}; sample at {math.ceil(omega_max / LARGEST_TURN)} Hz or more"
         )
     given = {
         name: value

@@ -62,8 +62,11 @@ def _usual_eemf(_: LinearMachine, t_s: float, omega_max: float) -> ObserverTunin
 
 
 def _usual_flux(machine: LinearMachine, t_s: float, omega_max: float) -> ObserverTuning:
-    """R/4 (1/L_d + 1/L_q) + 0.2 |omega|, as motulator has it."""
-    bandwidth = 0.25 * machine.r_s * (1.0 / machine.l_d + 1.0 / machine.l_q)
+    """R/4 (1/L_d + 1/L_q) + 0.2 |omega|, as motulator has it, but at most 2 % of the largest speed at rest.
+
+    In small machines R/L is as fast as the rotor turns; the current model would then rule the whole range.
+    """
+    bandwidth = min(0.25 * machine.r_s * (1.0 / machine.l_d + 1.0 / machine.l_q), 0.02 * omega_max)
     return ObserverTuning(bandwidth, _pll_bandwidth(t_s), speed_gain=0.2, omega_floor=0.02 * omega_max)
 
 

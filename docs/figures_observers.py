@@ -1,0 +1,37 @@
+"""Figures of the page on position observers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from dqforge.machines import catalogue
+from dqforge.machines.settings import ObserverSettings
+from dqforge.machines.synchronous import linearised
+from dqforge.optimizer.observer_tuning import tune_position_observer
+from dqforge.optimizer.position_observers import METHODS
+from dqforge.reports.figures import save
+
+
+def position_errors(path: Path) -> None:
+    """Angle error by parameters and noise over the speed, machine of paper 001, tuning by name and optimised."""
+    design = catalogue.load("paper001-pmsm-bench")
+    machine, t_s = linearised(design.machine), design.control.t_s
+    omega_max = design.control.bases.speed * machine.pole_pairs
+    figure = Figure(figsize=(7.0, 3.4), layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
+    for ax, tuning in zip(axes, ("named", "optimised"), strict=True):
+        for name in METHODS:
+            wanted = replace(ObserverSettings(method=name, tuning=tuning))  # type: ignore[arg-type]
+            judged = tune_position_observer(machine, wanted, t_s, design.inverter.v_dc, omega_max).judgement
+            steady = np.sqrt(judged.noise**2 + sum(part**2 for part in judged.bias.values()))
+            shown = (judged.omega <= omega_max) & np.isfinite(judged.total)
+            ax.loglog(judged.omega[shown] / (2.0 * np.pi), np.degrees(steady[shown]), label=name)
+        ax.axhline(10.0, color="0.7", linewidth=0.8)
+        ax.set(title=tuning, xlabel="Electrical frequency in Hz", ylim=(0.3, 200.0))
+    axes[0].set_ylabel("Angle error in deg r.m.s.")
+    axes[0].legend(frameon=False)
+    save(figure, path)
