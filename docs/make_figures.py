@@ -9,6 +9,7 @@ from pathlib import Path
 
 import figures_certificates
 import figures_current_feedback
+import figures_estimators
 import figures_fixed_point
 import figures_flux_maps
 import figures_gains
@@ -37,6 +38,7 @@ def main() -> None:
     figures_gains.current_loop_step(folder / "current-loop-step.svg")
     figures_gains.gain_schedule(folder / "gain-schedule.svg")
     figures_gains.observer_error(folder / "observer-error.svg")
+    figures_estimators.estimators(folder / "estimators.svg")
     figures_observers.position_errors(folder / "position-observers.svg")
     figures_operating_points.operating_points_map(folder / "operating-map.svg")
     figures_losses.modulation_waveforms(folder / "modulation-waveforms.svg")

@@ -120,6 +120,9 @@ _OBSERVER_KEYS = {
     "extended-emf": ("bandwidth", "pll_bandwidth", "damping"),
     "flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
     "open-loop-flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
+    "matsui-voltage": ("bandwidth", "pll_bandwidth", "damping"),
+    "matsui-current": ("bandwidth", "pll_bandwidth"),
+    "ekf": (),
 }
 
 

@@ -20,7 +20,9 @@ Core = Literal["cortex-m0plus", "cortex-m3", "cortex-m4", "cortex-m7", "cortex-m
 BreakpointMode = Literal["shared", "own"]
 CurrentLoopMethod = Literal["bandwidth", "damping", "magnitude-optimum", "symmetrical-optimum", "optimised", "given"]
 SpeedLoopMethod = Literal["bandwidth", "damping", "symmetrical-optimum", "optimised", "given"]
-ObserverMethodName = Literal["reduced-order", "extended-emf", "flux", "open-loop-flux"]
+ObserverMethodName = Literal[
+    "reduced-order", "extended-emf", "flux", "open-loop-flux", "matsui-voltage", "matsui-current", "ekf"
+]
 ObserverTuningName = Literal["named", "optimised"]
 ModulationName = Literal[
     "spwm",

@@ -87,28 +87,41 @@ def _pair(value: ComplexArray) -> Pair:
     return value.real.copy(), value.imag.copy()
 
 
+def _vectors(method: ObserverMethod) -> int:
+    """How many vectors the state of an observer holds."""
+    return len(method.start(np.zeros(1), np.zeros(1)).vectors)
+
+
 def _stepped(method: ObserverMethod, gains: Any, case: _Case, states: FloatArray) -> FloatArray:
     """States (M, n) one sample on; angle and speed in them are relative to the truth."""
     back = np.exp(-1j * case.turn)
-    count = states.shape[1] // 2 - 1
+    count = _vectors(method)
     vectors = tuple(_pair((states[:, 2 * n] + 1j * states[:, 2 * n + 1]) * back) for n in range(count))
-    before = ObserverState(vectors, states[:, -2] - case.turn, states[:, -1] + case.omega - case.drift)
+    scalars = tuple(states[:, n] for n in range(2 * count, states.shape[1] - 2))
+    angle, speed = states[:, -2] - case.turn, states[:, -1] + case.omega - case.drift
+    before = ObserverState(vectors, angle, speed, scalars=scalars)
     after = method.step(gains, before, _pair(case.v), _pair(case.i), EXACT)
-    columns = [part for vector in after.vectors for part in vector]
+    columns = [part for vector in after.vectors for part in vector] + list(after.scalars)
     return np.stack([*columns, EXACT.wrap(after.theta_e), after.omega_e - case.omega], axis=1)
 
 
 def _first(method: ObserverMethod, gains: Any, case: _Case) -> FloatArray:
     state = method.step(gains, method.start(np.zeros_like(case.omega), case.omega), _pair(case.v), _pair(case.i), EXACT)
-    columns = [part for vector in state.vectors for part in vector]
-    return np.stack([*columns, np.zeros_like(case.omega), np.zeros_like(case.omega)], axis=1)
+    columns = [part for vector in state.vectors for part in vector] + list(state.scalars)
+    states = np.stack([*columns, np.zeros_like(case.omega), np.zeros_like(case.omega)], axis=1)
+    for _ in range(method.settle):
+        states = _stepped(method, gains, case, states)
+    return states
 
 
 def _derivative(method: ObserverMethod, gains: Any, case: _Case, states: FloatArray) -> FloatArray:
     """Central differences of a step by the state, shape (M, n, n)."""
     m, n = states.shape
     size = np.ones((m, n))
-    for k in range(0, n - 2, 2):
+    count = 2 * _vectors(method)
+    largest = np.max(np.abs(states[:, count:-2]), axis=0)
+    size[:, count:-2] = np.where(largest > 0.0, largest, 1.0)
+    for k in range(0, count, 2):
         norm = np.hypot(states[:, k], states[:, k + 1])
         size[:, k] = size[:, k + 1] = np.where(norm > 0.0, norm, 1.0)
     size[:, -1] = np.maximum(np.abs(case.omega), 1.0)
@@ -164,6 +177,12 @@ def steady_observer(
     mean = omega - 0.5 * drift
     i_dq = np.array(np.broadcast_to(i_dq, omega.shape), dtype=np.complex128)
     case = _Case(omega, mean * t_s, np.array(drift), steady_voltage(plant, i_dq, mean, t_s), i_dq)
+    with np.errstate(all="ignore"):  # beyond the range of an observer its numbers may grow without bound
+        return _solved(method, gains, case)
+
+
+def _solved(method: ObserverMethod, gains: Any, case: _Case) -> SteadyObserver:
+    """Newton's method on all cases; one whose numbers are not finite counts as lost and unstable."""
     states = _first(method, gains, case)
     jacobian = _derivative(method, gains, case, states)
     for _ in range(_NEWTON_STEPS):
@@ -177,13 +196,18 @@ def steady_observer(
         jacobian = _derivative(method, gains, case, states)
     gap = _stepped(method, gains, case, states) - states
     found = (np.abs(EXACT.wrap(gap[:, -2])) < 1e-9) & (np.abs(states[:, -2]) < 0.5 * np.pi)
+    inputs = [_by_input(method, gains, case, states, name) for name in ("i", "v")]
+    finite = np.all(np.isfinite(states), axis=1)
+    for part in (jacobian, *inputs):
+        finite &= np.all(np.isfinite(part), axis=(1, 2))
+    jacobian[~finite] = 2.0 * np.eye(states.shape[1])
     return SteadyObserver(
         theta_error=states[:, -2],
         omega_error=states[:, -1],
         jacobian=jacobian,
-        by_current=_by_input(method, gains, case, states, "i"),
-        by_voltage=_by_input(method, gains, case, states, "v"),
-        found=found,
+        by_current=np.where(finite[:, None, None], inputs[0], 0.0),
+        by_voltage=np.where(finite[:, None, None], inputs[1], 0.0),
+        found=found & finite,
     )
 
 

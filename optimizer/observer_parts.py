@@ -48,12 +48,14 @@ class ObserverState:
     """State of N observers: vectors in stationary coordinates, angle in rad and speed in rad/s (electrical).
 
     ``started`` is false until the first step, which takes the currents of the instant for which the angle was given.
+    ``scalars`` are what else it remembers, none of which turns with the rotor.
     """
 
     vectors: tuple[Pair, ...]
     theta_e: Reals
     omega_e: Reals
     started: bool = True
+    scalars: tuple[Reals, ...] = ()
 
 
 def cast(gains: _Gains, maths: Arithmetic) -> _Gains:

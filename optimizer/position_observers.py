@@ -11,7 +11,7 @@ import numpy as np
 from dqforge.machines.drive_motion import DriveMotion
 from dqforge.machines.errors import InputError
 from dqforge.machines.synchronous import FloatArray, LinearMachine
-from dqforge.optimizer import eemf_observer, flux_observer, open_loop_flux
+from dqforge.optimizer import eemf_observer, flux_observer, open_loop_flux, sampled_observers, sampled_steps
 from dqforge.optimizer.observer_parts import EXACT, Arithmetic, ObserverState, Pair, Reals, cast
 from dqforge.optimizer.observer_settings import ObserverTuning
 
@@ -34,6 +34,8 @@ class ObserverMethod:
         The tuning entries that the method uses, of bandwidth, speed_gain.
     gains:
         The dataclass that ``design`` returns.
+    settle:
+        Steps from the start after which Newton's method finds the steady state that is reached, and no other.
     """
 
     name: str
@@ -45,6 +47,7 @@ class ObserverMethod:
     usual: Callable[[LinearMachine, float, float], ObserverTuning]
     keys: tuple[str, ...]
     gains: type[Any]
+    settle: int = 0
 
 
 def _pll_bandwidth(t_s: float) -> float:
@@ -107,6 +110,42 @@ METHODS: dict[str, ObserverMethod] = {
             _usual_open_loop,
             ("bandwidth", "speed_gain"),
             open_loop_flux.OpenLoopGains,
+        ),
+        ObserverMethod(
+            "matsui-voltage",
+            "matsui_voltage",
+            "Matsui's voltage model",
+            sampled_observers.design_matsui_voltage,
+            sampled_steps.matsui_voltage_start,
+            sampled_steps.matsui_voltage_step,
+            sampled_observers.usual_matsui,
+            ("bandwidth",),
+            sampled_steps.MatsuiVoltageGains,
+            300,
+        ),
+        ObserverMethod(
+            "matsui-current",
+            "matsui_current",
+            "Matsui's current model",
+            sampled_observers.design_matsui_current,
+            sampled_steps.matsui_current_start,
+            sampled_steps.matsui_current_step,
+            sampled_observers.usual_matsui_current,
+            ("bandwidth",),
+            sampled_steps.MatsuiCurrentGains,
+            300,
+        ),
+        ObserverMethod(
+            "ekf",
+            "ekf",
+            "extended Kalman filter",
+            sampled_observers.design_ekf,
+            sampled_steps.ekf_start,
+            sampled_steps.ekf_step,
+            sampled_observers.usual_ekf,
+            (),
+            sampled_steps.EkfGains,
+            300,
         ),
     )
 }

@@ -29,7 +29,7 @@ def observer_inputs(gains: Any, count: int, seed: int) -> SingleArray:
     """
     generator = np.random.default_rng(seed)
     sequences = max(1, count // _LENGTH)
-    t_s = float(gains.pll.t_s)
+    t_s = float(gains.pll.t_s if hasattr(gains, "pll") else gains.model.t_s)
     speed = generator.uniform(-0.9, 0.9, sequences) / t_s * np.where(np.arange(sequences) % 3 == 0, 0.05, 1.0)
     theta = generator.uniform(-np.pi, np.pi, sequences)
     angles = theta[:, None] + speed[:, None] * t_s * np.arange(_LENGTH)
@@ -38,11 +38,19 @@ def observer_inputs(gains: Any, count: int, seed: int) -> SingleArray:
     rows[:, 0, 0] = 1.0
     rows[:, 0, 1] = theta + np.where(np.arange(sequences) % 2 == 0, 0.0, generator.uniform(-4.0, 4.0, sequences))
     rows[:, 0, 2] = speed * generator.choice([0.0, 0.5, 1.0, 1.2, -1.0], sequences)
-    voltage = np.abs(speed)[:, None] * float(gains.psi_pm) + 0.1 * scale
+    voltage = np.abs(speed)[:, None] * _flux(gains) + 0.1 * scale
     for column, size, shift in ((3, voltage, 1.6), (4, voltage, 0.03), (5, scale, 1.5), (6, scale, -0.1)):
         noise = 0.05 * size * generator.standard_normal(angles.shape)
         rows[:, :, column] = size * np.cos(angles + shift) + noise
     return np.ascontiguousarray(rows.reshape(-1, 7).astype(np.float32))
+
+
+def _flux(gains: Any) -> float:
+    """Magnet flux linkage in Wb that sets the size of the voltages: the gains', or what a sampled machine holds."""
+    if hasattr(gains, "psi_pm"):
+        return float(gains.psi_pm)
+    # h_q over gamma_qq, to first order in the speed: the back-EMF over the speed.
+    return abs(float(gains.model.table[36])) * float(gains.model.t_s) / float(gains.model.table[12])
 
 
 def observer_outputs(method: ObserverMethod, gains: Any, inputs: SingleArray) -> SingleArray:
@@ -51,10 +59,11 @@ def observer_outputs(method: ObserverMethod, gains: Any, inputs: SingleArray) ->
     rows = inputs.reshape(-1, _LENGTH, 7)
     state = method.start(wrap(rows[:, 0, 1].copy()), rows[:, 0, 2].copy())
     found = np.empty((*rows.shape[:2], 2), dtype=np.float32)
-    for k in range(_LENGTH):
-        v_alpha, v_beta, i_alpha, i_beta = (rows[:, k, column].copy() for column in (3, 4, 5, 6))
-        state = method.step(own, state, (v_alpha, v_beta), (i_alpha, i_beta), SINGLE)
-        found[:, k, 0], found[:, k, 1] = state.theta_e, state.omega_e
+    with np.errstate(all="ignore"):  # rough sequences may leave the range of single precision, as in C
+        for k in range(_LENGTH):
+            v_alpha, v_beta, i_alpha, i_beta = (rows[:, k, column].copy() for column in (3, 4, 5, 6))
+            state = method.step(own, state, (v_alpha, v_beta), (i_alpha, i_beta), SINGLE)
+            found[:, k, 0], found[:, k, 1] = state.theta_e, state.omega_e
     return found.reshape(-1, 2)
 
 
@@ -96,7 +105,7 @@ def _gains_from(kind: type[Any], plain: Mapping[str, Any]) -> Any:
         elif hint is float:
             values[field.name] = _finite(value)
         else:
-            if len(value) != len(hint.__args__):
+            if Ellipsis not in hint.__args__ and len(value) != len(hint.__args__):
                 raise ValueError
             values[field.name] = tuple(_finite(item) for item in value)
     return kind(**values)
