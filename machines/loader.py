@@ -123,7 +123,7 @@ class _Build:
             fit=self.fit(sections.fit, machine, control.bases),
             losses=_losses(sections),
             waveform=_waveform(sections.waveform),
-            export=ExportSettings(prefix=sections.export.prefix, vectors=sections.export.vectors),
+            export=_export(sections),
             values=(*input_values(sections, self.reading.converted), *self.reading.derived),
             assumptions=(*kind_assumptions(sections), *self.remarks),
             digest=self.reading.digest(),
@@ -298,6 +298,11 @@ def _waveform(section: WaveformSection) -> WaveformSettings:
         form=section.form,
         error=_WAVEFORM.error if error is None else error,
     )
+
+
+def _export(sections: DesignFile) -> ExportSettings:
+    export = sections.export
+    return ExportSettings(export.prefix, export.vectors, tuple(dict.fromkeys(export.control)))
 
 
 def _losses(sections: DesignFile) -> LossSettings | None:

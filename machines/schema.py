@@ -14,13 +14,14 @@ from dqforge.machines.schema_device import DeviceEntry
 from dqforge.machines.schema_entries import (
     About,
     Bandwidth,
-    Bits,
     ByteCount,
+    ControlFormats,
     Current,
     CurrentGain,
     CurrentIntegralGain,
     DeadTime,
     FilterTime,
+    GainFormats,
     Listing,
     Name,
     OnResistance,
@@ -116,8 +117,8 @@ class CurrentLoopSection(Section):
     phase_margin_min: PhaseMargin | None = Field(
         default=None, description="least phase margin (rad; write deg); default 30 deg"
     )
-    q_formats: Annotated[tuple[Bits, Bits], Field(strict=False)] | None = Field(
-        default=None, description="fractional bits of the per-unit integers kp and ki t_s, such as [10, 15]"
+    q_formats: GainFormats | None = Field(
+        default=None, description="fractional bits of the per-unit integers kp and ki t_s, such as [10, 15], or auto"
     )
 
 
@@ -137,8 +138,8 @@ class SpeedLoopSection(Section):
     phase_margin_min: PhaseMargin | None = Field(
         default=None, description="least phase margin (rad; write deg); default 30 deg"
     )
-    q_formats: Annotated[tuple[Bits, Bits], Field(strict=False)] | None = Field(
-        default=None, description="fractional bits of the per-unit integers kp and ki t_s, such as [10, 10]"
+    q_formats: GainFormats | None = Field(
+        default=None, description="fractional bits of the per-unit integers kp and ki t_s, such as [10, 10], or auto"
     )
 
 
@@ -280,6 +281,9 @@ class ExportSection(Section):
 
     prefix: Prefix = Field(default=_EXPORT.prefix, description="first part of every name in the code, a C identifier")
     vectors: int = Field(default=_EXPORT.vectors, ge=16, le=4096, description="least number of test vectors")
+    control: ControlFormats = Field(
+        default=_EXPORT.control, description="control functions as C: float32, q15, q31 or a list of them; default none"
+    )
 
 
 class DesignFile(Section):

@@ -17,6 +17,7 @@ NumberFormat = Literal["float32", "q15", "q31"]
 Core = Literal["cortex-m0plus", "cortex-m3", "cortex-m4", "cortex-m7", "cortex-m33"]
 BreakpointMode = Literal["shared", "own"]
 CurrentLoopMethod = Literal["bandwidth", "damping", "magnitude-optimum", "symmetrical-optimum", "given"]
+QFormats = tuple[int, int] | Literal["auto"]
 SpeedLoopMethod = Literal["bandwidth", "damping", "symmetrical-optimum", "given"]
 ModulationName = Literal[
     "spwm",
@@ -110,7 +111,8 @@ class CurrentLoopSettings:
 
     ``bandwidth`` in rad/s is for the methods ``bandwidth`` and ``damping`` (there the natural frequency); ``damping``
     is the damping ratio; ``spread`` is a of the symmetrical optimum; ``kp`` in V/A and ``ki`` in V/(A s) are for the
-    method ``given`` (both axes). ``q_formats`` are the fractional bits (kp, ki t_s) of the per-unit integers, if asked.
+    method ``given`` (both axes). ``q_formats`` are the fractional bits (kp, ki t_s) of the per-unit integers, if asked;
+    ``auto`` takes those that use 16 bits best.
     """
 
     method: CurrentLoopMethod = "magnitude-optimum"
@@ -120,7 +122,7 @@ class CurrentLoopSettings:
     kp: float | None = None
     ki: float | None = None
     phase_margin_min: float = 0.5235987755982988
-    q_formats: tuple[int, int] | None = None
+    q_formats: QFormats | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +142,7 @@ class SpeedLoopSettings:
     kp: float | None = None
     ki: float | None = None
     phase_margin_min: float = 0.5235987755982988
-    q_formats: tuple[int, int] | None = None
+    q_formats: QFormats | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +212,11 @@ class LossSettings:
 
 @dataclass(frozen=True, slots=True)
 class ExportSettings:
-    """The header: ``prefix`` is a checked C identifier, ``vectors`` the least number of test vectors."""
+    """The header: ``prefix`` is a checked C identifier, ``vectors`` the least number of test vectors.
+
+    ``control`` are the number formats in which the control functions are emitted, each in a header of its own.
+    """
 
     prefix: str
     vectors: int = 256
+    control: tuple[NumberFormat, ...] = ()

@@ -11,11 +11,12 @@ import numpy as np
 
 from dqforge import __version__
 from dqforge.machines.design import Design
+from dqforge.machines.settings import QFormats
 from dqforge.optimizer.certificate import Certificate
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
-from dqforge.optimizer.fixed_point import to_q
+from dqforge.optimizer.fixed_gains import pi_integers
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.piecewise import PiecewisePolynomial
@@ -115,11 +116,12 @@ def plain_fit(
     }
 
 
-def _plain_loop(gains: LoopGains, bases: tuple[float, float], q_formats: tuple[int, int] | None) -> PlainData:
+def _plain_loop(gains: LoopGains, bases: tuple[float, float], q_formats: QFormats | None) -> PlainData:
     kp_pu, ki_ts_pu = per_unit(gains, *bases)
-    integers = {}
-    if q_formats is not None:
-        integers = {"kp_q": to_q(kp_pu, q_formats[0]), "ki_ts_q": to_q(ki_ts_pu, q_formats[1]), "q_formats": q_formats}
+    integers, found = {}, pi_integers(kp_pu, ki_ts_pu, q_formats)
+    if found is not None:
+        kp, ki_ts = found
+        integers = {"kp_q": kp.mantissa, "ki_ts_q": ki_ts.mantissa, "q_formats": (kp.shift, ki_ts.shift)}
     return {
         "method": gains.method,
         "kp": gains.kp,
