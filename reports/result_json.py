@@ -24,6 +24,7 @@ from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
+from dqforge.reports.control_header import plain_control
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.surface_header import plain_weakening
 from dqforge.reports.waveform_header import plain_phase_reference
@@ -221,4 +222,5 @@ def plain_solution(solution: Solution) -> PlainData:
         "waveform_header": None if solution.phases is None else plain_phase_reference(solution.phases.reference),
         "weakening": plain_weakening_fit(weakening),
         "weakening_header": None if weakening is None else plain_weakening(weakening.reference),
+        "control_header": plain_control(solution) if "float32" in design.export.control else None,
     }

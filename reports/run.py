@@ -6,8 +6,11 @@ from dataclasses import dataclass
 
 from dqforge.machines.design import Design
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.control_header import control_files
+from dqforge.reports.further_headers import programmes
 from dqforge.reports.header import header_files
 from dqforge.reports.html_report import render_report
+from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.result_json import plain_solution, to_text
 from dqforge.reports.surface_header import weakening_files
 from dqforge.reports.verify import Verification, verify_files
@@ -23,11 +26,11 @@ class RunOutput:
     files: dict[str, bytes]
 
 
-def _verified(solution: Solution, files: dict[str, bytes]) -> Verification:
+def _verified(solution: Solution, files: dict[str, bytes], plain: PlainData) -> Verification:
+    """The headers against what the result says of them: what a later `dqforge verify` will read."""
     export = solution.design.export
-    phases = None if solution.phases is None else solution.phases.reference
-    weakening = None if solution.weakening is None else solution.weakening.reference
-    return verify_files(files, export.prefix, solution.fit.reference, export.vectors, phases, weakening)
+    _, further = programmes(plain)
+    return verify_files(files, export.prefix, solution.fit.reference, export.vectors, further)
 
 
 def export_design(design: Design, *, verify: bool) -> RunOutput:
@@ -44,8 +47,11 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
         files |= waveform_files(design, solution.phases)
     if solution.weakening is not None:
         files |= weakening_files(design, solution.weakening)
-    verification = _verified(solution, files) if verify else None
-    files["result.json"] = to_text("run", design.name, plain_solution(solution)).encode("ascii")
+    if "float32" in design.export.control:
+        files |= control_files(solution)
+    plain = plain_solution(solution)
+    verification = _verified(solution, files, plain) if verify else None
+    files["result.json"] = to_text("run", design.name, plain).encode("ascii")
     return RunOutput(solution, verification, files)
 
 

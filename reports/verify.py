@@ -7,8 +7,8 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +21,12 @@ from dqforge.machines.identifiers import check_prefix
 from dqforge.optimizer.current_reference import CurrentReference, Reference
 from dqforge.optimizer.fixed_polynomial import CodeArray
 from dqforge.optimizer.fixed_reference import FixedReference
-from dqforge.optimizer.phase_reference import PhaseReference
 from dqforge.optimizer.single_precision import SingleArray
-from dqforge.optimizer.surface_reference import WeakeningReference
+from dqforge.reports.further_headers import SWEEP_POINTS, SWEEP_SEED, programmes
+from dqforge.reports.programme import Programme
 from dqforge.reports.reference_header import vector_codes, vector_torques
 from dqforge.reports.reference_ir import from_plain
-from dqforge.reports.surface_header import weakening_currents, weakening_from, weakening_inputs
 from dqforge.reports.templating import render
-from dqforge.reports.waveform_header import model_currents, phase_reference_from, waveform_inputs
 
 WARNINGS = (
     "-Wall",
@@ -42,8 +40,6 @@ WARNINGS = (
 """Warning flags of the header contract (docs/header.md)."""
 
 _TIMEOUT_S = 60
-_SWEEP_POINTS = 20_000
-_SWEEP_SEED = 7
 _LARGEST_FILE = 64 * 1024 * 1024
 
 
@@ -83,20 +79,20 @@ class Verification:
         return tuple(check.standard for check in self.checks if not check.missing)
 
 
-def sweep_torques(reference: CurrentReference, count: int = _SWEEP_POINTS) -> SingleArray:
+def sweep_torques(reference: CurrentReference, count: int = SWEEP_POINTS) -> SingleArray:
     """Float32 torques beyond the test vectors: across the domain of both signs, and raw bit patterns of any kind."""
-    generator = np.random.default_rng(_SWEEP_SEED)
+    generator = np.random.default_rng(SWEEP_SEED)
     across = (generator.uniform(-1.1, 1.1, count // 2) * float(reference.torque_max)).astype(np.float32)
     patterns = generator.integers(0, 2**32, count - across.size, dtype=np.uint32).view(np.float32)
     return np.concatenate([across, patterns])
 
 
-def sweep_codes(reference: FixedReference, count: int = _SWEEP_POINTS) -> CodeArray:
+def sweep_codes(reference: FixedReference, count: int = SWEEP_POINTS) -> CodeArray:
     """All codes of 16 bits, or so many random ones of 32 bits, half of them inside the domain."""
     most = 2 ** (reference.width - 1)
     if reference.width <= 16:
         return np.arange(-most, most)
-    generator = np.random.default_rng(_SWEEP_SEED)
+    generator = np.random.default_rng(SWEEP_SEED)
     inside = generator.integers(-reference.end, reference.end + 1, count // 2)
     return np.concatenate([inside, generator.integers(-most, most, count - inside.size)])
 
@@ -151,29 +147,20 @@ def _run(program: Path, inputs: NDArray[Any], model: NDArray[Any], standard: str
     return np.frombuffer(done.stdout, dtype=model.dtype).reshape(model.shape)
 
 
-def _compare(compiled: NDArray[Any], inputs: NDArray[Any], model: NDArray[Any], standard: str) -> None:
+def _compare(compiled: NDArray[Any], part: Programme, standard: str) -> None:
+    inputs, model = part.inputs, part.model
     bits = np.dtype(f"u{model.dtype.itemsize}")
     differing = np.any(compiled.view(bits) != np.ascontiguousarray(model).view(bits), axis=1)
     if differing.any():
         first = int(np.argmax(differing))
         raise VerificationError(
-            f"compiled as {standard}, {int(differing.sum())} of {inputs.shape[0]} results differ from the"
-            f" {model.dtype} model; first at torque {inputs[first]!s}: C gives {compiled[first].tolist()},"
+            f"compiled as {standard}, {int(differing.sum())} of {inputs.shape[0]} results of the {part.name} differ"
+            f" from the {model.dtype} model; first at {inputs[first]!s}: C gives {compiled[first].tolist()},"
             f" model {model[first].tolist()}"
         )
 
 
-@dataclass(frozen=True, slots=True)
-class _Programme:
-    """A harness with its inputs, shape (N,) or (N, M), and what it must return, shape (N, width)."""
-
-    template: str
-    inputs: NDArray[Any]
-    model: NDArray[Any]
-    context: dict[str, Any] = field(default_factory=dict)
-
-
-def _reference_programme(reference: Reference, vectors: int) -> tuple[_Programme, int]:
+def _reference_programme(reference: Reference, vectors: int) -> tuple[Programme, int]:
     """The harness of the current reference with its inputs, and how many of these are test vectors."""
     if isinstance(reference, FixedReference):
         chosen = vector_codes(reference, vectors)
@@ -181,10 +168,10 @@ def _reference_programme(reference: Reference, vectors: int) -> tuple[_Programme
         number = np.dtype(f"i{reference.width // 8}")
         context = {"width": reference.width, "format": reference.format}
         results = np.stack(reference.codes(codes), axis=1).astype(number)
-        return _Programme("fixed_harness.c.j2", codes.astype(number), results, context), chosen.size
+        return Programme("fixed_harness.c.j2", codes.astype(number), results, context), chosen.size
     special = vector_torques(reference, vectors)
     torque = np.concatenate([special, sweep_torques(reference)])
-    return _Programme("harness.c.j2", torque, np.stack(reference.currents(torque), axis=1)), special.size
+    return Programme("harness.c.j2", torque, np.stack(reference.currents(torque), axis=1)), special.size
 
 
 def verify_files(
@@ -192,8 +179,7 @@ def verify_files(
     prefix: str,
     reference: Reference,
     vectors: int,
-    phases: PhaseReference | None = None,
-    weakening: WeakeningReference | None = None,
+    further: Sequence[Programme] = (),
 ) -> Verification:
     """Compile a header and its vectors as C99 and as C++11, run both, and compare every bit with the model.
 
@@ -207,10 +193,8 @@ def verify_files(
         The model.
     vectors:
         Number of test vectors that were asked for.
-    phases:
-        The model of the phase currents, where such a header was made.
-    weakening:
-        The model of the two-dimensional references, where such a header was made.
+    further:
+        Harnesses of the further headers.
 
     Raises
     ------
@@ -218,13 +202,7 @@ def verify_files(
         No C compiler is there, the header does not compile, or a result differs.
     """
     programme, chosen = _reference_programme(reference, vectors)
-    programmes = [programme]
-    if phases is not None:
-        inputs = waveform_inputs(phases, _SWEEP_POINTS, _SWEEP_SEED)
-        programmes.append(_Programme("waveform_harness.c.j2", inputs, model_currents(phases, inputs)))
-    if weakening is not None:
-        inputs = weakening_inputs(weakening, _SWEEP_POINTS // 2, _SWEEP_SEED, patterns=_SWEEP_POINTS // 2)
-        programmes.append(_Programme("surface_harness.c.j2", inputs, weakening_currents(weakening, inputs)))
+    parts = [programme, *further]
     checks = []
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         folder = Path(name)
@@ -235,16 +213,16 @@ def verify_files(
             if program is None:
                 checks.append(Check(compiler.standard, 0, compiler.package))
                 continue
-            for part in programmes:
+            for part in parts:
                 harness = render(part.template, {"prefix": prefix, "macro": prefix.upper()} | part.context)
                 (folder / "harness.c").write_text(harness, encoding="ascii")
                 built = _compile(compiler, program, folder)
                 compiled = _run(built, part.inputs, part.model, compiler.standard)
-                _compare(compiled, part.inputs, part.model, compiler.standard)
-            checks.append(Check(compiler.standard, sum(part.inputs.shape[0] for part in programmes)))
+                _compare(compiled, part, compiler.standard)
+            checks.append(Check(compiler.standard, sum(part.inputs.shape[0] for part in parts)))
     if checks[0].missing:
         raise VerificationError("no C compiler found: install the Debian package gcc, or give --no-verify")
-    compared = sum(part.inputs.shape[0] for part in programmes)
+    compared = sum(part.inputs.shape[0] for part in parts)
     return Verification(chosen, compared - chosen, tuple(checks))
 
 
@@ -260,8 +238,8 @@ def _read(path: Path) -> bytes:
         ) from error
 
 
-def _load_result(path: Path) -> tuple[dict[str, Any], dict[str, Any] | None, dict[str, Any] | None]:
-    """What a result says of the header and, where there are any, of phase currents and two-dimensional references."""
+def _load_result(path: Path) -> dict[str, Any]:
+    """A result that describes a header."""
     content = _read(path)
     try:
         loaded = json.loads(content)
@@ -269,23 +247,18 @@ def _load_result(path: Path) -> tuple[dict[str, Any], dict[str, Any] | None, dic
         raise InputError("is not JSON; run the design again", source=str(path)) from error
     if not isinstance(loaded, dict) or not isinstance(loaded.get("header"), dict):
         raise InputError("holds no header; run the design again", source=str(path))
-    others = loaded.get("waveform_header"), loaded.get("weakening_header")
-    for name, part in zip(("waveform_header", "weakening_header"), others, strict=True):
-        if part is not None and not isinstance(part, dict):
-            raise InputError(f"{name} is not what dqforge writes; run the design again", source=str(path))
-    return dict(loaded["header"]), *others
+    return loaded
 
 
 @dataclass(frozen=True, slots=True)
 class WrittenHeaders:
-    """What an earlier run wrote: files by name, prefix, models, and the number of test vectors."""
+    """What an earlier run wrote: files by name, prefix, model, number of test vectors, harnesses of further headers."""
 
     files: dict[str, bytes]
     prefix: str
     reference: Reference
     vectors: int
-    phases: PhaseReference | None
-    weakening: WeakeningReference | None = None
+    further: tuple[Programme, ...] = ()
 
 
 def read_folder(folder: Path) -> WrittenHeaders:
@@ -297,7 +270,8 @@ def read_folder(folder: Path) -> WrittenHeaders:
         A file is missing or is not what dqforge writes.
     """
     path = folder / "result.json"
-    header, waveform, surfaces = _load_result(path)
+    loaded = _load_result(path)
+    header = loaded["header"]
     vectors = header.get("vectors")
     try:
         prefix = check_prefix(str(header.get("prefix", "")))
@@ -307,15 +281,12 @@ def read_folder(folder: Path) -> WrittenHeaders:
         raise InputError("header.vectors or header.reference is missing; run the design again", source=str(path))
     try:
         reference = from_plain(header["reference"])
-        phases = None if waveform is None else phase_reference_from(waveform)
-        weakening = None if surfaces is None else weakening_from(surfaces)
+        kinds, further = programmes(loaded)
     except InputError as error:
         raise InputError(error.message, source=str(path)) from error
     names = [f"{prefix}.h", f"{prefix}_vectors.h"]
-    names += [] if phases is None else [f"{prefix}_waveform.h", f"{prefix}_waveform_vectors.h"]
-    names += [] if weakening is None else [f"{prefix}_weakening.h", f"{prefix}_weakening_vectors.h"]
-    files = {name: _read(folder / name) for name in names}
-    return WrittenHeaders(files, prefix, reference, vectors, phases, weakening)
+    names += [name for kind in kinds.values() for name in kind.files(prefix)]
+    return WrittenHeaders({name: _read(folder / name) for name in names}, prefix, reference, vectors, tuple(further))
 
 
 def verify_folder(folder: Path) -> Verification:
@@ -329,4 +300,4 @@ def verify_folder(folder: Path) -> Verification:
         As `verify_files`.
     """
     found = read_folder(folder)
-    return verify_files(found.files, found.prefix, found.reference, found.vectors, found.phases, found.weakening)
+    return verify_files(found.files, found.prefix, found.reference, found.vectors, found.further)

@@ -80,7 +80,7 @@ def test_one_unit_of_one_integer_is_seen(found: Solution) -> None:
     segment = reference.q.segments[0]
     other = replace(segment, constants=(segment.constants[0] + 2 ** (segment.shifts[0] - 1), *segment.constants[1:]))
     changed = replace(reference, q=replace(reference.q, segments=(other, *reference.q.segments[1:])))
-    with pytest.raises(VerificationError, match="results differ from the int16 model"):
+    with pytest.raises(VerificationError, match="results of the current reference differ from the int16 model"):
         verify_files(header_files(found), "drive", changed, 256)
 
 

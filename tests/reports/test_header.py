@@ -160,7 +160,9 @@ def test_verification_sees_a_change_of_one_unit_in_the_last_place(found: Solutio
 def test_verification_sees_vectors_that_were_changed_with_the_header(found: Solution) -> None:
     """A header and vectors that agree with each other, but not with the model of the design, are found out, too."""
     other = solve(make_design(replace(IPM, psi_pm=0.1050)))
-    with pytest.raises(VerificationError, match=r"results differ from the float32 model; first at torque"):
+    with pytest.raises(
+        VerificationError, match=r"results of the current reference differ from the float32 model; first at"
+    ):
         verify_files(header_files(other), "drive", found.fit.reference, 256)
 
 
@@ -169,7 +171,7 @@ def test_verification_sees_a_difference_in_one_of_the_currents(found: Solution) 
     reference = in_floats(found.fit)
     assert isinstance(reference.form, TorqueExact)
     form = replace(reference.form, magnet=np.nextafter(reference.form.magnet, np.float32(np.inf)))
-    with pytest.raises(VerificationError, match="results differ from the float32 model"):
+    with pytest.raises(VerificationError, match="results of the current reference differ from the float32 model"):
         verify_files(header_files(found), "drive", replace(reference, form=form), 256)
 
 

@@ -17,8 +17,9 @@ import pytest
 from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, make_design
 
 from dqforge.machines import catalogue
-from dqforge.machines.settings import FitSettings, WaveformForm, WaveformSettings, WeakeningSettings
+from dqforge.machines.settings import FitSettings, ModulationName, WaveformForm, WaveformSettings, WeakeningSettings
 from dqforge.optimizer.solution import solve, solve_phases, solve_weakening
+from dqforge.reports.control_header import control_files
 from dqforge.reports.header import header_files
 from dqforge.reports.surface_header import weakening_files
 from dqforge.reports.verify import WARNINGS
@@ -63,7 +64,33 @@ def headers() -> dict[str, dict[str, bytes]]:
         fit = solve_weakening(weakened)
         assert fit is not None
         found[f"weakening {name}"] = weakening_files(weakened, fit)
+    modulators: tuple[ModulationName, ...] = ("spwm", "svpwm", "thipwm6", "dpwm0", "dpwmmin", "gdpwm", "ddt-gdpwm")
+    solution = solve(make_design(IPM))
+    for modulator in modulators:
+        operation = replace(solution.design.operation, modulation=modulator)
+        changed = replace(solution, design=replace(solution.design, operation=operation))
+        found[f"control {modulator}"] = header_files(changed) | control_files(changed)
     return found
+
+
+CONTROL_MAIN = """#include "drive_control.h"
+int main(void)
+{
+    static drive_control_t state;
+    drive_measured_t measured;
+    drive_abc_t duty;
+
+    measured.i.a = 0.0F;
+    measured.i.b = 0.0F;
+    measured.i.c = 0.0F;
+    measured.theta_e = 0.5F;
+    measured.omega_m = 10.0F;
+    measured.v_dc = 300.0F;
+    drive_control_start(&state);
+    duty = drive_speed_control(&DRIVE_CONTROL_GAINS, &state, &measured, 20.0F);
+    return ((duty.a >= 0.0F) && (duty.b >= 0.0F) && (duty.c <= 1.0F)) ? 0 : 1;
+}
+"""
 
 
 HEADERS = headers()
@@ -79,7 +106,7 @@ def written(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     part = f"drive_{kind}" if kind in {"waveform", "weakening"} else "drive"
     call = f"{part}_mismatches" if part != "drive" else "drive_vectors_mismatches"
     main = f'#include "{part}_vectors.h"\nint main(void)\n{{\n    return ({call}() == 0U) ? 0 : 1;\n}}\n'
-    (tmp_path / "main.c").write_text(main, encoding="ascii")
+    (tmp_path / "main.c").write_text(CONTROL_MAIN if kind == "control" else main, encoding="ascii")
     return tmp_path, name
 
 

@@ -1,0 +1,94 @@
+"""The headers that a design may ask for beside that of its current reference, each with its way back from the result.
+
+A header is described in ``result.json`` under ``<name>_header``; what stands there alone rebuilds the model that its
+compiled functions must equal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.phase_reference import PhaseReference
+from dqforge.optimizer.surface_reference import WeakeningReference
+from dqforge.reports.control_header import control_from, control_programme
+from dqforge.reports.programme import Programme
+from dqforge.reports.surface_header import weakening_currents, weakening_from, weakening_inputs
+from dqforge.reports.waveform_header import model_currents, phase_reference_from, waveform_inputs
+
+SWEEP_POINTS = 20_000
+SWEEP_SEED = 7
+
+
+@dataclass(frozen=True, slots=True)
+class FurtherHeader:
+    """One kind of header.
+
+    Parameters
+    ----------
+    name:
+        Part of the file names ``<prefix>_<name>.h`` and of the key ``<name>_header`` in ``result.json``.
+    read:
+        Model from its plain data and the whole result; raises InputError where they are not what dqforge writes.
+    programme:
+        Harness, inputs and results of a model.
+    vectors:
+        Whether ``<prefix>_<name>_vectors.h`` is written too.
+    """
+
+    name: str
+    read: Callable[[Mapping[str, Any], Mapping[str, Any]], Any]
+    programme: Callable[[Any], Programme]
+    vectors: bool = True
+
+    @property
+    def key(self) -> str:
+        """Key of its plain data in ``result.json``."""
+        return f"{self.name}_header"
+
+    def files(self, prefix: str) -> list[str]:
+        """Names of its files."""
+        return [f"{prefix}_{self.name}.h", *([f"{prefix}_{self.name}_vectors.h"] if self.vectors else [])]
+
+
+def _waveform_programme(reference: PhaseReference) -> Programme:
+    inputs = waveform_inputs(reference, SWEEP_POINTS, SWEEP_SEED)
+    return Programme("waveform_harness.c.j2", inputs, model_currents(reference, inputs), name="phase currents")
+
+
+def _weakening_programme(reference: WeakeningReference) -> Programme:
+    half = SWEEP_POINTS // 2
+    inputs = weakening_inputs(reference, half, SWEEP_SEED, patterns=half)
+    results = weakening_currents(reference, inputs)
+    return Programme("surface_harness.c.j2", inputs, results, name="current reference with field weakening")
+
+
+FURTHER_HEADERS = (
+    FurtherHeader("waveform", lambda own, _: phase_reference_from(own), _waveform_programme),
+    FurtherHeader("weakening", lambda own, _: weakening_from(own), _weakening_programme),
+    FurtherHeader("control", control_from, control_programme, vectors=False),
+)
+"""All kinds, in the order in which they are written and verified."""
+
+
+def programmes(plain: Mapping[str, Any]) -> tuple[dict[str, FurtherHeader], list[Programme]]:
+    """The further headers that a result describes by name, and their harnesses.
+
+    Raises
+    ------
+    InputError
+        What stands there is not what dqforge writes.
+    """
+    found = {}
+    made = []
+    for kind in FURTHER_HEADERS:
+        described = plain.get(kind.key)
+        if described is None:
+            continue
+        if not isinstance(described, dict):
+            raise InputError(f"{kind.key} is not what dqforge writes; run the design again")
+        found[kind.name] = kind
+        made.append(kind.programme(kind.read(described, plain)))
+    return found, made
