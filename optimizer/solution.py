@@ -14,6 +14,7 @@ from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.current_choice import CurrentChoice, OperatingPoints, SpeedPoint
 from dqforge.optimizer.fit_alternatives import Alternative, alternatives
 from dqforge.optimizer.fit_choice import FitChoice, Trial, choose_fit
+from dqforge.optimizer.fixed_design import FixedControlFit, fit_controls
 from dqforge.optimizer.gains import LoopGains, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loss_budget import LossComparison, compare
 from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
@@ -57,7 +58,7 @@ class Solution:
     ``losses`` is None where it asks for no comparison; ``waveforms`` and ``phases`` are None for machines with a
     sinusoidal back-EMF. ``certificate`` bounds the errors of the fit, None where that could not be proven;
     ``trials`` are the forms that were tried for a budget. ``weakening`` is None where no
-    two-dimensional reference is asked for.
+    two-dimensional reference is asked for. ``fixed`` are control functions in fixed point.
     """
 
     design: Design
@@ -71,6 +72,7 @@ class Solution:
     trials: tuple[Trial, ...] = ()
     certificate: Certificate | None = None
     weakening: WeakeningFit | None = None
+    fixed: tuple[FixedControlFit, ...] = ()
 
 
 def current_choice(design: Design) -> CurrentChoice:
@@ -171,6 +173,11 @@ def solve_weakening(design: Design) -> WeakeningFit | None:
     return fit_weakening(design.machine, design.i_max, limit.v_max, design.weakening)
 
 
+def solve_fixed(design: Design, gains: GainSet) -> tuple[FixedControlFit, ...]:
+    """Control functions in the fixed-point formats that the design asks for; errors as `fit_control`."""
+    return fit_controls(design, (gains.i_d, gains.i_q, gains.speed), gains.observer)
+
+
 def solve(design: Design) -> Solution:
     """Solve everything that the design asks for.
 
@@ -180,7 +187,7 @@ def solve(design: Design) -> Solution:
         As the single steps do; the message names the section of the design.
     """
     chosen = solve_fit(design)
-    fit = chosen.fit
+    fit, gains = chosen.fit, solve_gains(design)
     return Solution(
         design=design,
         curves=solve_curves(design),
@@ -188,9 +195,10 @@ def solve(design: Design) -> Solution:
         certificate=certify(current_choice(design), fit.reference, fit.errors),
         trials=chosen.trials,
         alternatives=alternatives(current_choice(design), fit),
-        gains=solve_gains(design),
+        gains=gains,
         losses=solve_losses(design),
         waveforms=None if design.phase_machine is None else compare_waveforms(design),
         phases=None if design.phase_machine is None else solve_phases(design),
         weakening=solve_weakening(design),
+        fixed=solve_fixed(design, gains),
     )

@@ -26,7 +26,7 @@ from dqforge.reports.templating import render
 
 _SEED = 20_261_121
 _LOOP_NAMES = {"i_d": "ID", "i_q": "IQ", "speed": "SPEED"}
-_FAULT = InputError("control_header is not what dqforge writes; run the design again")
+_FAULT = InputError("control_q15_header or control_q31_header is not what dqforge writes; run the design again")
 
 
 def plain_fixed_control(control: FixedControl) -> PlainData:
@@ -34,8 +34,8 @@ def plain_fixed_control(control: FixedControl) -> PlainData:
     return asdict(control)
 
 
-def fixed_control_from(plain: Mapping[str, Any]) -> FixedControl:
-    """Read control functions back, and prove again that nothing overflows.
+def fixed_control_from(plain: Mapping[str, Any], width: int) -> FixedControl:
+    """Read control functions in words of ``width`` bits back, and prove again that nothing overflows.
 
     Raises
     ------
@@ -44,18 +44,18 @@ def fixed_control_from(plain: Mapping[str, Any]) -> FixedControl:
     """
     try:
         found = FixedControl(
-            width=_one_of(plain["width"], (16, 32)),
+            width=_one_of(plain["width"], (width,)),
             bases=_bases(plain["bases"]),
             modulation=_one_of(plain["modulation"], FIXED_MODULATORS),
             dc_scale=_whole(plain["dc_scale"], 0, 8),
-            dc_least=_whole(plain["dc_least"], 1, full_scale(plain["width"])),
-            limit=_gain(plain["limit"], plain["width"]),
-            advance=_gain(plain["advance"], plain["width"]),
-            i_d=_forms(plain["i_d"], plain["width"]),
-            i_q=_forms(plain["i_q"], plain["width"]),
-            speed=None if plain["speed"] is None else _forms(plain["speed"], plain["width"]),
-            decoupling=FixedDecoupling(**{k: _gain(v, plain["width"]) for k, v in plain["decoupling"].items()}),
-            observer=None if plain["observer"] is None else _observer(plain["observer"], plain["width"]),
+            dc_least=_whole(plain["dc_least"], 1, full_scale(width)),
+            limit=_gain(plain["limit"], width),
+            advance=_gain(plain["advance"], width),
+            i_d=_forms(plain["i_d"], width),
+            i_q=_forms(plain["i_q"], width),
+            speed=None if plain["speed"] is None else _forms(plain["speed"], width),
+            decoupling=FixedDecoupling(**{k: _gain(v, width) for k, v in plain["decoupling"].items()}),
+            observer=None if plain["observer"] is None else _observer(plain["observer"], width),
         )
         control_ranges(found)
     except (KeyError, TypeError, ValueError, AttributeError, NoSolutionError):
@@ -216,3 +216,24 @@ def control_fixed_files(design: Design, fit: FixedControlFit) -> dict[str, bytes
         f"{name}_vectors.h": render("control_fixed_vectors.h.j2", context | columns),
     }
     return {file: text.encode("ascii") for file, text in texts.items()}
+
+
+def plain_fixed_evidence(fit: FixedControlFit) -> PlainData:
+    """Loops with their integers, the proven range of every product and sum, and the dead bands, as plain data."""
+    loops = {}
+    for name, loop in fit.loops.items():
+        integers = {part: asdict(getattr(loop, part)) for part in ("kp", "ki_ts", "q0", "q1")}
+        band = fit.dead_bands.get(name)
+        loops[name] = integers | {
+            "kp_error": loop.kp.error,
+            "ki_ts_error": loop.ki_ts.error,
+            "velocity_ki_error": loop.velocity_ki_error,
+            "phase_margin_rad": loop.found.phase_margin,
+            "poles": [[pole.real, pole.imag] for pole in loop.found.poles.tolist()],
+            "dead_band_codes": None if band is None else band.largest,
+        }
+    ranges = [
+        {"name": reach.name, "low": reach.range.low, "high": reach.range.high, "bits": reach.bits}
+        for reach in fit.reaches
+    ]
+    return {"loops": loops, "ranges": ranges, "sine_error_codes": sine_error(fit.control.width)}

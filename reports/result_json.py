@@ -24,6 +24,7 @@ from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
+from dqforge.reports.control_fixed_header import plain_fixed_control, plain_fixed_evidence
 from dqforge.reports.control_header import plain_control
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.surface_header import plain_weakening
@@ -223,4 +224,6 @@ def plain_solution(solution: Solution) -> PlainData:
         "weakening": plain_weakening_fit(weakening),
         "weakening_header": None if weakening is None else plain_weakening(weakening.reference),
         "control_header": plain_control(solution) if "float32" in design.export.control else None,
+        "control_fixed": {fit.control.format: plain_fixed_evidence(fit) for fit in solution.fixed},
+        **{f"control_{fit.control.format}_header": plain_fixed_control(fit.control) for fit in solution.fixed},
     }
