@@ -20,12 +20,13 @@ from dqforge.optimizer.fixed_control import (
     PiForm,
     VelocityState,
     current_control,
+    decouple,
     observe,
     pi_step,
     pi_velocity,
 )
 from dqforge.optimizer.fixed_gains import FixedGain, scaled
-from dqforge.optimizer.fixed_transforms import clarke, clarke_inverse, full_scale, park, park_inverse, rotation
+from dqforge.optimizer.fixed_transforms import clarke, clarke_inverse, duties, full_scale, park, park_inverse, rotation
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +99,7 @@ def observer_ranges(width: int, part: FixedObserver) -> Ranges:
 
 
 def step_ranges(control: FixedControl) -> Ranges:
-    """Ranges of the whole step of the current control, and of the transforms for any codes."""
+    """Ranges of the whole step of the current control, and of its parts for any codes."""
     width = control.width
     found = Ranges(width, "current control: ")
     every, angle = codes(width), Range(0, 2**width - 1)
@@ -108,12 +109,15 @@ def step_ranges(control: FixedControl) -> Ranges:
         *(Range(-top << pi.fraction, top << pi.fraction) for pi in (control.i_d["parallel"], control.i_q["parallel"]))
     )
     current_control(found, control, integral, measured, Pair(every, every))
-    found.prefix = "transforms: "
+    found.prefix = "parts: "
     turn = rotation(found, width, angle)
     park(found, width, Pair(every, every), turn)
     park_inverse(found, width, Pair(every, every), turn)
     clarke(found, width, Triple(every, every, every))
     clarke_inverse(found, width, Pair(every, every))
+    decouple(found, width, control.decoupling, every, Pair(every, every))
+    v_dc, phases = Range(1, top), Triple(every, every, every)
+    duties(found, width, control.modulation, control.dc_scale, Pair(every, every), v_dc, phases)
     return found
 
 

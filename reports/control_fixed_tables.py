@@ -57,7 +57,7 @@ def _notes(fit: FixedControlFit) -> tuple[str, ...]:
     unit, speed = (control.bases[index] / 2 ** (control.width - 1) for index in (0, 2))
     return (
         f"{len(fit.reaches)} products and sums proven not to overflow; '{fullest.name}' reaches {fullest.share:.3%}",
-        "dead band: smallest error, in codes, that moves the integral, and that for an integral without fractional bits;",
+        "dead band: smallest error in codes that moves the integral; in one word: an integral without fractional bits;",
         f"one code is {unit:.3g} A, or {speed:.3g} rad/s; q0 + q1 is the integral gain of the velocity form",
     )
 
