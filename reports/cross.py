@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
+from dqforge.optimizer.fixed_reference import FIXED_WIDTHS
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.reports.cycle_model import Span
 from dqforge.reports.target_cost import cost_on_target
@@ -25,7 +26,12 @@ from dqforge.reports.verify import WARNINGS
 
 __all__ = ["TARGETS", "TargetVerification", "target_of", "verify_on_target"]
 
-_DIFFERS = {101: "current reference", 102: "phase currents", 103: "current reference with field weakening"}
+_DIFFERS = {
+    101: "current reference",
+    102: "phase currents",
+    103: "current reference with field weakening",
+    104: "control functions in fixed point",
+}
 """Exit codes of the program on the target; the emulator's own failures end with 1."""
 
 _VECTOR_TORQUE = re.compile(rb"\{ 0x([0-9A-F]{8})U, 0x[0-9A-F]{8}U, 0x[0-9A-F]{8}U \}")
@@ -69,8 +75,8 @@ def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> Ta
     Parameters
     ----------
     files:
-        Contents of the headers and of their vectors by name; those of phase currents and of field weakening are run
-        as well.
+        Contents of the headers and of their vectors by name; those of phase currents, of field weakening and of
+        control functions in fixed point are run as well.
     prefix:
         Checked C identifier.
     target:
@@ -94,7 +100,8 @@ def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> Ta
         "prefix": prefix,
         "waveform": f"{prefix}_waveform_vectors.h" in files,
         "weakening": f"{prefix}_weakening_vectors.h" in files,
-        "differs": dict(zip(("reference", "phases", "weakening"), _DIFFERS, strict=True)),
+        "fixed": [name for name in FIXED_WIDTHS if f"{prefix}_control_{name}_vectors.h" in files],
+        "differs": dict(zip(("reference", "phases", "weakening", "fixed"), _DIFFERS, strict=True)),
     }
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         main = render("target_main.c.j2", context).encode("ascii")
