@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.fixed_design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_transforms import FIXED_MODULATORS
-from dqforge.optimizer.solution import solve_gains
+from dqforge.optimizer.solution import GainSet, solve_gains
 from dqforge.reports.control_fixed_header import (
     control_fixed_files,
     fixed_control_from,
@@ -44,6 +45,11 @@ STRICT = (
 )
 
 
+# Those whose code differs most; the others in the long run.
+_FIRST = {"svpwm", "thipwm6", "dpwm0", "ddt-gdpwm"}
+MODULATIONS = [pytest.param(name, marks=[] if name in _FIRST else [pytest.mark.slow]) for name in FIXED_MODULATORS]
+
+
 def drive(machine: LinearMachine, modulation: ModulationName = "svpwm") -> Design:
     design = make_design(machine)
     bases = replace(design.control.bases, speed=1000.0)
@@ -51,8 +57,15 @@ def drive(machine: LinearMachine, modulation: ModulationName = "svpwm") -> Desig
     return replace(design, operation=operation, control=replace(design.control, bases=bases))
 
 
+@cache
+def gains_of(machine: LinearMachine) -> GainSet:
+    """Gains of a drive, tuned once."""
+    return solve_gains(drive(machine))
+
+
 def fitted(design: Design, width: int) -> FixedControlFit:
-    gains = solve_gains(design)
+    assert isinstance(design.machine, LinearMachine)
+    gains = gains_of(design.machine)
     return fit_control(design, (gains.i_d, gains.i_q, gains.speed), gains.observer, width)
 
 
@@ -72,7 +85,7 @@ def run_rows(design: Design, fit: FixedControlFit, folder: Path, rows: np.ndarra
 
 
 @pytest.mark.parametrize("width", [16, 32])
-@pytest.mark.parametrize("modulation", FIXED_MODULATORS)
+@pytest.mark.parametrize("modulation", MODULATIONS)
 def test_every_modulator_equals_the_model_under_the_sanitizer(
     modulation: ModulationName, width: int, tmp_path: Path
 ) -> None:
@@ -213,8 +226,10 @@ def test_stated_error_of_the_sine() -> None:
 
 def test_the_key_takes_one_format_or_several() -> None:
     text = (
-        "dqforge: 1\nname: One\nmachine: {pole_pairs: 3, resistance: 1 Ohm, inductance: 2 mH, magnet_flux: 50 mWb,"
-        " max_current: 5 A}\ninverter: {v_dc: 48 V, switching_frequency: 10 kHz}\nexport: {control: CONTROL}\n"
+        "dqforge: 1\nname: One\n"
+        "machine: {pole_pairs: 3, resistance: 1 Ohm, inductance_d: 2 mH, inductance_q: 2 mH, magnet_flux: 50 mWb,"
+        " max_current: 5 A}\n"
+        "inverter: {v_dc: 48 V, switching_frequency: 10 kHz}\nexport: {control: CONTROL}\n"
     )
     for written, expected in (("q15", ("q15",)), ("[q31, q15, q31]", ("q31", "q15")), ("[]", ())):
         assert load_text(text.replace("CONTROL", written).encode(), "design.yaml").export.control == expected
