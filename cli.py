@@ -45,7 +45,10 @@ ModulationOption = Annotated[
     typer.Option("--modulation", metavar="NAME", help="Whose linear range limits the voltage: spwm, svpwm, dpwm1, ..."),
 ]
 MarginOption = Annotated[
-    str, typer.Option("--margin", metavar="SHARE", help="Share of the voltage kept free for control, e.g. '5 %'.")
+    str,
+    typer.Option(
+        "--margin", metavar="SHARE", help="Share of the voltage kept free for control, e.g. '5 %'; mtpa: or dead-time."
+    ),
 ]
 
 ObjectiveOption = Annotated[
@@ -194,6 +197,27 @@ def verify(
 
 
 @app.command()
+def compare(
+    first: Annotated[str, typer.Argument(metavar="A", help="Design, library drive, or what 'dqforge run' wrote.")],
+    second: Annotated[str, typer.Argument(metavar="B", help="The same; differences are those of B against A.")],
+    json: JsonOption = False,
+) -> None:
+    """Compare two designs or results: machine, limits, references, gains, losses, macros."""
+    from dqforge.reports.comparison import compare_sides
+    from dqforge.reports.comparison_sources import read_side
+    from dqforge.reports.comparison_tables import comparison_tables, plain_comparison
+    from dqforge.reports.console import status
+
+    with status("solving"):
+        comparison = compare_sides(read_side(first, _load), read_side(second, _load))
+    if json:
+        names = f"{comparison.a.name} | {comparison.b.name}"
+        _print_json("compare", names, {"comparison": plain_comparison(comparison)})
+    else:
+        _show(comparison_tables(comparison))
+
+
+@app.command()
 def mtpa(
     design: DesignArgument,
     json: JsonOption = False,
@@ -294,7 +318,7 @@ def tune(design: DesignArgument, json: JsonOption = False, plot: PlotOption = No
 
 
 @app.command()
-def losses(
+def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
     design: DesignArgument,
     json: JsonOption = False,
     plot: PlotOption = None,
@@ -312,11 +336,27 @@ def losses(
         str | None, typer.Option("--frequencies", metavar="F,F", help="Carriers, e.g. '8 kHz, 16 kHz'.")
     ] = None,
     margin: MarginOption = "0 %",
+    choice: Annotated[
+        bool,
+        typer.Option("--choice", help="Best modulator and frequency over the map, and the rule: modulation_choice."),
+    ] = False,
 ) -> None:
     """Compare the losses of strategies, modulators and frequencies at points, over a map or over a mission."""
     from dqforge.machines.errors import InputError
 
     loaded = _load_for(design, plot)
+    if choice:
+        from dqforge.reports.choice_answer import answer_choice
+
+        if (chart, mission, strategies, modulations, frequencies) != (None,) * 5 or margin != "0 %":
+            raise InputError("--choice takes what the section 'modulation_choice' says; leave the other options out")
+        found = answer_choice(loaded, design)
+        _plot(found.figure, plot)
+        if json:
+            _print_json("losses", loaded.name, found.plain)
+        else:
+            _show(found.tables)
+        return
     if chart is not None or mission is not None:
         from dqforge.reports.drive_losses import LossRequest, answer
 
@@ -385,6 +425,36 @@ def dqy(
         _print_json("dqy", loaded.name, {"waveforms": plain_waveforms(comparison)})
     else:
         _show(waveform_tables(loaded, comparison))
+
+
+@app.command()
+def simulate(
+    design: DesignArgument,
+    out: OutOption = Path("out"),
+    json: JsonOption = False,
+    plot: PlotOption = None,
+    switched: Annotated[bool, typer.Option("--switched", help="Simulate every switching instant.")] = False,
+) -> None:
+    """Simulate the drive in the time domain, with the emitted controller compiled and in the loop."""
+    from dqforge.reports.console import progress
+    from dqforge.reports.drive_simulation import require_scenario, simulate_design, simulation_files
+    from dqforge.reports.files import write_all
+    from dqforge.reports.simulation_tables import plain_simulation, simulation_tables
+
+    loaded = _load_for(design, plot)
+    require_scenario(loaded, switched=switched)
+    with progress("simulating") as report:
+        found = simulate_design(loaded, switched=switched, progress=report)
+    if plot is not None:
+        from dqforge.reports.figures_simulation import plot_simulation
+
+        _plot(lambda: plot_simulation(found), plot)
+    paths = write_all(out, simulation_files(found))
+    if json:
+        _print_json("simulate", loaded.name, {"simulation": plain_simulation(found)})
+    else:
+        _show(simulation_tables(found))
+        typer.echo("written: " + " ".join(str(path) for path in paths))
 
 
 @app.command()

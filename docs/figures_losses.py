@@ -17,12 +17,15 @@ from dqforge.machines.modulation import linear_limit, period_waveforms
 from dqforge.machines.semiconductors import bridge_load
 from dqforge.machines.settings import LoadPoint, LossSettings, ModulationName
 from dqforge.machines.synchronous import LinearMachine
+from dqforge.optimizer.choice_solution import solve_choice
 from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.loss_budget import LossComparison, calibrate_switching, compare
 from dqforge.optimizer.mtpa import id0_currents, mtpa_currents
 from dqforge.reports.drive_losses import solve_map
 from dqforge.reports.figures import save
+from dqforge.reports.figures_choice import plot_choice
 from dqforge.reports.figures_drive_losses import plot_loss_map
+from dqforge.reports.paper000_losses import table_4
 
 COLOURS = {"spwm": "#6b7280", "svpwm": "#d97706", "ddt-gdpwm": "#1d4ed8"}
 PARTS = {"copper": "#b45309", "conduction": "#0f766e", "switching": "#1d4ed8"}
@@ -75,6 +78,14 @@ def loss_map(path: Path) -> None:
     save(plot_loss_map(solve_map(catalogue.load("paper000-ipmsm-100kw"), alternatives, 0.0, 50, 50)), path)
 
 
+def modulation_choice(path: Path) -> None:
+    """Draw the choice of modulator and frequency of paper 000's drive with its rule, as an SVG."""
+    found = solve_choice(catalogue.load("paper000-ipmsm-100kw"))
+    if found is None:
+        raise LookupError("the library drive has no section modulation_choice")
+    save(plot_choice(found), path)
+
+
 def _table_4() -> LossComparison:
     """Compare all alternatives at the point of Table 4, calibrated on its first column."""
     machine = LinearMachine(pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0)
@@ -98,6 +109,9 @@ def _draw_bars(axes: Axes, result: LossComparison) -> None:
         axes.text(float(x), total + 15.0, f"{total:.0f}", ha="center", fontsize="small")
     printed = [(k, PRINTED[pair]) for k, pair in enumerate(pairs) if pair in PRINTED]
     axes.plot(*zip(*printed, strict=True), "k_", markersize=26, markeredgewidth=2, label="printed in the paper")
+    implied = table_4(catalogue.load("paper000-ipmsm-100kw"))[2].implied_loss
+    place = pairs.index(("mtpa", "ddt-gdpwm"))
+    axes.plot(place, implied, "k_", markersize=26, markeredgewidth=1, label="by its temperature")
     axes.set_xticks(position, [f"{LABELS[s]}\n{LABELS[m]}" for s, m in pairs], fontsize="x-small")
     axes.set_ylabel("loss in W at 130 N m, 300 rad/s")
     axes.set_ylim(0.0, 1350.0)

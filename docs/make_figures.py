@@ -16,6 +16,7 @@ import figures_gains
 import figures_losses
 import figures_modulation
 import figures_operating_points
+import figures_simulation
 import figures_waveforms
 import figures_weakening
 
@@ -44,6 +45,9 @@ def main() -> None:
     figures_current_feedback.hysteresis_over_speed(folder / "hysteresis-frequency.svg")
     figures_losses.loss_comparison(folder / "loss-comparison.svg")
     figures_losses.loss_map(folder / "loss-map.svg")
+    figures_simulation.bench(folder / "simulation.svg")
+    figures_simulation.dead_time(folder / "dead-time.svg")
+    figures_losses.modulation_choice(folder / "modulation-choice.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")
     figures_weakening.weakening_errors(folder / "weakening-errors.svg")

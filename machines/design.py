@@ -8,7 +8,9 @@ from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
 from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.scenario import Scenario
 from dqforge.machines.settings import (
+    ChoiceSettings,
     ControlSettings,
     ExportSettings,
     FitSettings,
@@ -45,8 +47,10 @@ class Design:
     ``machine`` is the drive in dq coordinates, of a machine with another than sinusoidal back-EMF its fundamental;
     ``phase_machine`` holds that back-EMF, None for all others. ``values`` lists each quantity with its origin,
     ``assumptions`` the sentences on what the file leaves open,
-    ``digest`` is the SHA-256 of the file's bytes in hexadecimal. ``weakening`` asks for two-dimensional references.
-    ``winding`` says how warm the losses make the winding, None where its temperature is given.
+    ``digest`` is the SHA-256 of the file's bytes in hexadecimal. ``weakening`` asks for two-dimensional references,
+    ``modulation_choice`` for a choice of modulator and switching frequency.
+    ``winding`` says how warm the losses make the winding, None where its temperature is given. ``simulation`` asks for
+    a simulation in the time domain.
     """
 
     name: str
@@ -66,6 +70,8 @@ class Design:
     digest: str
     weakening: WeakeningSettings | None = None
     winding: WindingHeat | None = None
+    simulation: Scenario | None = None
+    modulation_choice: ChoiceSettings | None = None
 
     @property
     def strategy(self) -> Strategy:

@@ -14,6 +14,8 @@ _COLDEST = -80.0
 _LARGEST_CURRENT = 2e4
 _RATIO = 50.0
 _HIGHEST_DROP = 50.0
+# Share of its largest value by which a digitised curve may fall.
+_JITTER = 0.05
 _SLOWEST = 2e-6
 _SLOWEST_HIGH = 1e-5
 _HIGH = 1000.0
@@ -99,6 +101,14 @@ def checked_drop(currents: tuple[float, ...], drops: tuple[float, ...], rating: 
     _checked_currents(currents, rating, place)
     if max(drops) > _HIGHEST_DROP:
         raise place.fault(f"a drop of {max(drops):g} V looks like mV; write volts, {max(drops) / 1e3:g}")
+    highest = 0.0
+    for k, drop in enumerate(drops):
+        if drop < highest - _JITTER * max(drops):
+            raise place.fault(
+                f"the drop {k} falls to {drop:g} V from {highest:g} V while the current rises to {currents[k]:g} A; "
+                "write the points of one curve in ascending order"
+            )
+        highest = max(highest, drop)
     return curve
 
 

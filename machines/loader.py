@@ -8,14 +8,16 @@ from pathlib import Path
 
 from dqforge.machines import checks, datasheet
 from dqforge.machines.checks import si_of
+from dqforge.machines.choice_reader import read_choice
 from dqforge.machines.design import Design
 from dqforge.machines.device_reader import read_inverter_device
 from dqforge.machines.inverter import Inverter
-from dqforge.machines.loss_reader import read_machine_loss, read_winding_heat
+from dqforge.machines.loss_reader import read_losses, read_machine_loss, read_winding_heat
 from dqforge.machines.machine_reader import read_machine
 from dqforge.machines.provenance import input_values, kind_assumptions
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
+from dqforge.machines.scenario_reader import read_scenario
 from dqforge.machines.schema import (
     ControlSection,
     CurrentLoopSection,
@@ -32,8 +34,6 @@ from dqforge.machines.settings import (
     ExportSettings,
     FitBudget,
     FitSettings,
-    LoadPoint,
-    LossSettings,
     ObserverSettings,
     OperationSettings,
     PerUnitBases,
@@ -111,6 +111,8 @@ class _Build:
         control = self.control(sections.control, machine, inverter, i_max)
         self.general_remarks(machine, inverter, control)
         weakening = read_weakening(sections, machine, self.reading)
+        choice = read_choice(sections, machine, i_max, self.reading)
+        losses = read_losses(sections, machine, self.reading)
         return Design(
             name=sections.name,
             about=sections.about,
@@ -121,7 +123,7 @@ class _Build:
             control=control,
             operation=_operation(sections.operation),
             fit=self.fit(sections.fit, machine, control.bases),
-            losses=_losses(sections),
+            losses=losses,
             waveform=_waveform(sections.waveform),
             export=_export(sections),
             values=(*input_values(sections, self.reading.converted), *self.reading.derived),
@@ -129,6 +131,8 @@ class _Build:
             digest=self.reading.digest(),
             weakening=weakening,
             winding=read_winding_heat(sections.machine, inverter.coolant_temperature),
+            simulation=read_scenario(sections, machine, inverter, control, self.reading),
+            modulation_choice=choice,
         )
 
     def inverter(self, section: InverterSection, machine_limit: float) -> Inverter:
@@ -303,14 +307,3 @@ def _waveform(section: WaveformSection) -> WaveformSettings:
 def _export(sections: DesignFile) -> ExportSettings:
     export = sections.export
     return ExportSettings(export.prefix, export.vectors, tuple(dict.fromkeys(export.control)))
-
-
-def _losses(sections: DesignFile) -> LossSettings | None:
-    section = sections.losses
-    if section is None:
-        return None
-    return LossSettings(
-        points=tuple(LoadPoint(torque=point.torque.si, omega_m=point.speed.si) for point in section.points),
-        strategies=section.strategies,
-        modulations=section.modulations,
-    )

@@ -1,4 +1,4 @@
-"""What a design file says of losses and heat in the machine beside its dc resistance."""
+"""What a design file says of losses: of the machine beside its dc resistance, and where they are compared."""
 
 from __future__ import annotations
 
@@ -6,10 +6,15 @@ from dqforge.machines import datasheet
 from dqforge.machines.checks import si_of
 from dqforge.machines.machine_budget import COPPER_COEFFICIENT, WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
+from dqforge.machines.mission import Mission, read_mission
 from dqforge.machines.reading import Reading
+from dqforge.machines.schema import DesignFile
 from dqforge.machines.schema_machine import MachineSection
+from dqforge.machines.settings import LoadPoint, LossSettings
+from dqforge.machines.synchronous import Machine
 
 _REFERENCE = 20.0
+_MOST_MISSION_BYTES = 50_000_000
 
 
 def read_machine_loss(section: MachineSection, reading: Reading) -> MachineLoss:
@@ -63,3 +68,39 @@ def read_winding_heat(section: MachineSection, coolant: float) -> WindingHeat | 
         reference_temperature=at,
         coefficient=coefficient / (1.0 + coefficient * (at - reference)),
     )
+
+
+def read_losses(sections: DesignFile, machine: Machine, reading: Reading) -> LossSettings | None:
+    """Loss comparison, None where the file asks for none.
+
+    Raises
+    ------
+    InputError
+        There is neither a point nor a mission, or the file of the mission cannot be used.
+    """
+    section = sections.losses
+    if section is None:
+        return None
+    if not section.points and section.mission is None:
+        message = "losses needs points or a mission; write points: [{torque: 1 N m, speed: 1500 rpm}]"
+        raise reading.document.error(message, ("losses",), key=True)
+    return LossSettings(
+        points=tuple(LoadPoint(torque=point.torque.si, omega_m=point.speed.si) for point in section.points),
+        strategies=section.strategies,
+        modulations=section.modulations,
+        mission=None if section.mission is None else _mission(section.mission, sections, machine, reading),
+    )
+
+
+def _mission(name: str, sections: DesignFile, machine: Machine, reading: Reading) -> Mission:
+    path = ("losses", "mission")
+    if sections.inverter.device is None:
+        message = "losses.mission needs the switch; write the section inverter.device"
+        raise reading.document.error(message, path, key=True)
+    content = reading.read_beside(name, path)
+    if len(content) > _MOST_MISSION_BYTES:
+        message = f"losses.mission: '{name}' has more than {_MOST_MISSION_BYTES // 1_000_000} MB; resample it"
+        raise reading.document.error(message, path)
+    found = read_mission(content, name, omega_max=machine.omega_m_max)
+    reading.remarks.extend(f"losses.mission: {sentence}" for sentence in found.findings)
+    return found

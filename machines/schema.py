@@ -20,6 +20,7 @@ from dqforge.machines.schema_entries import (
     CurrentGain,
     CurrentIntegralGain,
     DeadTime,
+    FileName,
     FilterTime,
     GainFormats,
     Listing,
@@ -31,6 +32,8 @@ from dqforge.machines.schema_entries import (
     PointTorque,
     Prefix,
     Rate,
+    Ratio,
+    ResistanceRatio,
     Section,
     Share,
     SlewRate,
@@ -44,8 +47,10 @@ from dqforge.machines.schema_entries import (
     Voltage,
 )
 from dqforge.machines.schema_machine import MachineSection
+from dqforge.machines.schema_simulation import SimulationSection
 from dqforge.machines.settings import (
     BreakpointMode,
+    ChoiceSettings,
     Core,
     CurrentLoopMethod,
     CurrentLoopSettings,
@@ -75,6 +80,7 @@ _SPEED = SpeedLoopSettings()
 _WAVEFORM = WaveformSettings()
 _WEAKENING = WeakeningSettings(omega_m=1.0)
 _LOSSES = LossSettings(points=())
+_CHOICE = ChoiceSettings(f_min=1.0, f_max=1.0, omega_m=1.0)
 _EXPORT = ExportSettings(prefix="motor")
 
 
@@ -234,7 +240,11 @@ class LossSection(Section):
     """Which alternatives are compared, and where."""
 
     points: Annotated[Listing[PointSection], Field(min_length=1, max_length=1000)] = Field(
-        description="operating points, a list of {torque: ..., speed: ...}"
+        default=(), description="operating points, a list of {torque: ..., speed: ...}"
+    )
+    mission: FileName | None = Field(
+        default=None,
+        description="text file beside the design with time, speed and torque, over which energy is counted",
     )
     strategies: Annotated[Listing[Strategy], Field(min_length=1, max_length=10)] = Field(
         default=_LOSSES.strategies, description="strategies to compare"
@@ -276,6 +286,57 @@ class WeakeningSection(Section):
     )
 
 
+class BandSection(Section):
+    """A band of frequencies."""
+
+    min: Rate = Field(description="its lower end (Hz)")
+    max: Rate = Field(description="its upper end (Hz)")
+
+
+class ChoiceSection(Section):
+    """Modulator and switching frequency that lose least over torque and speed, and a rule for the firmware."""
+
+    min_frequency: Rate = Field(description="least switching frequency (Hz), for noise and control")
+    max_frequency: Rate = Field(description="largest switching frequency (Hz)")
+    avoid: Annotated[Listing[BandSection], Field(max_length=10)] = Field(
+        default=(), description="bands of switching frequencies that are not used, a list of {min: ..., max: ...}"
+    )
+    modulations: Annotated[Listing[ModulationName], Field(min_length=1, max_length=12)] = Field(
+        default=_CHOICE.modulations, description="modulators to choose from; default all"
+    )
+    strategy: Strategy | None = Field(default=None, description="whose currents flow; default operation.strategy")
+    speed: Speed | None = Field(
+        default=None, description="largest mechanical speed (rad/s; write rpm); default machine.max_speed"
+    )
+    ripple_current: Current | None = Field(
+        default=None, description="largest ripple of a phase current (A, r.m.s.); default: any"
+    )
+    ripple_share: Share | None = Field(
+        default=None, description="the same as a share of the r.m.s. current limit (write 2 %), instead"
+    )
+    max_junction_temperature: Temperature | None = Field(
+        default=None, description="largest junction temperature (degC, also without a unit); default the device's"
+    )
+    carrier_ratio: Ratio | None = Field(
+        default=None, description="least number of carrier periods in an electrical period; default 20"
+    )
+    ripple_resistance: ResistanceRatio | None = Field(
+        default=None,
+        description="winding resistance at the switching frequency over that of the fundamental; default 1",
+    )
+    torques: int = Field(default=_CHOICE.torques, ge=2, le=60, description="torques of the grid")
+    speeds: int = Field(default=_CHOICE.speeds, ge=2, le=60, description="speeds of the grid")
+    frequencies: int = Field(
+        default=_CHOICE.frequencies,
+        ge=2,
+        le=16,
+        description="switching frequencies that the search for a rule begins with",
+    )
+    questions: int = Field(
+        default=_CHOICE.questions, ge=0, le=2, description="questions that the rule in the header may ask"
+    )
+
+
 class ExportSection(Section):
     """The header."""
 
@@ -303,6 +364,12 @@ class DesignFile(Section):
     )
     field_weakening: WeakeningSection | None = Field(
         default=None, description="two-dimensional current references, if they are wanted"
+    )
+    modulation_choice: ChoiceSection | None = Field(
+        default=None, description="choice of modulator and switching frequency, if it is wanted"
+    )
+    simulation: SimulationSection | None = Field(
+        default=None, description="simulation in the time domain, if one is wanted"
     )
     export: ExportSection = ExportSection()
 

@@ -88,6 +88,7 @@ CurrentIntegralGain = Annotated[Quantity, QuantityRule("current-integral-gain", 
 SpeedGain = Annotated[Quantity, QuantityRule("speed-gain", 1e-12, 1e9)]
 SpeedIntegralGain = Annotated[Quantity, QuantityRule("speed-integral-gain", 0.0, 1e12)]
 Ratio = Annotated[Quantity, QuantityRule("number", 1.0, 100.0)]
+ResistanceRatio = Annotated[Quantity, QuantityRule("number", 0.0, 1e4)]
 HarmonicShare = Annotated[Quantity, QuantityRule("number", 0.0, 10.0)]
 SmallShare = Annotated[Quantity, QuantityRule("number", 1e-6, 0.2)]
 MutualInductance = Annotated[Quantity, QuantityRule("inductance", -10.0, 10.0)]

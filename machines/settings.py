@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
+
+from dqforge.machines.mission import Mission
 
 Strategy = Literal["mtpa", "id0"]
 MachineModel = Literal["linear", "flux-map", "saturation", "waveform"]
@@ -203,11 +205,40 @@ class LoadPoint:
 
 @dataclass(frozen=True, slots=True)
 class LossSettings:
-    """Which alternatives are compared, and where."""
+    """Which alternatives are compared, and where: at points, and over a mission where there is one."""
 
     points: tuple[LoadPoint, ...]
     strategies: tuple[Strategy, ...] = ("id0", "mtpa")
     modulations: tuple[ModulationName, ...] = ("spwm", "svpwm", "ddt-gdpwm")
+    mission: Mission | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ChoiceSettings:
+    """Which modulator and switching frequency are chosen from, where, and within which limits.
+
+    ``f_min`` and ``f_max`` in Hz bound the switching frequency, ``bands`` (low, high) in Hz are left out of that
+    range. ``omega_m`` in rad/s (mechanical) is the largest speed. ``ripple_max`` in A (r.m.s. of the phase-current
+    ripple) and ``junction_max`` in degC are limits, None where there is none beside the device's; at least
+    ``carrier_ratio`` carrier periods make an electrical one. ``ripple_resistance`` is the winding's resistance at the
+    switching frequency over that of the fundamental. The grid has ``torques`` by ``speeds`` points; a rule asks at most
+    ``questions`` and starts from ``frequencies`` per modulator.
+    """
+
+    f_min: float
+    f_max: float
+    omega_m: float
+    strategy: Strategy = "mtpa"
+    modulations: tuple[ModulationName, ...] = get_args(ModulationName)
+    bands: tuple[tuple[float, float], ...] = ()
+    ripple_max: float | None = None
+    junction_max: float | None = None
+    carrier_ratio: float = 20.0
+    ripple_resistance: float = 1.0
+    torques: int = 20
+    speeds: int = 24
+    frequencies: int = 8
+    questions: int = 2
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,16 +17,28 @@ from numpy.typing import ArrayLike
 from dqforge.machines.bridge_heat import at_temperature, junction_balance
 from dqforge.machines.bridge_losses import BridgeAverages, bridge_averages
 from dqforge.machines.bridge_tables import BridgeTables, bridge_tables
+from dqforge.machines.dead_time import dead_time_factor
 from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import MachineBudget, WindingHeat, machine_budget
 from dqforge.machines.machine_loss import NO_EXTRA_LOSS, MachineLoss
-from dqforge.machines.modulation import BoolArray, in_linear_range
+from dqforge.machines.modulation import BoolArray, linear_limit
 from dqforge.machines.ripple import inverse_inductance
+from dqforge.machines.ripple_iron import ripple_iron_loss
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray, Machine
 
-PARTS = ("copper", "ripple_copper", "iron", "magnet", "conduction", "dead_time", "switching", "capacitor")
+PARTS = (
+    "copper",
+    "ripple_copper",
+    "iron",
+    "ripple_iron",
+    "magnet",
+    "conduction",
+    "dead_time",
+    "switching",
+    "capacitor",
+)
 """Kinds of loss that make up the total, machine first."""
 
 _VOLTAGE_ROUNDING = 1e-6
@@ -46,17 +58,23 @@ class BudgetOptions:
     capacitor_esr:
         Series resistance of the DC-link capacitor in Ohm at the carrier frequency.
     ripple_resistance:
-        Resistance of the winding at the carrier frequency over that of the fundamental; None leaves the ripple of the
-        current out.
+        Resistance of the winding at the carrier frequency over that of the fundamental; None leaves out what the ripple
+        makes, in copper and in iron.
+    sheet_corner:
+        Frequency in Hz at which the skin depth equals the thickness of the sheets (`sheet_factor`); None leaves
+        the skin effect out of the iron loss that the switching makes.
     """
 
     machine_loss: MachineLoss = field(default=NO_EXTRA_LOSS)
     winding: WindingHeat | None = None
     capacitor_esr: float = 0.0
     ripple_resistance: float | None = 1.0
+    sheet_corner: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse negative resistances."""
+        """Refuse negative resistances and frequencies."""
+        if self.sheet_corner is not None and not 0.0 < self.sheet_corner < np.inf:
+            raise InputError(f"sheet_corner: expected a frequency such as 1000 Hz, got {self.sheet_corner:g} Hz")
         if not 0.0 <= self.capacitor_esr < np.inf:
             raise InputError(f"capacitor_esr: expected zero or a positive resistance, got {self.capacitor_esr:g} Ohm")
         if self.ripple_resistance is not None and not 0.0 <= self.ripple_resistance < np.inf:
@@ -71,8 +89,9 @@ class DriveBudget:
     ----------
     torque, shaft_power:
         Of the currents, in N m and W.
-    copper, ripple_copper, iron, magnet:
-        Losses of the machine in W; the second is what the ripple of the current adds.
+    copper, ripple_copper, iron, ripple_iron, magnet:
+        Losses of the machine in W; the second is what the ripple of the current adds, the fourth what switched voltages
+        add.
     conduction, dead_time, switching:
         Losses of the bridge in W; dead time is what the diodes of a MOSFET bridge add in the gaps.
     capacitor:
@@ -92,7 +111,8 @@ class DriveBudget:
     thermal_residual:
         Largest residual of the balances of heat, in K.
     linear:
-        False beyond the linear range of the modulator, which cannot make the voltage there.
+        False beyond the linear range of the modulator less the dead time's share (`dead_time_factor`): the voltage
+        cannot be made there.
     steady:
         False where a junction or the winding runs away; what depends on it is NaN there.
     cool_enough:
@@ -108,6 +128,7 @@ class DriveBudget:
     copper: FloatArray
     ripple_copper: FloatArray
     iron: FloatArray
+    ripple_iron: FloatArray
     magnet: FloatArray
     conduction: FloatArray
     dead_time: FloatArray
@@ -215,6 +236,13 @@ def waveform_averages(
     return bridge_averages(tables, modulation, voltage, current, inverter.v_dc, stiff)
 
 
+def switched_iron(options: BudgetOptions, voltage: FloatArray, v_dc: float, frequency: FloatArray) -> FloatArray:
+    """Iron loss in W that the switching makes, for phase amplitudes in V and carrier frequencies in Hz, broadcast."""
+    if options.ripple_resistance is None:
+        return np.zeros(np.broadcast_shapes(np.shape(voltage), np.shape(frequency)))
+    return ripple_iron_loss(options.machine_loss.eddy, voltage, v_dc, frequency, options.sheet_corner)
+
+
 def _quiet(found: MachineBudget) -> MachineBudget:
     """The same with zeros where the winding runs away, for waveforms that are not looked at."""
     columns: dict[str, Any] = {
@@ -255,12 +283,14 @@ def _budget(
     size = np.hypot(found.i_d, found.i_q)
     error = inverter.dead_time * frequency * inverter.v_dc * average.switched / (1.5 * np.where(size > 0.0, size, 1.0))
     voltage = np.hypot(found.v_d, found.v_q)
+    left = dead_time_factor(modulation, inverter.dead_time, frequency)
     hottest = np.max(balance.temperature, axis=(0, 1))
     steady = balance.steady & found.steady
     losses = {
         "copper": found.copper,
         "ripple_copper": ripple,
         "iron": found.iron,
+        "ripple_iron": switched_iron(options, voltage, inverter.v_dc, frequency),
         "magnet": found.magnet,
         "conduction": conduction,
         "dead_time": dead,
@@ -288,7 +318,7 @@ def _budget(
         (balance.temperature >= low - 1e-9) & (balance.temperature <= high + 1e-9), axis=(0, 1)
     )
     marks = {
-        "linear": in_linear_range(modulation, voltage * (1.0 - _VOLTAGE_ROUNDING), inverter.v_dc),
+        "linear": voltage * (1.0 - _VOLTAGE_ROUNDING) <= linear_limit(modulation, inverter.v_dc) * left,
         "steady": steady,
         "cool_enough": hottest <= tables.max_junction_temperature,
         "within_tables": inside,

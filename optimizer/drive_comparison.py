@@ -1,8 +1,8 @@
 """Strategies, modulators and carrier frequencies compared at any number of points of torque and speed.
 
 The currents are those that the reference of a strategy produces within the limits: field weakening for the linear range
-of each modulator, with what AC resistance, iron and a warm winding add to the voltage. Each point names the alternative
-that loses least there.
+of each modulator, less what dead time takes of it at each frequency, with what AC resistance, iron and a warm winding
+add to the voltage. Each point names the alternative that loses least there.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dqforge.machines.dead_time import dead_time_factor
 from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import machine_budget
@@ -213,37 +214,61 @@ def _strategy(
 ) -> tuple[DriveBudget, BoolArray]:
     """Budgets (M, F, P) of one strategy, and where its currents make the torque."""
     names, frequencies = alternatives.modulations, alternatives.frequencies
-    limits = {name: linear_limit(name, inverter.v_dc) * (1.0 - margin) for name in names}
-    if strategy != "least-loss":
-        found = {
-            v_max: strategy_currents(machine, strategy, torque, omega_m, v_max=v_max, i_max=i_max, options=options)
-            for v_max in set(limits.values())
-        }
-        i_d, i_q, made = (np.stack([found[limits[name]][k] for name in names]) for k in range(3))
+    if strategy != "least-loss" and inverter.dead_time == 0.0:
+        i_d, i_q, made = _currents(machine, inverter, torque, omega_m, strategy, names, i_max, options, margin)
         budget = drive_budget(machine, inverter, i_d, i_q, omega_m, names, frequencies, options=options)
-        return budget, np.repeat(made[:, None], len(frequencies), axis=1).astype(np.bool_)
+        return budget, np.repeat(made[:, None], len(frequencies), axis=1)
     budgets, reached = [], []
     for frequency in frequencies:
         carried = _at_frequency(inverter, frequency)
-        rows = []
-        for name in names:
+        i_d, i_q, made = _currents(machine, carried, torque, omega_m, strategy, names, i_max, options, margin)
+        budgets.append(drive_budget(machine, carried, i_d, i_q, omega_m, names, options=options))
+        reached.append(made)
+    return _joined(budgets), np.stack(reached, axis=1)
+
+
+def usable_limit(inverter: Inverter, name: ModulationName, margin: float = 0.0) -> float:
+    """Largest phase amplitude in V: linear range of the modulator less dead time and a margin (0 to 1) for control."""
+    left = float(dead_time_factor(name, inverter.dead_time, inverter.f_sw))
+    return linear_limit(name, inverter.v_dc) * left * (1.0 - margin)
+
+
+def _currents(
+    machine: Machine,
+    inverter: Inverter,
+    torque: FloatArray,
+    omega_m: FloatArray,
+    strategy: DriveStrategy,
+    names: Sequence[ModulationName],
+    i_max: float,
+    options: BudgetOptions,
+    margin: float,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Currents (M, P) of one strategy at the inverter's frequency, and where they make the torque."""
+    rows: dict[tuple[float, ModulationName | None], tuple[FloatArray, FloatArray, BoolArray]] = {}
+    keys = []
+    for name in names:
+        v_max = usable_limit(inverter, name, margin)
+        # What least loss minimises depends on the modulator, the others on its limit alone.
+        key = (v_max, name if strategy == "least-loss" else None)
+        keys.append(key)
+        if key in rows:
+            continue
+        loss = None
+        if strategy == "least-loss":
             loss = loss_coefficients(
                 machine,
                 omega_m,
-                carried,
+                inverter,
                 extra=options.machine_loss,
                 modulation=name,
                 junction_temperature=_WARM,
             )
-            rows.append(
-                strategy_currents(
-                    machine, strategy, torque, omega_m, v_max=limits[name], i_max=i_max, options=options, loss=loss
-                )
-            )
-        i_d, i_q, made = (np.stack([row[k] for row in rows]) for k in range(3))
-        budgets.append(drive_budget(machine, carried, i_d, i_q, omega_m, names, options=options))
-        reached.append(made.astype(np.bool_))
-    return _joined(budgets), np.stack(reached, axis=1)
+        rows[key] = strategy_currents(
+            machine, strategy, torque, omega_m, v_max=v_max, i_max=i_max, options=options, loss=loss
+        )
+    i_d, i_q = (np.stack([rows[key][k] for key in keys]) for k in (0, 1))
+    return i_d.astype(np.float64), i_q.astype(np.float64), np.stack([rows[key][2] for key in keys])
 
 
 def _at_frequency(inverter: Inverter, frequency: float) -> Inverter:

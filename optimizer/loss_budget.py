@@ -63,6 +63,8 @@ class LossBudget:
         False where the junction is hotter than the device permits.
     thermal_residual:
         Residual of the balance of heat, in K.
+    ripple_copper, iron, ripple_iron, magnet, dead_time, capacitor:
+        Losses in W that the complete budget counts besides (`complete_comparison`); zero in `loss_budget`.
     """
 
     torque: FloatArray
@@ -78,6 +80,12 @@ class LossBudget:
     thermally_stable: BoolArray
     cool_enough: BoolArray
     thermal_residual: FloatArray
+    ripple_copper: FloatArray
+    iron: FloatArray
+    ripple_iron: FloatArray
+    magnet: FloatArray
+    dead_time: FloatArray
+    capacitor: FloatArray
 
     @property
     def feasible(self) -> BoolArray:
@@ -116,6 +124,9 @@ class LossComparison:
         """Strategy and modulator with the least total loss at each point, or None where none is feasible."""
         indices = zip(self.best_strategy.tolist(), self.best_modulation.tolist(), strict=True)
         return tuple((self.strategies[s], self.modulations[m]) if s >= 0 else None for s, m in indices)
+
+
+_NOT_COUNTED = ("ripple_copper", "iron", "ripple_iron", "magnet", "dead_time", "capacitor")
 
 
 def loss_budget(
@@ -178,6 +189,7 @@ def loss_budget(
         thermally_stable=bridge.thermally_stable,
         cool_enough=bridge.junction_temperature <= hottest,
         thermal_residual=bridge.thermal_residual,
+        **{part: np.zeros(copper.shape) for part in _NOT_COUNTED},
     )
 
 
@@ -220,10 +232,15 @@ def compare(
     -------
     LossComparison
     """
-    i_d, i_q = _stack_currents(losses, currents)
+    i_d, i_q = stack_currents(losses, currents)
     omega_m = np.array([point.omega_m for point in losses.points])
     budgets = [loss_budget(machine, inverter, i_d, i_q, omega_m, m, on_runaway="mark") for m in losses.modulations]
     budget = _stack_budgets(budgets)
+    return ranked(losses, budget)
+
+
+def ranked(losses: LossSettings, budget: LossBudget) -> LossComparison:
+    """The comparison of budgets of the shape (S, M, P): savings, and the best of each point."""
     total = np.where(budget.feasible, budget.total, np.inf)
     strategy, modulation = _first_minimum(total)
     return LossComparison(
@@ -237,7 +254,7 @@ def compare(
     )
 
 
-def _stack_currents(
+def stack_currents(
     losses: LossSettings, currents: Mapping[Strategy, tuple[ArrayLike, ArrayLike]]
 ) -> tuple[FloatArray, FloatArray]:
     """Stack the currents of the strategies, shape (S, P) each."""

@@ -14,11 +14,10 @@ from dqforge.machines.inverter import Inverter
 from dqforge.machines.junction_transient import JunctionNetworks, junction_history, junction_networks
 from dqforge.machines.machine_budget import MachineBudget, WindingHeat, machine_budget
 from dqforge.machines.mission import Mission
-from dqforge.machines.modulation import in_linear_range, linear_limit
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray, Machine
-from dqforge.optimizer.drive_budget import PARTS, BudgetOptions, waveform_averages
-from dqforge.optimizer.drive_comparison import Alternatives, DriveStrategy, least, strategy_currents
+from dqforge.optimizer.drive_budget import PARTS, BudgetOptions, switched_iron, waveform_averages
+from dqforge.optimizer.drive_comparison import Alternatives, DriveStrategy, least, strategy_currents, usable_limit
 from dqforge.optimizer.loss_model import loss_coefficients
 
 _WARM = 100.0
@@ -161,7 +160,7 @@ def _runs(
     drive: _Drive, strategy: DriveStrategy, name: ModulationName, frequencies: tuple[float, ...]
 ) -> list[MissionRun]:
     """All frequencies of one strategy with one modulator; they share currents and averages where they can."""
-    if strategy == "least-loss":
+    if strategy == "least-loss" or drive.inverter.dead_time > 0.0:
         return [run for f in frequencies for run in _shared(drive, strategy, name, (f,))]
     return _shared(drive, strategy, name, frequencies)
 
@@ -171,7 +170,7 @@ def _shared(
 ) -> list[MissionRun]:
     found, reached, options = _machine_side(drive, strategy, name, frequencies[0])
     voltage = np.hypot(found.v_d, found.v_q) * (1.0 - _VOLTAGE_ROUNDING)
-    made = reached & in_linear_range(name, voltage, drive.inverter.v_dc)
+    made = reached & (voltage <= usable_limit(replace(drive.inverter, f_sw=frequencies[0]), name))
     average = waveform_averages(drive.machine, drive.inverter, drive.tables, found, name, options)
     missed = drive.mission.lines[~made]
     length, tables, v_dc = drive.mission.length, drive.tables, drive.inverter.v_dc
@@ -198,10 +197,11 @@ def _shared(
             "copper": found.copper,
             "ripple_copper": ripple,
             "iron": found.iron,
+            "ripple_iron": switched_iron(options, np.hypot(found.v_d, found.v_q), v_dc, np.array(frequency)),
             "magnet": found.magnet,
             "capacitor": options.capacitor_esr * square,
         }
-        put_in = link + ripple + powers["capacitor"] + sum(bridge.values(), np.zeros(1))
+        put_in = link + ripple + powers["ripple_iron"] + powers["capacitor"] + sum(bridge.values(), np.zeros(1))
         both = np.stack([history.start, history.end], axis=-1)
         swing = np.max(both, axis=(2, 3)) - np.min(both, axis=(2, 3))
         hottest = np.max(both, axis=(0, 1))
@@ -237,7 +237,7 @@ def _machine_side(
 ) -> tuple[MachineBudget, NDArray[np.bool_], BudgetOptions]:
     """Machine at all intervals, what torque is made, and the options with the winding as warm as its mean loss."""
     options, mission, machine = drive.options, drive.mission, drive.machine
-    v_max = linear_limit(name, drive.inverter.v_dc) * (1.0 - drive.margin)
+    v_max = usable_limit(replace(drive.inverter, f_sw=frequency), name, drive.margin)
     heat, temperature = options.winding, np.nan
     for _ in range(_ROUNDS):
         if heat is not None:

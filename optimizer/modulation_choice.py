@@ -13,11 +13,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqforge.machines.bridge_tables import bridge_tables
-from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.modulation import BoolArray
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray, Machine
+from dqforge.optimizer.choice_limits import (
+    LIMITS,
+    ROUNDING,
+    ChoiceLimits,
+    ChoicePoints,
+    all_kept,
+    electrical_frequency,
+    frequency_marks,
+    limit_marks,
+)
 from dqforge.optimizer.choice_rule import SimplifiedChoice, simplify
 from dqforge.optimizer.drive_budget import BudgetOptions, DriveBudget, drive_budget
 
@@ -26,39 +35,14 @@ _FINE = 193
 _LISTED = 4
 """Frequencies per modulator that a rule may take, evenly in the logarithm, the ends of the range included."""
 
+_EQUAL = 1e-6
+"""Relative difference from which the losses of two modulators differ: less is rounding of the splines."""
 
-@dataclass(frozen=True, slots=True)
-class ChoiceLimits:
-    """What a choice must keep.
+_BINDS = 1e-4
+"""Relative saving from which a limit binds: less is the step of the frequency grid."""
 
-    ``f_min`` and ``f_max`` in Hz bound the switching frequency: the least one keeps the noise out of hearing or the
-    control fast enough. ``ripple_max`` in A is the largest r.m.s. of the phase-current ripple, None for any.
-    ``junction_max`` in degC, None for what the device permits.
-    """
-
-    f_min: float
-    f_max: float
-    ripple_max: float | None = None
-    junction_max: float | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse an empty range."""
-        if not 0.0 < self.f_min <= self.f_max < np.inf:
-            raise InputError(f"switching frequencies from {self.f_min:g} to {self.f_max:g} Hz are no range")
-
-
-@dataclass(frozen=True, slots=True)
-class ChoicePoints:
-    """Operating points, arrays of shape (P,): torque in N m, mechanical speed in rad/s, currents in A (peak).
-
-    ``weights`` are shares of time, None for all alike.
-    """
-
-    torque: FloatArray
-    omega_m: FloatArray
-    i_d: FloatArray
-    i_q: FloatArray
-    weights: FloatArray | None = None
+_AT_ONCE = 512
+"""Points whose curves are held in memory at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +51,9 @@ class BestChoice:
 
     ``modulation`` is an index into ``modulations``, -1 where nothing keeps the limits; ``f_sw`` in Hz, ``loss`` in W,
     ``ripple_current`` in A (r.m.s.) and ``junction_temperature`` in degC belong to it, NaN where there is none.
-    ``least`` holds the least loss of each modulator within the limits, shape (M, P), inf where it has none.
+    ``least`` holds the least loss of each modulator within the limits, shape (M, P), inf where it has none; of
+    modulators that lose the same the first is taken. ``binding`` says for each of `LIMITS` where it costs: without it
+    less could be lost, or something could be had at all.
     """
 
     modulations: tuple[ModulationName, ...]
@@ -77,6 +63,7 @@ class BestChoice:
     ripple_current: FloatArray
     junction_temperature: FloatArray
     least: FloatArray
+    binding: dict[str, BoolArray]
 
     @property
     def found(self) -> BoolArray:
@@ -90,15 +77,6 @@ class ListedChoice:
 
     alternatives: tuple[tuple[ModulationName, float], ...]
     simplified: SimplifiedChoice
-
-
-def _permitted(budget: DriveBudget, limits: ChoiceLimits) -> BoolArray:
-    kept = budget.feasible
-    if limits.ripple_max is not None:
-        kept = kept & (budget.ripple_current <= limits.ripple_max * (1.0 + 1e-12))
-    if limits.junction_max is not None:
-        kept = kept & (budget.junction_temperature <= limits.junction_max)
-    return np.asarray(kept)
 
 
 def _splined(values: FloatArray, nodes: FloatArray, fine: FloatArray) -> FloatArray:
@@ -124,29 +102,56 @@ def _budget(
 
 @dataclass(frozen=True, slots=True)
 class _Curves:
-    """Loss in W, junction in degC and ripple in A over frequency, and what is permitted, all of shape (M, F, P)."""
+    """Loss in W, junction in degC and ripple in A at frequencies in Hz, all (M, F, P), and which limits are kept."""
 
     frequency: FloatArray
     loss: FloatArray
     hot: FloatArray
     ripple: FloatArray
-    kept: BoolArray
+    marks: dict[str, BoolArray]
 
 
-def _curves(budget: DriveBudget, nodes: FloatArray, limits: ChoiceLimits, hottest: float) -> _Curves:
+def _curves(
+    budget: DriveBudget, nodes: FloatArray, limits: ChoiceLimits, hottest: float, electrical: FloatArray
+) -> _Curves:
     """The budget on its nodes, carried over to a fine grid."""
     if nodes.size == 1:
-        loss, hot, ripple = budget.total, budget.junction_temperature, budget.ripple_current
-        return _Curves(nodes, loss, hot, ripple, _permitted(budget, limits))
-    fine = np.geomspace(nodes[0], nodes[-1], _FINE)
+        marks = limit_marks(budget, nodes, electrical, limits)
+        frequency = np.broadcast_to(nodes[:, np.newaxis], budget.total.shape)
+        return _Curves(frequency, budget.total, budget.junction_temperature, budget.ripple_current, marks)
+    fine = np.union1d(np.geomspace(nodes[0], nodes[-1], _FINE), limits.edges())
     loss, hot = (_splined(values, nodes, fine) for values in (budget.total, budget.junction_temperature))
-    ripple = budget.ripple_current[:, :1] * (nodes[0] / fine)[np.newaxis, :, np.newaxis]  # exactly as 1/f
+    first = budget.ripple_current[:, 0] * nodes[0]  # ripple goes exactly as 1/f
+    most = np.inf if limits.ripple_max is None else limits.ripple_max
+    # The grid would round the least frequency that ripple and carrier ratio permit; it stands behind it as it is.
+    least = np.clip(np.fmax(first / most, limits.carrier_ratio * electrical), nodes[0], nodes[-1])
+    shape = (loss.shape[0], fine.size, loss.shape[2])
+    frequency = np.concatenate([np.broadcast_to(fine[:, np.newaxis], shape), least[:, np.newaxis]], axis=1)
+    loss, hot = (np.concatenate([values, _between(values, fine, least)], axis=1) for values in (loss, hot))
+    ripple = first[:, np.newaxis] / frequency
     # Between two nodes heat is steady where it is at the higher one.
-    node = np.minimum(np.searchsorted(nodes, fine * (1.0 - 1e-12)), nodes.size - 1)
-    kept = (budget.linear & budget.known)[:, :1] & budget.steady[:, node] & (hot <= hottest)
-    if limits.ripple_max is not None:
-        kept = kept & (ripple <= limits.ripple_max * (1.0 + 1e-12))
-    return _Curves(fine, loss, hot, ripple, np.asarray(kept))
+    node = np.minimum(np.searchsorted(nodes, frequency * (1.0 - ROUNDING)), nodes.size - 1)
+    marks = {
+        "voltage": np.asarray((budget.linear & budget.known)[:, :1]),
+        "ripple": np.asarray(ripple <= most * (1.0 + ROUNDING)),
+        "junction": np.asarray(np.take_along_axis(budget.steady, node, axis=1) & (hot <= hottest)),
+        **frequency_marks(frequency, electrical, limits),
+    }
+    return _Curves(frequency, loss, hot, ripple, marks)
+
+
+def _between(values: FloatArray, fine: FloatArray, wanted: FloatArray) -> FloatArray:
+    """Values (M, F, P) over fine frequencies at one of its own for each (M, P), straight in the logarithms."""
+    after = np.clip(np.searchsorted(fine, wanted), 1, fine.size - 1)
+    weight = np.log(wanted / fine[after - 1]) / np.log(fine[after] / fine[after - 1])
+    low, high = (np.take_along_axis(values, place[:, np.newaxis], axis=1) for place in (after - 1, after))
+    return np.asarray(low * (high / low) ** weight[:, np.newaxis])
+
+
+def _columns(points: ChoicePoints, here: slice) -> ChoicePoints:
+    """Some of the points."""
+    currents = (np.atleast_2d(values)[:, here] for values in (points.i_d, points.i_q))
+    return ChoicePoints(points.torque[here], points.omega_m[here], *currents)
 
 
 def best_choice(
@@ -173,26 +178,77 @@ def best_choice(
     nodes = np.geomspace(limits.f_min, limits.f_max, _NODES if limits.f_max > limits.f_min else 1)
     hottest = bridge_tables(inverter).max_junction_temperature
     hottest = hottest if limits.junction_max is None else min(hottest, limits.junction_max)
-    curves = _curves(_budget(machine, inverter, points, names, nodes, options), nodes, limits, hottest)
-    counted = np.where(curves.kept & np.isfinite(curves.loss), curves.loss, np.inf)
+    parts = []
+    for start in range(0, points.torque.size, _AT_ONCE):
+        some = _columns(points, slice(start, start + _AT_ONCE))
+        budget = _budget(machine, inverter, some, names, nodes, options)
+        parts.append(_best(names, _curves(budget, nodes, limits, hottest, electrical_frequency(machine, some))))
+    whole = {
+        name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
+        for name in ("modulation", "f_sw", "loss", "ripple_current", "junction_temperature", "least")
+    }
+    binding = {name: np.concatenate([part.binding[name] for part in parts]) for name in LIMITS}
+    return BestChoice(modulations=names, binding=binding, **whole)
+
+
+def _best(names: tuple[ModulationName, ...], curves: _Curves) -> BestChoice:
+    finite = np.isfinite(curves.loss)
+    counted = np.where(all_kept(curves.marks) & finite, curves.loss, np.inf)
     least = np.min(counted, axis=1)
-    which = np.argmin(least, axis=0)
+    smallest = np.min(least, axis=0)
+    which = np.argmax(least <= smallest * (1.0 + _EQUAL), axis=0)
     column = np.arange(which.size)
     place = np.argmin(counted, axis=1)[which, column]
-    found = np.isfinite(least[which, column])
+    found = np.isfinite(smallest)
 
     def taken(values: FloatArray) -> FloatArray:
         return np.where(found, values[which, place, column], np.nan)
 
+    f_sw, ends = taken(curves.frequency), (np.min(curves.frequency), np.max(curves.frequency))
+    ranged = bool(ends[0] < ends[1])
+    binding = {
+        "least frequency": found & (f_sw == ends[0]) & ranged,
+        "largest frequency": found & (f_sw == ends[1]) & ranged,
+    }
+    for name in ("voltage", "ripple", "junction", "carrier ratio", "avoided band"):
+        without = np.min(np.where(all_kept(curves.marks, name) & finite, curves.loss, np.inf), axis=(0, 1))
+        binding[name] = np.asarray(without < smallest * (1.0 - _BINDS))
     return BestChoice(
         modulations=names,
         modulation=np.where(found, which, -1),
-        f_sw=np.where(found, curves.frequency[place], np.nan),
+        f_sw=f_sw,
         loss=taken(curves.loss),
         ripple_current=taken(curves.ripple),
         junction_temperature=taken(curves.hot),
         least=least,
+        binding=binding,
     )
+
+
+def permitted_losses(
+    machine: Machine,
+    inverter: Inverter,
+    points: ChoicePoints,
+    modulations: Sequence[ModulationName],
+    frequencies: FloatArray,
+    limits: ChoiceLimits,
+    *,
+    options: BudgetOptions | None = None,
+) -> tuple[FloatArray, BoolArray]:
+    """Total losses in W of every modulator at every frequency in Hz, and where all limits are kept, (M, F, P) each.
+
+    The loss is 0 where it is not known. Parameters as in `best_choice`; ``frequencies`` has the shape (F,).
+    """
+    budget = _budget(machine, inverter, points, tuple(modulations), frequencies, options)
+    kept = all_kept(limit_marks(budget, frequencies, electrical_frequency(machine, points), limits))
+    return np.where(np.isfinite(budget.total), budget.total, 0.0), kept
+
+
+def listed_frequencies(limits: ChoiceLimits, count: int = _LISTED) -> FloatArray:
+    """Frequencies in Hz that a rule may take: even in the logarithm, to 100 Hz, with the ends of range and bands."""
+    listed = np.round(np.geomspace(limits.f_min, limits.f_max, count), -2)
+    found = np.unique(np.concatenate([np.clip(listed, limits.f_min, limits.f_max), limits.edges()]))
+    return found[limits.outside_bands(found)]
 
 
 def listed_choice(
@@ -211,12 +267,15 @@ def listed_choice(
     NoSolutionError
         At some point nothing on the list keeps the limits.
     """
-    listed = np.round(np.geomspace(limits.f_min, limits.f_max, _LISTED), -2)
-    frequencies = np.unique(np.clip(listed, limits.f_min, limits.f_max))
+    frequencies = listed_frequencies(limits)
     names = tuple(modulations)
-    budget = _budget(machine, inverter, points, names, frequencies, options)
+    loss, kept = permitted_losses(machine, inverter, points, names, frequencies, limits, options=options)
     alternatives = tuple((name, float(frequency)) for name in names for frequency in frequencies)
-    loss = budget.total.reshape(len(alternatives), -1).T
-    kept = _permitted(budget, limits).reshape(len(alternatives), -1).T
-    quantities = {"torque_Nm": np.abs(points.torque), "speed_rad_per_s": np.abs(points.omega_m)}
-    return ListedChoice(alternatives, simplify(np.where(kept, loss, 0.0), kept, quantities, points.weights))
+    kept = kept.reshape(len(alternatives), -1).T
+    loss = np.where(kept, loss.reshape(len(alternatives), -1).T, 0.0)
+    return ListedChoice(alternatives, simplify(loss, kept, rule_quantities(points), points.weights))
+
+
+def rule_quantities(points: ChoicePoints) -> dict[str, FloatArray]:
+    """What a rule may ask about at the points, shape (P,) each."""
+    return {"torque_Nm": np.abs(points.torque), "speed_rad_per_s": np.abs(points.omega_m)}

@@ -11,12 +11,17 @@ from dqforge.machines.settings import Strategy
 from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.optimizer.certificate import Certificate, certify
 from dqforge.optimizer.characteristics import voltage_limit
+from dqforge.optimizer.choice_solution import ModulationChoice, solve_choice
+from dqforge.optimizer.complete_losses import complete_comparison
 from dqforge.optimizer.current_choice import CurrentChoice, OperatingPoints, SpeedPoint
+from dqforge.optimizer.drive_budget import BudgetOptions
+from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.fit_alternatives import Alternative, alternatives
 from dqforge.optimizer.fit_choice import FitChoice, Trial, choose_fit
 from dqforge.optimizer.fixed_design import FixedControlFit, fit_controls
 from dqforge.optimizer.gains import LoopGains, tune_current_loop, tune_speed_loop
-from dqforge.optimizer.loss_budget import LossComparison, compare
+from dqforge.optimizer.loss_budget import LossComparison
+from dqforge.optimizer.mission_budget import MissionComparison, compare_mission
 from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
@@ -58,7 +63,8 @@ class Solution:
     ``losses`` is None where it asks for no comparison; ``waveforms`` and ``phases`` are None for machines with a
     sinusoidal back-EMF. ``certificate`` bounds the errors of the fit, None where that could not be proven;
     ``trials`` are the forms that were tried for a budget. ``weakening`` is None where no
-    two-dimensional reference is asked for. ``fixed`` are control functions in fixed point.
+    two-dimensional reference, ``choice`` where no choice of modulator and switching frequency, ``mission`` where
+    no mission is asked for. ``fixed`` are control functions in fixed point.
     """
 
     design: Design
@@ -72,6 +78,8 @@ class Solution:
     trials: tuple[Trial, ...] = ()
     certificate: Certificate | None = None
     weakening: WeakeningFit | None = None
+    choice: ModulationChoice | None = None
+    mission: MissionComparison | None = None
     fixed: tuple[FixedControlFit, ...] = ()
 
 
@@ -140,7 +148,7 @@ def solve_losses(design: Design) -> LossComparison | None:
         A strategy cannot make a torque of the comparison within the current limit, or a junction runs away.
     """
     losses = design.losses
-    if losses is None:
+    if losses is None or not losses.points:
         return None
     torque = np.array([point.torque for point in losses.points])
     currents: dict[Strategy, tuple[np.ndarray, np.ndarray]] = {}
@@ -149,7 +157,30 @@ def solve_losses(design: Design) -> LossComparison | None:
         choice.require(float(np.max(np.abs(torque))), "losses.points")
         points = choice.points(torque)
         currents[strategy] = (points.i_d, points.i_q)
-    return compare(design.machine, design.inverter, losses, currents)
+    options = BudgetOptions(design.machine_loss, design.winding, design.inverter.capacitor_esr)
+    return complete_comparison(design.machine, design.inverter, losses, currents, options)
+
+
+def solve_mission(design: Design) -> MissionComparison | None:
+    """Energies over the mission of the design, None where it names none.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        As `compare_mission`.
+    """
+    losses = design.losses
+    if losses is None or losses.mission is None:
+        return None
+    return compare_mission(
+        design.machine,
+        design.inverter,
+        losses.mission,
+        Alternatives(losses.strategies, losses.modulations, (design.inverter.f_sw,)),
+        i_max=design.i_max,
+        options=BudgetOptions(design.machine_loss, design.winding, design.inverter.capacitor_esr),
+        margin=design.operation.voltage_margin,
+    )
 
 
 def solve_phases(design: Design) -> PhaseFit:
@@ -200,5 +231,7 @@ def solve(design: Design) -> Solution:
         waveforms=None if design.phase_machine is None else compare_waveforms(design),
         phases=None if design.phase_machine is None else solve_phases(design),
         weakening=solve_weakening(design),
+        choice=solve_choice(design),
+        mission=solve_mission(design),
         fixed=solve_fixed(design, gains),
     )

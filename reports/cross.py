@@ -30,7 +30,8 @@ _DIFFERS = {
     101: "current reference",
     102: "phase currents",
     103: "current reference with field weakening",
-    104: "control functions in fixed point",
+    104: "choice of modulator",
+    105: "control functions in fixed point",
 }
 """Exit codes of the program on the target; the emulator's own failures end with 1."""
 
@@ -101,7 +102,8 @@ def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> Ta
         "waveform": f"{prefix}_waveform_vectors.h" in files,
         "weakening": f"{prefix}_weakening_vectors.h" in files,
         "fixed": [name for name in FIXED_WIDTHS if f"{prefix}_control_{name}_vectors.h" in files],
-        "differs": dict(zip(("reference", "phases", "weakening", "fixed"), _DIFFERS, strict=True)),
+        "modulation": f"{prefix}_modulation_vectors.h" in files,
+        "differs": dict(zip(("reference", "phases", "weakening", "modulation", "fixed"), _DIFFERS, strict=True)),
     }
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         main = render("target_main.c.j2", context).encode("ascii")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -11,14 +11,21 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.inverter import Inverter
 from dqforge.machines.mission import Mission, read_mission
-from dqforge.machines.modulation import LINEAR_LIMITS
+from dqforge.machines.modulation import linear_limit
 from dqforge.machines.quantities import parse_quantity
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray
-from dqforge.optimizer.characteristics import characteristics, voltage_limit
+from dqforge.optimizer.characteristics import VoltageLimit, characteristics, voltage_limit
 from dqforge.optimizer.drive_budget import BudgetOptions
-from dqforge.optimizer.drive_comparison import Alternatives, DriveComparison, DriveStrategy, compare_drives
+from dqforge.optimizer.drive_comparison import (
+    Alternatives,
+    DriveComparison,
+    DriveStrategy,
+    compare_drives,
+    usable_limit,
+)
 from dqforge.optimizer.mission_budget import MissionComparison, compare_mission
 from dqforge.reports.drive_losses_tables import map_tables, mission_tables, plain_map, plain_mission
 from dqforge.reports.operating_points import fastest_speed, map_size
@@ -149,10 +156,17 @@ def _map(design: Design, alternatives: Alternatives, margin: float, torques: int
     return LossReply(map_tables(design, found), {"loss_map": plain_map(found)}, figure)
 
 
+def _widest(inverter: Inverter, alternatives: Alternatives, margin: float) -> VoltageLimit:
+    """Largest limit that one of the alternatives has, dead time and margin taken off."""
+    slowest = replace(inverter, f_sw=min(alternatives.frequencies))
+    widest = max(alternatives.modulations, key=lambda name: usable_limit(slowest, name))
+    taken = 1.0 - usable_limit(slowest, widest, margin) / linear_limit(widest, inverter.v_dc)
+    return voltage_limit(inverter, widest, taken)
+
+
 def solve_map(design: Design, alternatives: Alternatives, margin: float, torques: int, speeds: int) -> LossMap:
     """Compare over the motoring quadrant, up to the most torque and the largest speed of the best modulator."""
-    widest = max(alternatives.modulations, key=lambda name: LINEAR_LIMITS[name])
-    limit = voltage_limit(design.inverter, widest, margin)
+    limit = _widest(design.inverter, alternatives, margin)
     figures = characteristics(design.machine, limit.v_max, design.i_max)
     fastest = fastest_speed(design, figures, limit)
     torque = np.linspace(0.0, figures.torque_max, torques + 1)[1:]

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dqforge.machines.dead_time import dead_time_factor
 from dqforge.machines.design import Design
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.drive_budget import PARTS
 from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.mission_budget import MissionComparison, MissionRun
+from dqforge.reports.labels import part_label
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.tables import Table
 
@@ -24,12 +26,6 @@ _GRID = (10, 12)
 """Torques and speeds of the map in the terminal at most."""
 
 _MOST_ROWS = 40
-_SHORT = {"ripple_copper": "ripple", "dead_time": "dead time"}
-
-
-def short(part: str) -> str:
-    """A kind of loss as it stands in a heading."""
-    return _SHORT.get(part, part)
 
 
 def alternative_text(alternatives: Alternatives, index: int, *, plain: bool = True) -> str:
@@ -106,14 +102,28 @@ def map_tables(design: Design, found: LossMap) -> list[Table]:
                 f"{100.0 * wins[k] / count:.0f}",
             )
         )
-    headings = [f"{short(PARTS[part])} W" for part in kinds]
+    headings = [f"{part_label(PARTS[part])} W" for part in kinds]
     columns = ("", "strategy", "modulator", "carrier", *headings, "total W")
     columns = (*columns, "junction max degC", "ripple max A", "drives %", "least at %")
     title = f"{design.name}: losses over {found.torque.size} torques by {found.omega_m.size} speeds"
     notes = [f"mean losses over the {100.0 * np.mean(shared):.0f} % of the points that all alternatives drive"]
+    notes += _dead_time_notes(design, alternatives)
     if np.any(~budget.within_tables & comparison.usable):
         notes.append("at some points the device tables are carried on beyond their ends")
     return [Table(title, columns, tuple(rows), tuple(notes)), _winner_table(found)]
+
+
+def _dead_time_notes(design: Design, alternatives: Alternatives) -> list[str]:
+    """What dead time takes of the voltage, from the least to the most of the alternatives."""
+    taken = [
+        100.0 * (1.0 - float(dead_time_factor(name, design.inverter.dead_time, frequency)))
+        for name in alternatives.modulations
+        for frequency in alternatives.frequencies
+    ]
+    if max(taken) == 0.0:
+        return []
+    share = f"{max(taken):.2g} %" if min(taken) == max(taken) else f"{min(taken):.2g} to {max(taken):.2g} %"
+    return [f"dead time is made up for, which takes {share} of the linear range"]
 
 
 def _winner_table(found: LossMap) -> Table:
@@ -170,7 +180,8 @@ def _energy(joule: float) -> str:
     return f"{joule / 3600.0:.4g}"
 
 
-def _mark(run: MissionRun, *, best: bool) -> str:
+def mission_mark(run: MissionRun, *, best: bool) -> str:
+    """Why an alternative cannot be used, or that it is the best, or nothing."""
     if not run.steady:
         return "junction temperature runs away"
     if run.missed.size:
@@ -205,8 +216,8 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
         cells = [_energy(run.energy[PARTS[part]]) if run.steady else "-" for part in kinds]
         total = [_energy(run.total), _watt(run.junction_max), _watt(run.swing)] if run.steady else ["-"] * 3
         head = (run.strategy, run.modulation, format_quantity(run.frequency, "Hz", 4))
-        rows.append((*head, *cells, *total, _mark(run, best=k == found.best)))
-    columns = ("strategy", "modulator", "carrier", *(f"{short(PARTS[part])} Wh" for part in kinds), "total Wh")
+        rows.append((*head, *cells, *total, mission_mark(run, best=k == found.best)))
+    columns = ("strategy", "modulator", "carrier", *(f"{part_label(PARTS[part])} Wh" for part in kinds), "total Wh")
     columns = (*columns, "junction max degC", "swing K", "")
     first = found.runs[max(found.best, 0)]
     length = float(mission.time[-1] - mission.time[0])
@@ -214,6 +225,7 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
         f"{mission.length.size} intervals, {length:.6g} s; the mission follows itself",
         f"at the shaft {_energy(first.driving)} Wh go out and {_energy(-first.braking)} Wh come back",
     ]
+    notes += _dead_time_notes(design, found.alternatives)
     if len(found.runs) > _MOST_ROWS:
         notes.append(f"{len(found.runs) - _MOST_ROWS} more alternatives are in the JSON")
     if math.isfinite(first.winding_temperature):

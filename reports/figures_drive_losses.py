@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -13,8 +14,9 @@ from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.drive_budget import PARTS
 from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.mission_budget import MissionComparison
-from dqforge.reports.drive_losses_tables import alternative_text, common_points, short
-from dqforge.reports.figures_style import FAINT, INK, MUTED, label_in_unit, new_figure, style
+from dqforge.reports.drive_losses_tables import alternative_text, common_points
+from dqforge.reports.figures_style import FAINT, INK, MUTED, PART_COLOURS, label_in_unit, new_figure, style
+from dqforge.reports.labels import part_label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,19 +28,11 @@ _RPM = 30.0 / math.pi
 BARS_SHOWN = 14
 """Alternatives in a figure; a table has room for more."""
 
-_PART_COLOURS = {
-    "copper": "#c9782b",
-    "ripple_copper": "#e8b98a",
-    "iron": "#7d5a3c",
-    "magnet": "#b3a394",
-    "conduction": "#a9c6e6",
-    "dead_time": "#5b9bd5",
-    "switching": "#1d4e89",
-    "capacitor": "#8a8f98",
-}
-_WINNERS = ("#9ec5e8", "#f0b36b", "#8fc9b9", "#d9a0c7", "#e6dc8c", "#b8aee0", "#c4a484", "#9fb0bd")
-_OTHERS = "#dfe3e8"
+WINNERS = ("#9ec5e8", "#f0b36b", "#8fc9b9", "#d9a0c7", "#e6dc8c", "#b8aee0", "#c4a484", "#9fb0bd")
+OTHERS = "#dfe3e8"
 _ROW = 0.22
+_VISIBLE = 1e-4
+"""Share of the total from which a kind of loss is drawn."""
 
 
 def _draw_bars(
@@ -46,13 +40,13 @@ def _draw_bars(
 ) -> None:
     """Stacked bars, the first on top; energies or powers (parts, A) in the unit named."""
     ends = np.sum(energies, axis=0)
-    shown = [k for k in range(len(PARTS)) if np.any(energies[k] > 0.0)]
+    shown = [k for k in range(len(PARTS)) if np.any(energies[k] > _VISIBLE * ends)]
     for row in range(energies.shape[1]):
         left = 0.0
         for part in shown:
             width = float(energies[part, row])
-            colour = _PART_COLOURS[PARTS[part]]
-            label = f"{short(PARTS[part])}" if row == 0 else None
+            colour = PART_COLOURS[PARTS[part]]
+            label = part_label(PARTS[part]) if row == 0 else None
             axes.barh(-row, width, left=left, height=0.74, color=colour, edgecolor="white", linewidth=0.5, label=label)
             left += width
         text = f"{ends[row]:.4g} {unit}" + (f", {notes[row]}" if notes and notes[row] else "")
@@ -87,7 +81,7 @@ def _ranked(totals: FloatArray) -> list[int]:
     return order[:BARS_SHOWN]
 
 
-def _edges(values: FloatArray) -> FloatArray:
+def cell_edges(values: FloatArray) -> FloatArray:
     """Borders of cells around ascending values."""
     middle = 0.5 * (values[1:] + values[:-1])
     return np.concatenate([[1.5 * values[0] - 0.5 * values[1]], middle, [1.5 * values[-1] - 0.5 * values[-2]]])
@@ -107,11 +101,16 @@ def _blocks(code: NDArray[np.int64]) -> list[tuple[int, int, int, int, int]]:
     return found
 
 
-def _draw_cells(axes: Axes, code: NDArray[np.int64], speed: FloatArray, torque: FloatArray) -> None:
-    """Cells in the colours of their codes, as few rectangles; borders in rpm and N m."""
+def draw_cells(
+    axes: Axes,
+    code: NDArray[np.int64],
+    speed: FloatArray,
+    torque: FloatArray,
+    colours: Sequence[str] = (*WINNERS, OTHERS),
+) -> None:
+    """Cells in the colours of their codes, none where negative, as few rectangles; borders in rpm and N m."""
     from matplotlib.patches import Rectangle
 
-    colours = (*_WINNERS, _OTHERS)
     for kind, low, high, left, right in _blocks(code):
         size = (float(speed[right] - speed[left]), float(torque[high] - torque[low]))
         corner = (float(speed[left]), float(torque[low]))
@@ -126,20 +125,20 @@ def _draw_winners(axes: Axes, found: LossMap, alternatives: Alternatives) -> Non
     best = found.comparison.best.reshape(found.torque.size, found.omega_m.size)
     names, counts = np.unique(best[best >= 0], return_counts=True)
     ranked = [int(k) for k in names[np.argsort(-counts, kind="stable")]]
-    named, others = ranked[: len(_WINNERS)], ranked[len(_WINNERS) :]
+    named, others = ranked[: len(WINNERS)], ranked[len(WINNERS) :]
     code = np.full(best.shape, -1)
     for place, k in enumerate(ranked):
-        code[best == k] = min(place, len(_WINNERS))
-    speed, torque = _edges(found.omega_m) * _RPM, _edges(found.torque)
-    _draw_cells(axes, code, speed, torque)
+        code[best == k] = min(place, len(WINNERS))
+    speed, torque = cell_edges(found.omega_m) * _RPM, cell_edges(found.torque)
+    draw_cells(axes, code, speed, torque)
     for k in named:
         mask = best == k
         if np.mean(mask) > 0.03:
-            i, j = _inside(mask)
+            i, j = inside(mask)
             text = alternative_text(alternatives, k, plain=False).replace(", ", "\n")
             axes.text(found.omega_m[j] * _RPM, found.torque[i], text, ha="center", va="center", fontsize=7.5, color=INK)
-    handles = [Patch(color=_WINNERS[place], label=alternative_text(alternatives, k)) for place, k in enumerate(named)]
-    handles += [Patch(color=_OTHERS, label="others")] if others else []
+    handles = [Patch(color=WINNERS[place], label=alternative_text(alternatives, k)) for place, k in enumerate(named)]
+    handles += [Patch(color=OTHERS, label="others")] if others else []
     axes.legend(
         handles=handles,
         loc="upper left",
@@ -153,7 +152,7 @@ def _draw_winners(axes: Axes, found: LossMap, alternatives: Alternatives) -> Non
     axes.grid(visible=False)
 
 
-def _inside(mask: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> tuple[int, int]:
+def inside(mask: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> tuple[int, int]:
     """The cell of a region farthest from its border, by shrinking it as long as anything is left."""
     rest = mask.copy()
     while True:

@@ -8,8 +8,16 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.optimizer.loss_budget import LossComparison
-from dqforge.reports.figures_style import FAINT, INK, LOSS_COLOURS, MUTED, new_figure, style
-from dqforge.reports.labels import MODULATION_LABELS, STRATEGY_LABELS, obstacle, point_text, watts
+from dqforge.reports.figures_style import FAINT, INK, MUTED, PART_COLOURS, new_figure, style
+from dqforge.reports.labels import (
+    MODULATION_LABELS,
+    STRATEGY_LABELS,
+    obstacle,
+    part_label,
+    point_text,
+    shown_parts,
+    watts,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,6 +27,8 @@ POINTS_SHOWN = 8
 """Operating points in the figure; a table has room for more."""
 _ROW = 0.23
 _EDGE = 0.8
+_LONG_NAMES = 5
+"""Kinds of loss up to which their names have room for the word loss."""
 
 
 def _draw_parts(axes: Axes, comparison: LossComparison, index: tuple[int, int, int], y: float) -> float:
@@ -29,9 +39,9 @@ def _draw_parts(axes: Axes, comparison: LossComparison, index: tuple[int, int, i
         axes.barh(y, total, height=0.72, facecolor="white", edgecolor=FAINT, linewidth=0.8)
         return 0.0
     left = 0.0
-    for part, colour in LOSS_COLOURS.items():
+    for part in shown_parts(budget):
         width = float(getattr(budget, part)[index])
-        axes.barh(y, width, left=left, height=0.72, facecolor=colour, edgecolor="white", linewidth=0.6)
+        axes.barh(y, width, left=left, height=0.72, facecolor=PART_COLOURS[part], edgecolor="white", linewidth=0.6)
         left += width
     return left
 
@@ -77,18 +87,19 @@ def _draw_point(axes: Axes, comparison: LossComparison, point: int, top: float) 
 
 
 def plot_losses(design: Design, comparison: LossComparison) -> Figure:
-    """Copper, conduction and switching loss of every alternative, with its total and its junction temperature.
+    """Every kind of loss of every alternative, with its total and its junction temperature.
 
     ``design`` is not needed for the bars themselves; all figures of a command are made from (design, result).
     """
     from matplotlib.patches import Patch
 
     del design
-    shown = min(len(comparison.points), POINTS_SHOWN)
+    shown, parts = min(len(comparison.points), POINTS_SHOWN), shown_parts(comparison.budget)
+    word = " loss" if len(parts) <= _LONG_NAMES else ""
     rows = shown * (len(comparison.strategies) * len(comparison.modulations) + 1.6)
     height = rows * _ROW + _EDGE
     with style():
-        figure = new_figure("losses", height, "Copper, conduction and switching loss of each alternative")
+        figure = new_figure("losses", height, "Losses by kind of each alternative")
         axes = figure.add_axes((0.165, 0.5 / height, 0.815, 1.0 - _EDGE / height))
         ticks: list[tuple[float, str]] = []
         for point in range(shown):
@@ -103,11 +114,12 @@ def plot_losses(design: Design, comparison: LossComparison) -> Figure:
         axes.grid(visible=False, axis="y")
         axes.spines["left"].set_visible(False)
         axes.legend(
-            handles=[Patch(color=colour, label=f"{part} loss") for part, colour in LOSS_COLOURS.items()],
+            handles=[Patch(color=PART_COLOURS[part], label=f"{part_label(part)}{word}") for part in parts],
             loc="lower left",
             bbox_to_anchor=(0.0, 1.0),
             borderaxespad=0.3,
-            ncols=3,
+            ncols=len(parts),
+            columnspacing=1.1,
             frameon=False,
             fontsize=7.5,
             handlelength=1.2,

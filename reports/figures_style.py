@@ -32,6 +32,17 @@ TEAL = "#00796b"
 AXIS_COLOURS = {"d": BLUE, "q": ORANGE}
 LOOP_COLOURS = {"i_d": BLUE, "i_q": ORANGE, "speed": TEAL}
 LOSS_COLOURS = {"copper": "#c9782b", "conduction": "#a9c6e6", "switching": "#1d4e89"}
+PART_COLOURS = {
+    "copper": LOSS_COLOURS["copper"],
+    "ripple_copper": "#e8b98a",
+    "iron": "#7d5a3c",
+    "ripple_iron": "#a98a70",
+    "magnet": "#b3a394",
+    "conduction": LOSS_COLOURS["conduction"],
+    "dead_time": "#5b9bd5",
+    "switching": LOSS_COLOURS["switching"],
+    "capacitor": "#8a8f98",
+}
 
 WIDTH = 7.0
 """Width of every figure in inches."""

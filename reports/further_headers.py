@@ -20,6 +20,7 @@ from dqforge.reports.control_fixed_header import fixed_control_from
 from dqforge.reports.control_fixed_model import row_inputs, row_results
 from dqforge.reports.control_header import control_from, control_programme
 from dqforge.reports.programme import Programme
+from dqforge.reports.rule_header import EmittedRule, emitted_from, rule_inputs, rule_results
 from dqforge.reports.surface_header import weakening_currents, weakening_from, weakening_inputs
 from dqforge.reports.waveform_header import model_currents, phase_reference_from, waveform_inputs
 
@@ -79,9 +80,16 @@ def _control_fixed_programme(control: FixedControl) -> Programme:
     return Programme("control_fixed_harness.c.j2", inputs.astype(wide), results, context, name="fixed-point control")
 
 
+def _rule_programme(rule: EmittedRule) -> Programme:
+    half = SWEEP_POINTS // 2
+    inputs = rule_inputs(rule, half, SWEEP_SEED, patterns=half)
+    return Programme("choice_harness.c.j2", inputs, rule_results(rule, inputs), name="choice of modulator")
+
+
 FURTHER_HEADERS = (
     FurtherHeader("waveform", lambda own, _: phase_reference_from(own), _waveform_programme),
     FurtherHeader("weakening", lambda own, _: weakening_from(own), _weakening_programme),
+    FurtherHeader("modulation", lambda own, _: emitted_from(own), _rule_programme),
     FurtherHeader("control", control_from, control_programme, vectors=False),
     FurtherHeader("control_q15", lambda own, _: fixed_control_from(own, 16), _control_fixed_programme),
     FurtherHeader("control_q31", lambda own, _: fixed_control_from(own, 32), _control_fixed_programme),

@@ -15,9 +15,12 @@ from dqforge.optimizer.gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.control_fixed_tables import control_fixed_html
+from dqforge.reports.drive_simulation import DriveSimulation
 from dqforge.reports.figures_losses import POINTS_SHOWN
 from dqforge.reports.figures_reference import ROUNDING
 from dqforge.reports.header import header_context
+from dqforge.reports.html_choice import choice_part
+from dqforge.reports.html_mission import mission_part
 from dqforge.reports.html_tables import (
     LOOP_TEXT,
     STRATEGY_TEXT,
@@ -40,6 +43,7 @@ from dqforge.reports.html_text import count, degrees, number, quantity, share, s
 from dqforge.reports.html_waveforms import candidates_table, comparison_text, rules_table
 from dqforge.reports.labels import FORMAT_TEXT, MODULATION_LABELS, operation_text, point_text, watts
 from dqforge.reports.reference_ir import PlainData, to_plain
+from dqforge.reports.simulation_tables import simulation_part
 from dqforge.reports.templating import render
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_tables import weakening_html
@@ -248,6 +252,16 @@ def _figures(solution: Solution) -> dict[str, Markup]:
         from dqforge.reports.figures_weakening import plot_weakening
 
         drawn["weakening"] = lambda: plot_weakening(weakening)
+    mission = solution.mission
+    if mission is not None:
+        from dqforge.reports.figures_drive_losses import plot_mission
+
+        drawn["mission"] = lambda: plot_mission(mission)
+    choice = solution.choice
+    if choice is not None:
+        from dqforge.reports.figures_choice import plot_choice
+
+        drawn["choice"] = lambda: plot_choice(choice)
     return {name: Markup(figures.to_svg(draw())) for name, draw in drawn.items()}
 
 
@@ -301,7 +315,9 @@ def _reference_part(solution: Solution) -> PlainData:
     }
 
 
-def _sections(design: Design, *, losses: bool, waveforms: bool) -> list[tuple[str, str | Markup]]:
+def _sections(
+    design: Design, *, losses: bool, waveforms: bool, simulated: bool = False
+) -> list[tuple[str, str | Markup]]:
     sections: list[tuple[str, str | Markup]] = [
         ("summary", "Summary"),
         ("machine", "Machine and assumptions"),
@@ -313,12 +329,22 @@ def _sections(design: Design, *, losses: bool, waveforms: bool) -> list[tuple[st
         sections.append(("losses", "Loss comparison"))
     if waveforms:
         sections.append(("waveforms", "Phase currents"))
+    if design.modulation_choice is not None:
+        sections.append(("modulation", "Modulator and frequency"))
     if design.weakening is not None:
         sections.append(("weakening", "Field weakening"))
+    if simulated:
+        sections.append(("simulation", "Simulation"))
     return [*sections, ("header", f"{design.export.prefix}.h"), ("conventions", "Conventions")]
 
 
-def report_context(solution: Solution, verification: Verification | None) -> PlainData:
+def _has_losses(solution: Solution) -> bool:
+    return solution.losses is not None or solution.mission is not None
+
+
+def report_context(
+    solution: Solution, verification: Verification | None, simulation: DriveSimulation | None = None
+) -> PlainData:
     """Everything that the template prints."""
     design, errors, proof = solution.design, solution.fit.errors, solution.certificate
     return {
@@ -326,7 +352,12 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
         "about": design.about,
         "version": __version__,
         "digest": design.digest,
-        "sections": _sections(design, losses=solution.losses is not None, waveforms=solution.waveforms is not None),
+        "sections": _sections(
+            design,
+            losses=_has_losses(solution),
+            waveforms=solution.waveforms is not None,
+            simulated=simulation is not None,
+        ),
         "summary": summary(solution, verification),
         "tiles": tiles(solution, verification),
         "facts": fact_rows(design),
@@ -350,9 +381,12 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
             *control_fixed_html(solution.fixed),
         ],
         "losses": [] if solution.losses is None else loss_tables(solution.losses),
+        "mission": mission_part(solution),
         "points_left_out": 0 if solution.losses is None else max(0, len(solution.losses.points) - POINTS_SHOWN),
         "waveforms": _waveform_part(solution),
         "weakening": _weakening_part(solution),
+        "choice": choice_part(solution.choice, design.export.prefix),
+        "simulation": simulation_part(simulation),
         "header": header_context(solution),
         "verification": {
             "done": verification is not None,
@@ -361,7 +395,9 @@ def report_context(solution: Solution, verification: Verification | None) -> Pla
     }
 
 
-def render_report(solution: Solution, verification: Verification | None) -> str:
+def render_report(
+    solution: Solution, verification: Verification | None, simulation: DriveSimulation | None = None
+) -> str:
     """The report of a solution as one HTML document.
 
     Parameters
@@ -370,5 +406,7 @@ def render_report(solution: Solution, verification: Verification | None) -> str:
         What was solved.
     verification:
         Outcome of compiling and running the header, or None if that was skipped; the report says which.
+    simulation:
+        Outcome of the simulation, or None where there is none.
     """
-    return render("report.html.j2", report_context(solution, verification))
+    return render("report.html.j2", report_context(solution, verification, simulation))

@@ -24,7 +24,15 @@ from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.html_text import NARROW, decibel, degrees, number, quantity, raised, share, symbols, unit_text
-from dqforge.reports.labels import MODULATION_LABELS, core_name, obstacle, point_text, watts
+from dqforge.reports.labels import (
+    MODULATION_LABELS,
+    core_name,
+    obstacle,
+    part_label,
+    point_text,
+    shown_parts,
+    watts,
+)
 from dqforge.reports.reference_ir import PlainData
 
 if TYPE_CHECKING:
@@ -352,7 +360,8 @@ def _speed_error_text(error: ObserverError) -> str:
 def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
     """One table per operating point."""
     budget = comparison.budget
-    columns = ("", "copper", "conduction", "switching", "total", "saved", "junction", "phase voltage")
+    kinds = shown_parts(budget)
+    columns = ("", *(part_label(kind) for kind in kinds), "total", "saved", "junction", "phase voltage")
     tables = []
     for p, point in enumerate(comparison.points):
         rows = []
@@ -362,7 +371,7 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
                 best = (comparison.best_strategy[p], comparison.best_modulation[p]) == (s, m)
                 label = f"{STRATEGY_TEXT[strategy]}, {MODULATION_LABELS[modulation]}"
                 reason = obstacle(budget, index)
-                parts = (budget.copper, budget.conduction, budget.switching, budget.total)
+                parts = (*(getattr(budget, kind) for kind in kinds), budget.total)
                 cells = (
                     symbols(f"{label}: {reason}" if reason else label),
                     *(watts(float(part[index])) if math.isfinite(part[index]) else "\u2013" for part in parts),

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from dqforge.machines.design import Design
 from dqforge.machines.modulation import MODULATORS
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.settings import Core, LoadPoint, NumberFormat
 from dqforge.optimizer.characteristics import voltage_limit
+from dqforge.optimizer.drive_budget import PARTS
 from dqforge.optimizer.loss_budget import LossBudget
 
 _SPACE = "\u00a0"  # does not break
@@ -27,6 +30,26 @@ def watts(value: float) -> str:
     if value == 0.0 or value >= 0.1:
         return f"{value:.0f}{_SPACE}W" if value >= 99.95 else f"{value:.3g}{_SPACE}W"
     return format_quantity(value, "W", 3).replace(" ", _SPACE).replace("u", "\u00b5")
+
+
+_SHORT = {"ripple_copper": "ripple", "ripple_iron": "ripple iron", "dead_time": "dead time", "capacitor": "dc link"}
+_ALWAYS = ("copper", "conduction", "switching")
+_VISIBLE = 1e-4
+
+
+def part_label(part: str) -> str:
+    """A kind of loss as it stands in a heading."""
+    return _SHORT.get(part, part)
+
+
+def shown_parts(budget: LossBudget) -> tuple[str, ...]:
+    """Kinds of loss to show: copper, conduction and switching, and of the others what is more than 0.01 % somewhere."""
+    total = np.nan_to_num(budget.total)
+
+    def visible(part: str) -> bool:
+        return bool(np.any(np.nan_to_num(getattr(budget, part)) > _VISIBLE * total))
+
+    return tuple(part for part in PARTS if part in _ALWAYS or visible(part))
 
 
 def obstacle(budget: LossBudget, index: tuple[int, int, int]) -> str:

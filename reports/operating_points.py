@@ -9,6 +9,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from dqforge.machines.dead_time import dead_time_factor
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.quantities import parse_option
@@ -67,11 +68,14 @@ def _limit(design: Design, request: Request) -> VoltageLimit:
     names = get_args(ModulationName)
     if request.modulation not in names:
         raise InputError(f"--modulation: expected one of {', '.join(names)}, got '{request.modulation}'")
+    name: ModulationName = next(name for name in names if name == request.modulation)
     text = request.margin.strip()
+    if text == "dead-time":
+        inverter = design.inverter
+        return voltage_limit(inverter, name, 1.0 - float(dead_time_factor(name, inverter.dead_time, inverter.f_sw)))
     match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*%", text)
     if match is None or float(match[1]) >= 90.0:
-        raise InputError(f"--margin: expected a share below 90 % such as '5 %', got '{text}'")
-    name: ModulationName = next(name for name in names if name == request.modulation)
+        raise InputError(f"--margin: expected a share below 90 % such as '5 %', or dead-time, got '{text}'")
     return voltage_limit(design.inverter, name, float(match[1]) / 100.0)
 
 

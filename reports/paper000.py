@@ -5,18 +5,17 @@ The printed values are facts of the paper; where they contain misprints the note
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines import catalogue
 from dqforge.machines.design import Design
-from dqforge.machines.settings import ModulationName, Strategy
 from dqforge.machines.synchronous import FloatArray, linearised
 from dqforge.optimizer.breakpoints import search
 from dqforge.optimizer.fitting import SideConditions, fit_curve, squared_error_integral
-from dqforge.optimizer.loss_budget import calibrate_switching, loss_budget
-from dqforge.optimizer.mtpa import id0_currents, mtpa_currents, mtpa_per_unit, per_unit_base
+from dqforge.optimizer.mtpa import mtpa_currents, mtpa_per_unit, per_unit_base
+from dqforge.reports.paper000_losses import LossRow, table_4, table_4_text
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.tables import Table
 
@@ -38,15 +37,6 @@ PRINTED_TABLE_2 = {
 }
 """(Axis, degree): the two segments, highest power first, in A/(N m)^k. The paper's row m = 0 is the highest power."""
 
-PRINTED_TABLE_4 = (
-    ("id0", "spwm", 1064.0, 112.32),
-    ("mtpa", "spwm", 934.0, 106.54),
-    ("mtpa", "ddt-gdpwm", 759.0, 98.73),
-)
-"""Strategy, modulator, total loss in W, junction temperature in degC at 130 N m, 300 rad/s, 500 V, 100 kHz."""
-
-_POINT_TORQUE = 130.0
-_POINT_SPEED = 300.0
 _CURVE_END = 250.0
 
 
@@ -71,18 +61,6 @@ class PolynomialRow:
     breakpoint: float
     rms_error: float
     largest_error: float
-
-
-@dataclass(frozen=True, slots=True)
-class LossRow:
-    """One column of Table 4: total loss in W and junction temperature in degC, printed and recomputed."""
-
-    strategy: str
-    modulation: str
-    printed_loss: float
-    loss: float
-    printed_junction: float
-    junction: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,29 +126,6 @@ def table_2(design: Design) -> tuple[PolynomialRow, ...]:
     return tuple(rows)
 
 
-def _currents(design: Design, strategy: Strategy) -> tuple[float, float]:
-    torque = np.array([_POINT_TORQUE])
-    i_d, i_q = (id0_currents if strategy == "id0" else mtpa_currents)(linearised(design.machine), torque)
-    return float(i_d[0]), float(i_q[0])
-
-
-def table_4(design: Design) -> tuple[LossRow, ...]:
-    """Total loss and junction temperature, with the switching energy calibrated on the first column alone."""
-    first_strategy: Strategy = "id0"
-    calibrated = calibrate_switching(
-        PRINTED_TABLE_4[0][2], design.machine, design.inverter, *_currents(design, first_strategy), _POINT_SPEED, "spwm"
-    )
-    inverter = replace(design.inverter, device=calibrated)
-    columns: tuple[tuple[Strategy, ModulationName], ...] = (("id0", "spwm"), ("mtpa", "spwm"), ("mtpa", "ddt-gdpwm"))
-    rows = []
-    for (strategy, modulation), (_, _, printed_loss, printed_junction) in zip(columns, PRINTED_TABLE_4, strict=True):
-        i_d, i_q = _currents(design, strategy)
-        budget = loss_budget(design.machine, inverter, [i_d], [i_q], [_POINT_SPEED], modulation)
-        total, junction = float(budget.total[0]), float(budget.junction_temperature[0])
-        rows.append(LossRow(strategy, modulation, printed_loss, total, printed_junction, junction))
-    return tuple(rows)
-
-
 def reproduce_paper() -> Reproduction:
     """Recompute the three tables from the library drive."""
     design = catalogue.load(DESIGN_NAME)
@@ -182,7 +137,7 @@ def reproduction_tables(reproduction: Reproduction) -> list[Table]:
     return [
         _table_1_text(reproduction.breakpoints),
         _table_2_text(reproduction.polynomials),
-        _table_4_text(reproduction.losses),
+        *table_4_text(reproduction.losses),
     ]
 
 
@@ -219,34 +174,6 @@ def _table_2_text(rows: tuple[PolynomialRow, ...]) -> Table:
             "The paper's section 7.2 states a largest error of 1.09 A for degree 2.",
             "Degree 3 on the q axis suffers from its printed digits: 1.62 +-0.005 A/(N m) is +-1.2 A at 250 N m.",
         ),
-    )
-
-
-def _table_4_text(rows: tuple[LossRow, ...]) -> Table:
-    return Table(
-        "Paper 000, Table 4: 130 N m, 300 rad/s, 500 V, 100 kHz",
-        (
-            "strategy",
-            "modulator",
-            "total printed W",
-            "recomputed W",
-            "off by %",
-            "junction printed degC",
-            "recomputed degC",
-        ),
-        tuple(
-            (
-                row.strategy,
-                row.modulation,
-                f"{row.printed_loss:.0f}",
-                f"{row.loss:.1f}",
-                f"{100.0 * (row.loss / row.printed_loss - 1.0):+.2f}",
-                f"{row.printed_junction:.2f}",
-                f"{row.junction:.2f}",
-            )
-            for row in rows
-        ),
-        ("Switching energy calibrated on the total of the first column; the other columns follow.",),
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.machines.settings import QFormats
+from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.certificate import Certificate
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.fit_alternatives import Alternative
@@ -24,9 +25,12 @@ from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
+from dqforge.reports.choice_tables import plain_choice
 from dqforge.reports.control_fixed_header import plain_fixed_control, plain_fixed_evidence
 from dqforge.reports.control_header import plain_control
+from dqforge.reports.drive_losses_tables import plain_mission
 from dqforge.reports.reference_ir import PlainData, to_plain
+from dqforge.reports.rule_header import choice_model, plain_emitted
 from dqforge.reports.surface_header import plain_weakening
 from dqforge.reports.waveform_header import plain_phase_reference
 from dqforge.reports.waveform_tables import plain_waveforms
@@ -67,6 +71,30 @@ def plain_design(design: Design) -> PlainData:
         "digest": design.digest,
         "values": [asdict(value) for value in design.values],
         "assumptions": list(design.assumptions),
+    }
+
+
+def plain_drive(design: Design) -> PlainData:
+    """Constants of machine and inverter in SI units, whatever keys the design gave them by; limits and settings."""
+    machine, inverter = design.machine, design.inverter
+    return {
+        "constant": isinstance(machine, LinearMachine),
+        "pole_pairs": machine.pole_pairs,
+        "r_s_Ohm": machine.r_s,
+        "l_d_H": machine.l_d,
+        "l_q_H": machine.l_q,
+        "psi_pm_Wb": machine.psi_pm,
+        "inertia_kg_m2": machine.inertia,
+        "friction_Nms_per_rad": machine.friction,
+        "omega_m_max_rad_per_s": machine.omega_m_max,
+        "i_max_A": design.i_max,
+        "v_dc_V": inverter.v_dc,
+        "f_sw_Hz": inverter.f_sw,
+        "dead_time_s": inverter.dead_time,
+        "topology": inverter.topology,
+        "t_s_s": design.control.t_s,
+        "strategy": design.strategy,
+        "reference_omega_m_rad_per_s": design.operation.omega_m,
     }
 
 
@@ -172,6 +200,12 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
             "copper_W": budget.copper[index],
             "conduction_W": budget.conduction[index],
             "switching_W": budget.switching[index],
+            "ripple_copper_W": budget.ripple_copper[index],
+            "iron_W": budget.iron[index],
+            "ripple_iron_W": budget.ripple_iron[index],
+            "magnet_W": budget.magnet[index],
+            "dead_time_W": budget.dead_time[index],
+            "capacitor_W": budget.capacitor[index],
             "total_W": budget.total[index],
             "junction_degC": budget.junction_temperature[index],
             "voltage_V": budget.voltage[index],
@@ -210,6 +244,7 @@ def plain_solution(solution: Solution) -> PlainData:
     design, weakening = solution.design, solution.weakening
     return {
         "input": plain_design(design),
+        "drive": plain_drive(design),
         "header": {
             "prefix": design.export.prefix,
             "vectors": design.export.vectors,
@@ -219,6 +254,7 @@ def plain_solution(solution: Solution) -> PlainData:
         "fit": plain_fit(solution.fit, solution.alternatives, solution.trials, solution.certificate),
         "gains": plain_gains(design, solution.gains),
         "losses": plain_losses(solution.losses),
+        "mission": None if solution.mission is None else plain_mission(solution.mission),
         "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),
         "waveform_header": None if solution.phases is None else plain_phase_reference(solution.phases.reference),
         "weakening": plain_weakening_fit(weakening),
@@ -226,4 +262,6 @@ def plain_solution(solution: Solution) -> PlainData:
         "control_header": plain_control(solution) if "float32" in design.export.control else None,
         "control_fixed": {fit.control.format: plain_fixed_evidence(fit) for fit in solution.fixed},
         **{f"control_{fit.control.format}_header": plain_fixed_control(fit.control) for fit in solution.fixed},
+        "modulation_choice": None if solution.choice is None else plain_choice(solution.choice),
+        "modulation_header": None if solution.choice is None else plain_emitted(choice_model(solution.choice)),
     }

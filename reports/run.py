@@ -8,11 +8,13 @@ from dqforge.machines.design import Design
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control_fixed_header import control_fixed_files
 from dqforge.reports.control_header import control_files
+from dqforge.reports.drive_simulation import simulate_design, simulation_files
 from dqforge.reports.further_headers import programmes
 from dqforge.reports.header import header_files
 from dqforge.reports.html_report import render_report
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.result_json import plain_solution, to_text
+from dqforge.reports.rule_header import choice_files
 from dqforge.reports.surface_header import weakening_files
 from dqforge.reports.verify import Verification, verify_files
 from dqforge.reports.waveform_header import waveform_files
@@ -48,6 +50,8 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
         files |= waveform_files(design, solution.phases)
     if solution.weakening is not None:
         files |= weakening_files(design, solution.weakening)
+    if solution.choice is not None:
+        files |= choice_files(design, solution.choice)
     if "float32" in design.export.control:
         files |= control_files(solution)
     for fit in solution.fixed:
@@ -67,5 +71,9 @@ def run_design(design: Design, *, verify: bool) -> RunOutput:
         As `export_design`.
     """
     output = export_design(design, verify=verify)
-    output.files["report.html"] = render_report(output.solution, output.verification).encode("utf-8")
+    simulation = None
+    if verify and design.simulation is not None:
+        simulation = simulate_design(design, solution=output.solution)
+        output.files.update(simulation_files(simulation))
+    output.files["report.html"] = render_report(output.solution, output.verification, simulation).encode("utf-8")
     return output

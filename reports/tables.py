@@ -26,8 +26,9 @@ from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.certificate_text import proof_title, proven_text
+from dqforge.reports.choice_text import choice_rows
 from dqforge.reports.cross import TargetVerification
-from dqforge.reports.labels import core_name, obstacle, operation_text
+from dqforge.reports.labels import core_name, obstacle, operation_text, part_label, shown_parts
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_text import domain_text, errors_text, proof_text
 
@@ -258,17 +259,9 @@ def _observer_table(design: Design, gains: GainSet) -> Table:
 
 def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
     """One table per operating point: strategy and modulator against losses and junction temperature."""
-    columns = (
-        "strategy",
-        "modulator",
-        "copper W",
-        "conduction W",
-        "switching W",
-        "total W",
-        "junction degC",
-        "saving %",
-        "",
-    )
+    kinds = shown_parts(comparison.budget)
+    headings = [f"{part_label(kind)} W" for kind in kinds]
+    columns = ("strategy", "modulator", *headings, "total W", "junction degC", "saving %", "")
     tables = []
     budget = comparison.budget
     for p, (point, best) in enumerate(zip(comparison.points, comparison.best_labels, strict=True)):
@@ -277,7 +270,7 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
             for m, modulation in enumerate(comparison.modulations):
                 index = (s, m, p)
                 mark = "best" if best == (strategy, modulation) else obstacle(budget, index)
-                cells = [budget.copper, budget.conduction, budget.switching, budget.total, budget.junction_temperature]
+                cells = [*(getattr(budget, kind) for kind in kinds), budget.total, budget.junction_temperature]
                 texts = [_fixed(float(cell[index])) for cell in [*cells, comparison.saving]]
                 rows.append((strategy, modulation, *texts, mark))
         title = f"{design.name}: losses at {point.torque:.4g} N m, {point.omega_m * 30.0 / math.pi:.5g} rpm"
@@ -359,6 +352,7 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
     ]
     if solution.losses is not None:
         rows += _best_rows(solution.losses)
+    rows += [] if solution.choice is None else choice_rows(solution.choice)
     rows.append(("verification", verification_text(verification)))
     return [Table(solution.design.name, ("", ""), tuple(rows))]
 

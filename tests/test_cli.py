@@ -76,11 +76,13 @@ def test_run_writes_everything_and_verify_agrees(run: Run, tmp_path: Path) -> No
     assert outcome.code == 0, outcome.err
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "ipm100.h",
+        "ipm100_modulation.h",
+        "ipm100_modulation_vectors.h",
         "ipm100_vectors.h",
         "report.html",
         "result.json",
     }
-    assert "20256 results equal the model bit for bit, compiled as C99 and C++11" in outcome.out
+    assert "40608 results equal the model bit for bit, compiled as C99 and C++11" in outcome.out
     assert "mtpa with ddt-gdpwm: 781 W" in outcome.out
     verified = run("verify", "out")
     assert verified.code == 0
@@ -383,6 +385,7 @@ def test_speed_beyond_all_currents_has_no_solution(run: Run) -> None:
 def test_resistance_drop_beyond_the_voltage_limit(run: Run, tmp_path: Path) -> None:
     """IPM with 2 Ohm for 2 mOhm: 283 A take 566 V. Without a largest speed there is no speed at which a map ends."""
     text = catalogue.read_text(IPM).decode().replace("value: 2 mOhm", "value: 2 Ohm")
+    text = text[: text.index("modulation_choice:")] + text[text.index("export:") :]
     path = tmp_path / "design.yaml"
     path.write_text(text)
     assert run("mtpa", path, "--map", "5x5").code == 0
@@ -550,3 +553,51 @@ def test_budget_of_a_fit_is_shown_with_what_was_tried(run: Run, tmp_path: Path) 
     assert document["trials"][-1]["quick"] is False
     assert run("run", "budget.yaml", "-o", "out").code == 0
     assert "Forms tried for the budget" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_simulation_with_the_emitted_controller(run: Run, tmp_path: Path) -> None:
+    """The bench drive starts to 1200 rpm and turns back; figures, samples, JSON and picture agree."""
+    import numpy as np
+
+    shown = run("simulate", BENCH, "-o", "out", "--plot", "run.svg")
+    assert shown.code == 0, shown.err
+    assert shown.err == ""
+    assert "rise time" in shown.out
+    archive = np.load(tmp_path / "out" / "bench001_simulation.npz")
+    assert archive["t"].size == 5001
+    assert archive["omega_m"][2499] * 30.0 / np.pi == pytest.approx(1200.0, abs=2.0)
+    assert archive["omega_m"][-1] * 30.0 / np.pi == pytest.approx(-1200.0, abs=2.0)
+    assert (tmp_path / "run.svg").stat().st_size > 10_000
+    document = json.loads(run("simulate", BENCH, "--json").out)
+    assert set(document) == {"dqforge", "format", "command", "design", "simulation"}
+    found = document["simulation"]
+    assert found["bounded"] is True
+    assert [step["after"] for step in found["steps"]] == pytest.approx([40.0 * np.pi, -40.0 * np.pi])
+    energy = found["energy_J"]
+    assert energy["in"] == pytest.approx(energy["copper"] + energy["shaft"], rel=1e-3)
+    assert document["simulation"]["inverter"] == "averaged"
+    assert json.loads(run("simulate", BENCH, "--json", "--switched").out)["simulation"]["inverter"] == "switched"
+    again = run("simulate", BENCH, "-o", "again")
+    assert again.code == 0
+    assert run("simulate", BENCH, "-o", "third", "--json").code == 0
+    names = ("third/bench001_simulation.npz", "again/bench001_simulation.npz")
+    assert len({(tmp_path / name).read_bytes() for name in names}) == 1
+
+
+def test_simulation_is_in_the_report(run: Run, tmp_path: Path) -> None:
+    assert run("run", BENCH, "-o", "out").code == 0
+    assert (tmp_path / "out" / "bench001_simulation.npz").is_file()
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert 'id="simulation"' in report
+    assert "Steps of the speed" in report
+    assert run("run", BENCH, "-o", "other", "--no-verify").code == 0
+    assert not (tmp_path / "other" / "bench001_simulation.npz").exists()
+    assert 'id="simulation"' not in (tmp_path / "other" / "report.html").read_text(encoding="utf-8")
+
+
+def test_simulation_that_cannot_be_had(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "add a section such as simulation" in one_line(run("simulate", IPM), 2)
+    assert "no folder" in one_line(run("simulate", BENCH, "--plot", "nosuch/run.svg"), 2)
+    monkeypatch.setattr("shutil.which", lambda _: None)
+    assert "Debian package gcc" in one_line(run("simulate", BENCH), 1)
+    assert not (tmp_path / "out").exists()

@@ -86,7 +86,7 @@ def test_headers_are_written_verified_rebuilt_and_a_changed_digit_is_found(tmp_p
     assert output.verification.languages == ("c99", "c++11")
     write_all(tmp_path, output.files)
     found = read_folder(tmp_path)
-    assert [part.name for part in found.further] == ["current reference with field weakening"]
+    assert "current reference with field weakening" in [part.name for part in found.further]
     assert {f"{found.prefix}_weakening.h", f"{found.prefix}_weakening_vectors.h"} <= set(found.files)
     verify_folder(tmp_path)
     plain = json.loads(output.files["result.json"])["weakening"]

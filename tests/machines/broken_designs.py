@@ -80,6 +80,11 @@ def _losses(*lines: str) -> str:
     return text + "losses:\n" + "".join(f"  {line}\n" for line in lines)
 
 
+def _choice(*lines: str) -> str:
+    text = changed("control:\n", _DEVICE + "control:\n") + "modulation_choice:\n"
+    return text + "".join(f"  {line}\n" for line in ("min_frequency: 8 kHz", "max_frequency: 20 kHz", *lines))
+
+
 Broken = tuple[str, str | bytes, int, int, str]
 
 _YAML: list[Broken] = [
@@ -386,4 +391,53 @@ _CONTRADICTIONS: list[Broken] = [
     ),
 ]
 
-BROKEN: list[Broken] = [*_YAML, *_STRUCTURE, *_UNITS, *_CONTRADICTIONS]
+_CHOICE: list[Broken] = [
+    (
+        "choice-without-device",
+        BASE + "modulation_choice: {min_frequency: 8 kHz, max_frequency: 20 kHz}\n",
+        34,
+        1,
+        "write the section inverter.device",
+    ),
+    (
+        "choice-without-range",
+        changed("control:\n", _DEVICE + "control:\n") + "modulation_choice:\n  min_frequency: 8 kHz\n",
+        42,
+        1,
+        "write max_frequency: 20 kHz",
+    ),
+    (
+        "choice-range",
+        _choice().replace("max_frequency: 20 kHz", "max_frequency: 2 kHz"),
+        44,
+        18,
+        "2 kHz lies below min_frequency 8 kHz; exchange them",
+    ),
+    ("choice-range-unit", _choice().replace("20 kHz", "20 V"), 44, 18, "expected a frequency"),
+    ("choice-modulators", _choice("modulations: [svpwm, dpwm]"), 45, 24, "did you mean"),
+    ("choice-modulator-twice", _choice("modulations: [svpwm, svpwm]"), 45, 24, "'svpwm' is listed twice"),
+    ("choice-band", _choice("avoid: [{min: 12 kHz, max: 10 kHz}]"), 45, 30, "does not lie above min 12 kHz"),
+    ("choice-band-all", _choice("avoid: [{min: 1 kHz, max: 50 kHz}]"), 45, 17, "leaves nothing from 8 kHz to 20 kHz"),
+    (
+        "choice-ripple-twice",
+        _choice("ripple_current: 1 A", "ripple_share: 5 %"),
+        46,
+        3,
+        "ripple_current and ripple_share say the same",
+    ),
+    ("choice-ripple-none", _choice("ripple_share: 0 %"), 45, 17, "no inverter is without ripple"),
+    ("choice-speed", _choice("speed: 9000 rpm"), 45, 10, "9000 rpm is above machine.max_speed 5420 rpm"),
+    (
+        "choice-no-speed",
+        _choice().replace("  max_speed: 5420 rpm\n", ""),
+        41,
+        1,
+        "nothing tells the largest speed; write speed: 6000 rpm here",
+    ),
+    ("choice-questions", _choice("questions: 5"), 45, 14, "at most 2"),
+    ("choice-grid", _choice("torques: 1"), 45, 12, "at least 2"),
+    ("choice-key", _choice("ripple: 1 A"), 45, 3, "unknown key 'ripple'"),
+    ("choice-hot", _choice("max_junction_temperature: 400 degC"), 45, 29, "max_junction_temperature"),
+]
+
+BROKEN: list[Broken] = [*_YAML, *_STRUCTURE, *_UNITS, *_CONTRADICTIONS, *_CHOICE]

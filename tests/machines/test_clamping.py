@@ -138,6 +138,37 @@ def test_ddt_clamps_the_larger_current_of_the_two_that_can_rest(angle: float, la
     assert abs(current[phase]) >= max(abs(current[candidates[0]]), abs(current[candidates[2]])) - 1e-12
 
 
+@pytest.mark.parametrize("degrees", range(-180, 181, 5))
+def test_ddt_rests_the_phase_around_the_peak_of_its_current(degrees: int) -> None:
+    """Centred on the peak up to 30 degrees of lag, against the limit of what can rest up to 60 degrees.
+
+    Beyond, a phase whose current peaks has the middle reference and cannot rest; then the peaks are as far from the
+    resting phases as they must be.
+    """
+    lag = math.radians(degrees)
+    angle = np.radians(np.arange(-89.95, 90.0, 0.1))  # of the voltage from the positive peak of phase a
+    wave = np.array([0.0, 2.0, -2.0]) * math.pi / 3.0
+    voltage, current = np.cos(angle[:, None] - wave), np.cos(angle[:, None] - lag - wave)
+    phase, _ = resting_phase("ddt-gdpwm", voltage, current)
+    resting = np.degrees(angle[phase == 0])
+    peak = math.degrees(folded(lag))
+    if abs(peak) <= 60.0:
+        # One interval of 60 degrees that holds the peak of the current's magnitude.
+        assert np.ptp(resting) == pytest.approx(60.0, abs=0.25)
+        assert resting.mean() == pytest.approx(min(max(peak, -30.0), 30.0), abs=0.15)
+        assert resting.min() - 0.1 <= peak <= resting.max() + 0.1
+    else:
+        # 60 degrees in two parts, from the limit on the peak's side and from the one on the other side.
+        assert resting.size == pytest.approx(600, abs=4)
+        assert np.abs(resting).max() == pytest.approx(60.0, abs=0.15)
+        assert np.sum(resting * peak > 0.0) >= 0.5 * resting.size - 2
+    # No modulator that rests the highest or the lowest phase finds a larger current anywhere.
+    order = np.argsort(voltage, axis=-1)
+    rows = np.arange(angle.size)
+    largest = np.maximum(np.abs(current[rows, order[:, 0]]), np.abs(current[rows, order[:, 2]]))
+    np.testing.assert_allclose(np.abs(current[rows, phase]), largest, atol=1e-12)
+
+
 def test_ddt_is_gdpwm_up_to_sixty_degrees_and_loses_less_beyond() -> None:
     lags = np.radians(np.linspace(-180.0, 180.0, 721))
     ddt, gdpwm = (switching_loss_factor(name, lags) for name in RIVALS[::-1])

@@ -8,14 +8,22 @@ from dqforge.machines import catalogue, device_catalogue
 from dqforge.machines.device_yaml import device_values, read_device_yaml
 from dqforge.machines.errors import InputError
 
-NAMES = ["microchip-mscsm70am10ct3ag", "sirectifier-sii400s12", "ti-csd19505ktt", "wolfspeed-c2m0045170d"]
+NAMES = [
+    "fuji-2mbi300xbe120-50",
+    "infineon-ff200r12ke3",
+    "microchip-mscsm70am10ct3ag",
+    "mitsubishi-cm200dy-24t",
+    "sirectifier-sii400s12",
+    "ti-csd19505ktt",
+    "wolfspeed-c2m0045170d",
+]
 
 
 def test_names() -> None:
     assert device_catalogue.names() == NAMES
     with pytest.raises(InputError, match="did you mean ti-csd19505ktt"):
         device_catalogue.load("csd19505ktt")
-    with pytest.raises(InputError, match="there are microchip"):
+    with pytest.raises(InputError, match="there are fuji"):
         device_catalogue.load("../template")
 
 
@@ -46,8 +54,80 @@ def test_module_of_paper_000_has_the_losses_of_its_design() -> None:
     assert device.switching_energy == pytest.approx(inline.switching_energy, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("name", "part", "points"),
+    [
+        (
+            "infineon-ff200r12ke3",
+            "thermal",
+            [(2.7496e-3, 0.015116), (0.012398, 0.040411), (0.046643, 0.08437), (0.12009, 0.11025), (1.16, 0.11874)],
+        ),
+        (
+            "infineon-ff200r12ke3",
+            "diode_thermal",
+            [(2.9517e-3, 0.027144), (0.012071, 0.068975), (0.046167, 0.14612), (0.11849, 0.18998), (1.1442, 0.20419)],
+        ),
+        (
+            "mitsubishi-cm200dy-24t",
+            "thermal",
+            [(9.9893e-4, 0.0104013), (5.1577e-3, 0.0284766), (0.016956, 0.0498387), (0.056511, 0.0611566)],
+        ),
+        ("mitsubishi-cm200dy-24t", "diode_thermal", [(9.9893e-4, 0.0188214), (0.016956, 0.0901843)]),
+        (
+            "fuji-2mbi300xbe120-50",
+            "thermal",
+            [
+                (1.1112e-3, 0.0070405),
+                (4.6018e-3, 0.018934),
+                (0.018878, 0.039805),
+                (0.077415, 0.06866),
+                (0.31721, 0.080852),
+            ],
+        ),
+    ],
+)
+def test_networks_make_the_figures_of_their_data_sheets(
+    name: str, part: str, points: list[tuple[float, float]]
+) -> None:
+    """Elements are printed as numbers, the impedance as a figure: two statements, agreeing to the width of a line."""
+    network = getattr(device_catalogue.load(name), part)
+    time, impedance = zip(*points, strict=True)
+    assert network.step_response(time) == pytest.approx(impedance, rel=0.035)
+
+
+@pytest.mark.parametrize(
+    ("name", "rated", "drops", "forward", "energies", "resistances"),
+    [
+        ("fuji-2mbi300xbe120-50", 300.0, (1.52, 1.95), (1.59, 1.60), (35e-3, 30e-3, 23.5e-3), (0.08, 0.105)),
+        ("infineon-ff200r12ke3", 200.0, (1.70, 2.00), (1.65, 1.65), (15e-3, 35e-3, 17e-3), (0.12, 0.20)),
+        ("mitsubishi-cm200dy-24t", 200.0, (1.56, 1.81), (1.65, 1.65), (15e-3, 23e-3, 14.6e-3), (0.063, 0.114)),
+    ],
+)
+def test_modules_at_their_rated_current(
+    name: str,
+    rated: float,
+    drops: tuple[float, float],
+    forward: tuple[float, float],
+    energies: tuple[float, float, float],
+    resistances: tuple[float, float],
+) -> None:
+    """Figures of cold and hottest curve at the rated current and 600 V, read off again, and the steady resistances."""
+    device = device_catalogue.load(name)
+    hot = 125.0 if name.startswith("infineon") else 150.0
+    assert device.on_voltage(rated, [25.0, hot]).value == pytest.approx(drops, rel=0.01)
+    assert device.diode_voltage(rated, [25.0, hot]).value == pytest.approx(forward, rel=0.015)
+    for method, energy in zip(
+        (device.turn_on_energy, device.turn_off_energy, device.recovery_energy), energies, strict=True
+    ):
+        assert method(rated, 600.0, hot).value == pytest.approx(energy, rel=0.02)
+    assert device.thermal is not None
+    assert device.diode_thermal is not None
+    found = device.thermal.resistance, device.diode_thermal.resistance
+    assert found == pytest.approx(resistances, rel=2e-3)
+
+
 def test_mosfets() -> None:
-    silicon, carbide = (device_catalogue.load(name) for name in NAMES[2:])
+    silicon, carbide = (device_catalogue.load(name) for name in NAMES[5:])
     assert carbide.on_resistance(50.0, [25.0, 87.5, 150.0]).value == pytest.approx([45e-3, 67.5e-3, 90e-3])
     assert carbide.turn_on_energy(50.0, 1200.0, 150.0).value == pytest.approx(4.7e-3)
     # The estimate that the head of the file derives, recomputed from the charges.
@@ -60,6 +140,11 @@ def test_mosfets() -> None:
 
 
 BASE = device_catalogue.read_text("sirectifier-sii400s12").decode()
+CONDITION = 'turn_on:\n  voltage: {value: 600 V, source: "data sheet, V_CC"}\n'
+RESISTIVE = """    threshold: {value: 1 V, source: "data sheet, V_CE(TO)"}
+    resistance: {value: 3 mOhm, source: "data sheet, r_CE"}
+"""
+POINTS = "    points: [{{current: 50 A, voltage: 1 V}}, {{current: {0}, voltage: {1}}}]\n"
 
 
 @pytest.mark.parametrize(
@@ -69,6 +154,11 @@ BASE = device_catalogue.read_text("sirectifier-sii400s12").decode()
         ("32 mJ", "32 J", "look like mJ"),
         ("{value: 600 V, source", "{value: 0.1 V, source", "turn_on.voltage"),
         ("{value: 125 degC, source: data sheet}\n", "{value: 25 degC, source: data sheet}\n", "each once"),
+        (CONDITION, "turn_on:\n", "turn_on needs the key 'voltage'"),
+        (RESISTIVE, POINTS.format(40, 2.0), "abscissa 1 is 40, not above 50"),
+        (RESISTIVE, POINTS.format(300, 0.4), "the drop 1 falls to 0.4 V from 1 V while the current rises to 300 A"),
+        (RESISTIVE, POINTS.format(300, -2.0), "must be zero or positive"),
+        (RESISTIVE, POINTS.format("300 V", 2.0), "current"),
         ("kind: igbt", "kind: thyristor", "expected one of mosfet, igbt"),
         ("recovery:", "recovers:", "did you mean 'recovery'"),
         ("    resistance: {value: 3 mOhm, source: \"data sheet, r_CE\"}\n", "", "write either resistance"),

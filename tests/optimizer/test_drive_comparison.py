@@ -15,7 +15,7 @@ from dqforge.machines.machine_loss import MachineLoss
 from dqforge.machines.mission import read_mission
 from dqforge.machines.modulation import MODULATORS
 from dqforge.machines.synchronous import LinearMachine
-from dqforge.optimizer.drive_budget import BudgetOptions, drive_budget
+from dqforge.optimizer.drive_budget import BudgetOptions
 from dqforge.optimizer.drive_comparison import Alternatives, compare_drives, least
 from dqforge.optimizer.mission_budget import compare_mission
 
@@ -144,14 +144,3 @@ def test_what_cannot_be_driven_is_listed_by_line() -> None:
         MACHINE, INVERTER, mission, Alternatives(("mtpa",), ("svpwm",), (2e4,)), i_max=283.0, repeated=False
     )
     assert cold.runs[0].total == pytest.approx(found.runs[0].total)
-
-
-@pytest.mark.benchmark
-def test_a_hundred_thousand_budgets() -> None:
-    """50 x 50 points, 8 modulators and 5 frequencies with separate junctions."""
-    torque, omega = np.meshgrid(np.linspace(1.0, 150.0, 50), np.linspace(5.0, 500.0, 50))
-    budget = drive_budget(
-        MACHINE, igbt(), np.full(2500, -50.0), torque.ravel(), omega.ravel(), MODULATORS[:8], [4e3, 8e3, 1e4, 16e3, 2e4]
-    )
-    assert budget.total.size == 100_000
-    assert np.all(budget.steady)

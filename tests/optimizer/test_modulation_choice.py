@@ -13,9 +13,10 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray, LinearMachine
+from dqforge.optimizer.choice_limits import ChoiceLimits, ChoicePoints
 from dqforge.optimizer.choice_rule import decide, leaves
 from dqforge.optimizer.drive_budget import BudgetOptions, DriveBudget, drive_budget
-from dqforge.optimizer.modulation_choice import BestChoice, ChoiceLimits, ChoicePoints, best_choice, listed_choice
+from dqforge.optimizer.modulation_choice import BestChoice, best_choice, listed_choice
 from dqforge.optimizer.mtpa import mtpa_currents
 
 MACHINE = LinearMachine(pole_pairs=4, r_s=20e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0)

@@ -13,7 +13,9 @@ from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, make_design
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from dqforge.machines import catalogue
 from dqforge.machines.design import Design
+from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.characteristics import (
@@ -32,6 +34,7 @@ from dqforge.optimizer.operating_points import Active, optimal_points
 from dqforge.reports.characteristics_tables import envelope_tables, plain_map, point_tables, points_tables
 from dqforge.reports.figures import to_svg
 from dqforge.reports.figures_characteristics import plot_operating_map, plot_speed
+from dqforge.reports.operating_points import Request, answer
 from dqforge.reports.result_json import to_text
 
 LIMIT = VoltageLimit("svpwm", 500.0, 0.0, 500.0 / np.sqrt(3.0))
@@ -165,3 +168,16 @@ def test_speed_figure_marks_where_the_field_is_weakened() -> None:
 
 def test_voltage_limit_is_that_of_the_modulator() -> None:
     assert voltage_limit(Inverter(500.0, 1e4), "spwm", 0.1).v_max == pytest.approx(225.0)
+
+
+def test_margin_of_the_dead_time() -> None:
+    """200 ns at 100 kHz: 4 % of the range of SVPWM, 2 % where a phase rests; the field is weakened at lower speeds."""
+    design = catalogue.load("paper000-ipmsm-100kw")
+    for name, left in (("svpwm", 0.96), ("dpwm1", 0.98)):
+        asked = Request("5600 rpm", "130 N m", None, name, "dead-time")
+        found = answer(design, asked).plain["operating_points"]
+        limit = 500.0 / np.sqrt(3.0) * left
+        assert found["limit"]["v_max_V"] == pytest.approx(limit)
+        assert found["points"]["voltage_V"][0] == pytest.approx(limit, rel=1e-6)
+    with pytest.raises(InputError, match="or dead-time"):
+        answer(design, replace(asked, margin="deadtime"))

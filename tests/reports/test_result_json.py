@@ -50,10 +50,12 @@ def test_rows_of_the_loss_comparison_at_zero_d_current() -> None:
         full = 3.0 * 100e3 * 2.0 * 0.86e-3 / 206.5 * 2.0 * current / math.pi
         if row["modulation"] != "ddt-gdpwm":
             assert row["switching_W"] == pytest.approx(full, rel=1e-8)
-            assert row["saving_percent"] == pytest.approx(0.0, abs=1e-6)
+            assert row["saving_percent"] == pytest.approx(0.0, abs=1e-4)  # the ripple differs
         else:
             assert 0.5 * full * (1.0 - 1e-8) <= row["switching_W"] < 0.634 * full
-        total = row["copper_W"] + row["conduction_W"] + row["switching_W"]
+        others = ("ripple_copper_W", "iron_W", "ripple_iron_W", "magnet_W", "dead_time_W", "capacitor_W")
+        assert 0.0 < row["ripple_copper_W"] < 2e-3
+        total = row["copper_W"] + row["conduction_W"] + row["switching_W"] + sum(row[name] for name in others)
         assert row["total_W"] == pytest.approx(total, rel=1e-8)
         junction = 64.0 + 0.306 / 6.0 * (row["conduction_W"] + row["switching_W"])
         assert row["junction_degC"] == pytest.approx(junction, rel=1e-8)

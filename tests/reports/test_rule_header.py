@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from drives import make_design
 
+from dqforge.machines.errors import InputError
 from dqforge.optimizer.choice_rule import Leaf, Question, Rule, SimplifiedChoice, decide
-from dqforge.reports.rule_header import Alternative, as_emitted, rule_header
+from dqforge.reports.rule_header import (
+    Alternative,
+    EmittedRule,
+    as_emitted,
+    emitted_from,
+    emitted_rule,
+    plain_emitted,
+    rule_header,
+    rule_inputs,
+    rule_results,
+)
 from dqforge.reports.verify import WARNINGS
 
 ALTERNATIVES = [
@@ -77,3 +89,70 @@ def test_header_names_what_the_rule_takes_and_its_price() -> None:
     assert "DRIVE_DPWM1_20000_HZ" not in text
     assert "101 W, 1 % above the best alternative" in text.replace("1.01 %", "1 %")
     assert "breaks them least" in text
+
+
+def model(name: str = "four") -> EmittedRule:
+    return emitted_rule(RULES[name], ALTERNATIVES, (250.0, 900.0))
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_model_is_the_rule_with_numbers_of_its_own(name: str) -> None:
+    emitted = model(name)
+    inputs = rule_inputs(emitted, 4000, 1, patterns=4000)
+    results = rule_results(emitted, inputs)
+    size = np.abs(np.where(np.isnan(inputs), 0.0, inputs)).astype(np.float64)  # not-a-number counts as zero
+    chosen = decide(as_emitted(RULES[name]), {"torque_Nm": size[:, 0], "speed_rad_per_s": size[:, 1]})
+    for row, k in zip(results, chosen, strict=True):
+        assert row[2] == np.float32(ALTERNATIVES[k].f_sw)
+        assert emitted.alternatives[int(row[0])] == ALTERNATIVES[k]
+        assert emitted.modulators[int(row[1])] == ALTERNATIVES[k].modulation
+    assert set(results[:, 0]) == set(range(len(emitted.alternatives)))
+
+
+def test_every_threshold_is_tried_from_both_sides() -> None:
+    emitted = model()
+    torque, speed = rule_inputs(emitted, 10, 1).T
+    for threshold, values in ((120.1, torque), (300.3, speed), (500.0, speed)):
+        exact = np.float32(threshold)
+        for value in (exact, np.nextafter(exact, np.float32(0.0)), np.nextafter(exact, np.float32(np.inf))):
+            assert value in values
+            assert -value in values
+    assert np.isnan(torque).any()
+    assert np.isinf(speed).any()
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_plain_data_rebuild_the_model(name: str) -> None:
+    emitted = model(name)
+    inputs = rule_inputs(emitted, 3000, 2, patterns=1000)
+    again = emitted_from(plain_emitted(emitted))
+    assert again.modulators == emitted.modulators
+    assert np.array_equal(rule_results(again, inputs), rule_results(emitted, inputs))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"rule": {}},
+        {"rule": {"choice": 9}},
+        {"rule": {"choice": True}},
+        {"rule": 3},
+        {"alternatives": []},
+        {"alternatives": [{"modulation": "svm", "frequency_Hz": 1e4}]},
+        {"alternatives": [{"modulation": None, "frequency_Hz": 1e4}]},
+        {"alternatives": [{"modulation": "svpwm", "frequency_Hz": "x"}]},
+        {"torque_max_Nm": 0.0},
+        {"omega_m_max_rad_per_s": None},
+    ],
+)
+def test_damaged_data_are_refused(damage: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="modulation_header is not what dqforge writes"):
+        emitted_from(plain_emitted(model()) | damage)
+
+
+def test_a_rule_deeper_than_any_is_refused() -> None:
+    plain: dict[str, Any] = {"choice": 0}
+    for _ in range(20):
+        plain = {"quantity": "torque_Nm", "threshold": 1.0, "below": plain, "above": {"choice": 0}}
+    with pytest.raises(InputError, match="run the design again"):
+        emitted_from(plain_emitted(model("none")) | {"rule": plain})

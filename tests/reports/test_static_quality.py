@@ -18,11 +18,13 @@ from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, make_design
 
 from dqforge.machines import catalogue
 from dqforge.machines.settings import FitSettings, ModulationName, WaveformForm, WaveformSettings, WeakeningSettings
+from dqforge.optimizer.choice_rule import Leaf, Question, Rule, SimplifiedChoice
 from dqforge.optimizer.fixed_design import fit_control
 from dqforge.optimizer.solution import Solution, solve, solve_phases, solve_weakening
 from dqforge.reports.control_fixed_header import control_fixed_files
 from dqforge.reports.control_header import control_files
 from dqforge.reports.header import header_files
+from dqforge.reports.rule_header import Alternative, rule_header
 from dqforge.reports.surface_header import weakening_files
 from dqforge.reports.verify import WARNINGS
 from dqforge.reports.waveform_header import waveform_files
@@ -73,6 +75,21 @@ def headers() -> dict[str, dict[str, bytes]]:
         changed = replace(solution, design=replace(solution.design, operation=operation))
         found[f"control {modulator}"] = header_files(changed) | control_files(changed)
     found |= fixed_headers(solution)
+    alternatives = [Alternative("svpwm", 16e3), Alternative("ddt-gdpwm", 41.9e3), Alternative("dpwm3", 35.1e3)]
+    deep = Question(
+        "speed_rad_per_s",
+        340.0,
+        Question("speed_rad_per_s", 131.0, Leaf(0), Leaf(1)),
+        Question("torque_Nm", 32.2, Leaf(2), Leaf(1)),
+    )
+    rules: dict[str, Rule] = {
+        "four": deep,
+        "one question": Question("torque_Nm", 20.0, Leaf(1), Leaf(0)),
+        "none": Leaf(2),
+    }
+    for name, rule in rules.items():
+        priced = SimplifiedChoice(rule, 101.0, 100.0, True)
+        found[f"modulation {name}"] = rule_header(make_design(), priced, alternatives, reach=(200.0, 900.0))
     return found
 
 
@@ -120,7 +137,7 @@ def written(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     for file_name, content in HEADERS[name].items():
         (tmp_path / file_name).write_bytes(content)
     kind = name.split()[0]
-    part = f"drive_{kind}" if kind in {"waveform", "weakening", "control_q15", "control_q31"} else "drive"
+    part = f"drive_{kind}" if kind in {"waveform", "weakening", "modulation", "control_q15", "control_q31"} else "drive"
     call = f"{part}_mismatches" if part != "drive" else "drive_vectors_mismatches"
     main = f'#include "{part}_vectors.h"\nint main(void)\n{{\n    return ({call}() == 0U) ? 0 : 1;\n}}\n'
     (tmp_path / "main.c").write_text(CONTROL_MAIN if kind == "control" else main, encoding="ascii")

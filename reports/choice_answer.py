@@ -1,0 +1,34 @@
+"""What `dqforge losses --choice` answers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dqforge.machines.design import Design
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.choice_solution import solve_choice
+from dqforge.reports.choice_tables import choice_tables, plain_choice
+from dqforge.reports.drive_losses import LossReply
+
+
+def answer_choice(design: Design, source: str) -> LossReply:
+    """Choose modulator and switching frequency as the design asks; ``source`` is its name for messages.
+
+    Raises
+    ------
+    InputError
+        The design has no section ``modulation_choice``.
+    NoSolutionError
+        Nothing keeps the limits anywhere.
+    """
+    found = solve_choice(design)
+    if found is None:
+        message = "the design asks for no choice; add a section 'modulation_choice' with min_frequency, max_frequency"
+        raise InputError(message, source=source)
+
+    def figure() -> Any:
+        from dqforge.reports.figures_choice import plot_choice
+
+        return plot_choice(found)
+
+    return LossReply(choice_tables(design, found), {"modulation_choice": plain_choice(found)}, figure)

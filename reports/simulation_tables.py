@@ -1,0 +1,121 @@
+"""A simulation as tables for the terminal and the report, and as plain data."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+
+import numpy as np
+
+from dqforge.machines.quantities import format_quantity
+from dqforge.reports.drive_simulation import DriveSimulation
+from dqforge.reports.html_tables import HtmlTable, Row
+from dqforge.reports.html_text import symbols
+from dqforge.reports.reference_ir import PlainData
+from dqforge.reports.tables import Table
+
+_SHOWN = {"rad/s": "rpm"}
+_STEP_COLUMNS = ("at", "from", "to", "rise time", "overshoot", "settled after", "error at the end")
+
+
+def _value(value: float, unit: str, digits: int = 4) -> str:
+    return format_quantity(value, _SHOWN.get(unit, unit), digits) if math.isfinite(value) else "-"
+
+
+def _step_rows(found: DriveSimulation) -> tuple[tuple[str, ...], ...]:
+    return tuple(
+        (
+            _value(step.time, "s"),
+            _value(step.before, found.unit),
+            _value(step.after, found.unit),
+            _value(step.rise, "s", 3),
+            f"{100.0 * step.overshoot:.3g} %",
+            _value(step.settling, "s", 3),
+            _value(step.error, found.unit, 3),
+        )
+        for step in found.steps
+    )
+
+
+def _figure_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
+    run, figures = found.run, found.run.figures
+    return (
+        ("simulated", f"{_value(float(figures.t[0]), 's')}, {run.scenario.inverter} inverter"),
+        ("largest deviation from the reference", _value(found.tracking[0], found.unit)),
+        ("r.m.s. deviation from the reference", _value(found.tracking[1], found.unit)),
+        ("largest speed", _value(float(np.max(np.abs(run.omega_m))), "rad/s")),
+        ("largest torque", _value(float(np.max(np.abs(run.torque))), "N m")),
+        ("largest current vector", _value(float(figures.peak_current[0]), "A")),
+        ("phase current, r.m.s.", _value(float(figures.rms_current[0]), "A")),
+        ("mean copper loss", _value(found.copper, "W")),
+    )
+
+
+def _notes(found: DriveSimulation) -> tuple[str, ...]:
+    if found.run.figures.bounded[0]:
+        return ("rise from 10 to 90 % of the step; settled within 2 % of it",) if found.steps else ()
+    return (f"the currents left all bounds at {_value(float(found.run.figures.t[0]), 's')}: the drive is unstable",)
+
+
+def simulation_tables(found: DriveSimulation) -> list[Table]:
+    """Figures of the run and of each step of its reference."""
+    tables = [Table(f"{found.design.name}: simulation", ("", ""), _figure_rows(found), _notes(found))]
+    if found.steps:
+        tables.append(Table(f"Steps of the {found.run.scenario.mode}", _STEP_COLUMNS, _step_rows(found)))
+    return tables
+
+
+def simulation_html(found: DriveSimulation) -> list[HtmlTable]:
+    """The same for the report."""
+    figures = tuple(Row((symbols(label), symbols(value))) for label, value in _figure_rows(found))
+    tables = [HtmlTable("Figures of the run", ("", "value"), figures)]
+    if found.steps:
+        rows = tuple(Row(cells) for cells in _step_rows(found))
+        title = f"Steps of the {found.run.scenario.mode}; settled within 2 % of the step"
+        tables.append(HtmlTable(title, _STEP_COLUMNS, rows))
+    return tables
+
+
+def simulation_part(found: DriveSimulation | None) -> PlainData | None:
+    """What the report's template prints of a simulation: tables, figure and file names; None where there is none."""
+    if found is None:
+        return None
+    from markupsafe import Markup
+
+    from dqforge.reports.figures import to_svg
+    from dqforge.reports.figures_simulation import plot_simulation
+
+    prefix = found.design.export.prefix
+    return {
+        "tables": simulation_html(found),
+        "figure": Markup(to_svg(plot_simulation(found))),
+        "file": f"{prefix}_simulation.npz",
+        "controller": f"{prefix}_control.h",
+    }
+
+
+def plain_simulation(found: DriveSimulation) -> PlainData:
+    """Figures as plain data, in SI units; the samples are in the archive."""
+    run, figures = found.run, found.run.figures
+    return {
+        "mode": run.scenario.mode,
+        "inverter": run.scenario.inverter,
+        "unit": found.unit,
+        "duration_s": float(figures.t[0]),
+        "bounded": bool(figures.bounded[0]),
+        "deviation_largest": found.tracking[0],
+        "deviation_rms": found.tracking[1],
+        "peak_current_A": float(figures.peak_current[0]),
+        "rms_current_A": float(figures.rms_current[0]),
+        "copper_W": found.copper,
+        "energy_J": {
+            name: float(getattr(figures, f"e_{name}")[0]) for name in ("in", "copper", "shaft", "load", "friction")
+        },
+        "end": {
+            "omega_m_rad_per_s": float(figures.omega_m[0]),
+            "torque_Nm": float(figures.torque[0]),
+            "i_d_A": float(figures.i_d[0]),
+            "i_q_A": float(figures.i_q[0]),
+        },
+        "steps": [asdict(step) for step in found.steps],
+    }
