@@ -311,8 +311,8 @@ def tune(design: DesignArgument, json: JsonOption = False, plot: PlotOption = No
 
         _plot(lambda: plot_gains(loaded, gains), plot)
     if json:
-        evidence = {fit.control.format: plain_fixed_evidence(fit) for fit in fixed}
-        _print_json("tune", loaded.name, {"gains": plain_gains(loaded, gains), "control_fixed": evidence})
+        evidence = {"control_fixed": {fit.control.format: plain_fixed_evidence(fit) for fit in fixed}} if fixed else {}
+        _print_json("tune", loaded.name, {"gains": plain_gains(loaded, gains)} | evidence)
     else:
         _show([*gains_tables(loaded, gains), *control_fixed_tables(fixed)])
 

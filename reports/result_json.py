@@ -239,6 +239,15 @@ def plain_weakening_fit(fit: WeakeningFit | None) -> PlainData | None:
     }
 
 
+def _plain_fixed(solution: Solution) -> PlainData:
+    """Control functions in fixed point with their evidence; nothing where none are asked for."""
+    if not solution.fixed:
+        return {}
+    evidence = {fit.control.format: plain_fixed_evidence(fit) for fit in solution.fixed}
+    headers = {f"control_{fit.control.format}_header": plain_fixed_control(fit.control) for fit in solution.fixed}
+    return {"control_fixed": evidence} | headers
+
+
 def plain_solution(solution: Solution) -> PlainData:
     """Everything that a run found, with what `dqforge verify` needs under ``header``."""
     design, weakening = solution.design, solution.weakening
@@ -260,8 +269,7 @@ def plain_solution(solution: Solution) -> PlainData:
         "weakening": plain_weakening_fit(weakening),
         "weakening_header": None if weakening is None else plain_weakening(weakening.reference),
         "control_header": plain_control(solution) if "float32" in design.export.control else None,
-        "control_fixed": {fit.control.format: plain_fixed_evidence(fit) for fit in solution.fixed},
-        **{f"control_{fit.control.format}_header": plain_fixed_control(fit.control) for fit in solution.fixed},
+        **_plain_fixed(solution),
         "modulation_choice": None if solution.choice is None else plain_choice(solution.choice),
         "modulation_header": None if solution.choice is None else plain_emitted(choice_model(solution.choice)),
     }

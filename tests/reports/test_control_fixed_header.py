@@ -235,3 +235,22 @@ def test_the_key_takes_one_format_or_several() -> None:
         assert load_text(text.replace("CONTROL", written).encode(), "design.yaml").export.control == expected
     with pytest.raises(InputError, match=r"export.control: expected one of float32, q15, q31, got the text 'q7'"):
         load_text(text.replace("CONTROL", "q7").encode(), "design.yaml")
+
+
+def test_automatic_formats_reach_the_macros_and_the_control_header() -> None:
+    """The thesis' gains with 15 bits each: the same values in both headers."""
+    design = catalogue.load("paper001-pmsm-bench")
+    control = design.control
+    assert control.speed_loop is not None
+    changed = replace(
+        control,
+        current_loop=replace(control.current_loop, q_formats="auto"),
+        speed_loop=replace(control.speed_loop, q_formats="auto"),
+    )
+    design = replace(design, control=changed, export=replace(design.export, control=("q15",)))
+    files = export_design(design, verify=False).files
+    plain, fixed = files["bench001.h"].decode(), files["bench001_control_q15.h"].decode()
+    assert "BENCH001_IQ_KP_PU_Q17 (17408)" in plain  # 136 / 2^10
+    assert "BENCH001_IQ_KI_TS_PU_Q25 (26624)" in plain  # 26 / 2^15
+    assert "BENCH001_SPEED_KP_PU_Q10 (20000)" in plain
+    assert "{ 17408, 17U }" in fixed
