@@ -297,20 +297,24 @@ def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = Non
 @app.command()
 def tune(design: DesignArgument, json: JsonOption = False, plot: PlotOption = None) -> None:
     """Tune the controllers and the observer and show their margins."""
-    from dqforge.optimizer.solution import solve_gains
+    from dqforge.optimizer.solution import solve_fixed, solve_gains
+    from dqforge.reports.control_fixed_header import plain_fixed_evidence
+    from dqforge.reports.control_fixed_tables import control_fixed_tables
     from dqforge.reports.result_json import plain_gains
     from dqforge.reports.tables import gains_tables
 
     loaded = _load_for(design, plot)
     gains = solve_gains(loaded)
+    fixed = solve_fixed(loaded, gains)
     if plot is not None:
         from dqforge.reports.figures import plot_gains
 
         _plot(lambda: plot_gains(loaded, gains), plot)
     if json:
-        _print_json("tune", loaded.name, {"gains": plain_gains(loaded, gains)})
+        evidence = {"control_fixed": {fit.control.format: plain_fixed_evidence(fit) for fit in fixed}} if fixed else {}
+        _print_json("tune", loaded.name, {"gains": plain_gains(loaded, gains)} | evidence)
     else:
-        _show(gains_tables(loaded, gains))
+        _show([*gains_tables(loaded, gains), *control_fixed_tables(fixed)])
 
 
 @app.command()

@@ -10,6 +10,7 @@ from pathlib import Path
 import figures_certificates
 import figures_current_feedback
 import figures_estimators
+import figures_fixed_control
 import figures_fixed_point
 import figures_flux_maps
 import figures_gains
@@ -34,6 +35,7 @@ def main() -> None:
     save(plot_mtpa(design, solve_curves(design)), folder / "mtpa.svg")
     save(plot_fit(design, solve_fit(design).fit), folder / "fit.svg")
     figures_fixed_point.sixteen_bits(folder / "fixed-point.svg")
+    figures_fixed_control.integers_of_a_loop(folder / "fixed-control.svg")
     figures_flux_maps.flux_map(folder / "flux-map.svg")
     figures_gains.current_loop_step(folder / "current-loop-step.svg")
     figures_gains.gain_schedule(folder / "gain-schedule.svg")

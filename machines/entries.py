@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.quantities import close_matches, format_quantity, parse_quantity, read_quantity, shown
+from dqforge.machines.settings import NumberFormat
 from dqforge.machines.units import DIMENSIONS
 
 _ORIGIN_KEYS = ("source", "inferred", "note")
@@ -304,6 +306,20 @@ def byte_count(value: object) -> object:
         return not_truth(value)
     factor = {"K": 1024, "k": 1000}.get(match[2][0], 1)
     return factor * int(match[1])
+
+
+def number_formats(value: object) -> object:
+    """A list of one entry for the name of a number format; other values as they are."""
+    if not isinstance(value, str):
+        return value
+    if value not in get_args(NumberFormat):
+        raise EntryError(not_one_of(value, get_args(NumberFormat)))
+    return [value]
+
+
+def auto_or(value: object, otherwise: Callable[[object], object]) -> object:
+    """The word auto as it is; other values as the schema has them."""
+    return value if value == "auto" else otherwise(value)
 
 
 def spoken(value: object) -> str:

@@ -127,7 +127,7 @@ class _Build:
             fit=self.fit(sections.fit, machine, control.bases),
             losses=losses,
             waveform=_waveform(sections.waveform),
-            export=ExportSettings(prefix=sections.export.prefix, vectors=sections.export.vectors),
+            export=_export(sections),
             values=(*input_values(sections, self.reading.converted), *self.reading.derived),
             assumptions=(*kind_assumptions(sections), *self.remarks),
             digest=self.reading.digest(),
@@ -320,3 +320,8 @@ def _waveform(section: WaveformSection) -> WaveformSettings:
         form=section.form,
         error=_WAVEFORM.error if error is None else error,
     )
+
+
+def _export(sections: DesignFile) -> ExportSettings:
+    export = sections.export
+    return ExportSettings(export.prefix, export.vectors, tuple(dict.fromkeys(export.control)))

@@ -14,14 +14,15 @@ from dqforge.machines.schema_device import DeviceEntry
 from dqforge.machines.schema_entries import (
     About,
     Bandwidth,
-    Bits,
     ByteCount,
+    ControlFormats,
     Current,
     CurrentGain,
     CurrentIntegralGain,
     DeadTime,
     FileName,
     FilterTime,
+    GainFormats,
     Listing,
     Name,
     OnResistance,
@@ -125,8 +126,8 @@ class CurrentLoopSection(Section):
     phase_margin_min: PhaseMargin | None = Field(
         default=None, description="least phase margin (rad; write deg); default 30 deg"
     )
-    q_formats: Annotated[tuple[Bits, Bits], Field(strict=False)] | None = Field(
-        default=None, description="fractional bits of the per-unit integers kp and ki t_s, such as [10, 15]"
+    q_formats: GainFormats | None = Field(
+        default=None, description="fractional bits of the per-unit integers kp and ki t_s, such as [10, 15], or auto"
     )
     max_sensitivity: float = Field(
         default=_CURRENT.max_sensitivity,
@@ -155,8 +156,8 @@ class SpeedLoopSection(Section):
     phase_margin_min: PhaseMargin | None = Field(
         default=None, description="least phase margin (rad; write deg); default 30 deg"
     )
-    q_formats: Annotated[tuple[Bits, Bits], Field(strict=False)] | None = Field(
-        default=None, description="fractional bits of the per-unit integers kp and ki t_s, such as [10, 10]"
+    q_formats: GainFormats | None = Field(
+        default=None, description="fractional bits of the per-unit integers kp and ki t_s, such as [10, 10], or auto"
     )
     max_sensitivity: float = Field(
         default=_SPEED.max_sensitivity, ge=1.05, le=4.0, description="for optimised: largest M_s within the tolerances"
@@ -377,6 +378,9 @@ class ExportSection(Section):
 
     prefix: Prefix = Field(default=_EXPORT.prefix, description="first part of every name in the code, a C identifier")
     vectors: int = Field(default=_EXPORT.vectors, ge=16, le=4096, description="least number of test vectors")
+    control: ControlFormats = Field(
+        default=_EXPORT.control, description="control functions as C: float32, q15, q31 or a list of them; default none"
+    )
 
 
 class DesignFile(Section):

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema, WrapValidator
 
-from dqforge.machines.entries import CountRule, Quantity, QuantityRule, byte_count, not_truth, plain_text
+from dqforge.machines.entries import (
+    CountRule,
+    Quantity,
+    QuantityRule,
+    auto_or,
+    byte_count,
+    not_truth,
+    number_formats,
+    plain_text,
+)
 from dqforge.machines.identifiers import check_prefix
+from dqforge.machines.settings import NumberFormat, QFormats
 
 _PHASE = ("phase", "line-to-line")
 _PEAK = ("peak", "rms")
@@ -23,6 +33,23 @@ FileName = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text
 ColumnName = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text, limit=80))]
 ByteCount = Annotated[int, BeforeValidator(byte_count)]
 Bits = Annotated[int, Field(ge=0, le=31)]
+if TYPE_CHECKING:
+    GainFormats = QFormats
+else:  # not a union, whose complaints would name the alternatives inside the path
+    GainFormats = Annotated[
+        tuple[Bits, Bits],
+        Field(strict=False),
+        WrapValidator(auto_or),
+        WithJsonSchema(
+            {
+                "anyOf": [
+                    {"const": "auto"},
+                    {"type": "array", "minItems": 2, "maxItems": 2, "items": {"type": "integer", "minimum": 0}},
+                ]
+            }
+        ),
+    ]
+ControlFormats = Annotated[tuple[NumberFormat, ...], Field(strict=False, max_length=3), BeforeValidator(number_formats)]
 
 Resistance = Annotated[Quantity, QuantityRule("resistance", 1e-6, 1e3, _PHASE, "phase")]
 Inductance = Annotated[Quantity, QuantityRule("inductance", 1e-9, 10.0, _PHASE, "phase")]

@@ -24,6 +24,7 @@ ObserverMethodName = Literal[
     "reduced-order", "extended-emf", "flux", "open-loop-flux", "matsui-voltage", "matsui-current", "ekf"
 ]
 ObserverTuningName = Literal["named", "optimised"]
+QFormats = tuple[int, int] | Literal["auto"]
 ModulationName = Literal[
     "spwm",
     "thipwm6",
@@ -116,9 +117,9 @@ class CurrentLoopSettings:
 
     ``bandwidth`` in rad/s is for the methods ``bandwidth`` and ``damping`` (there the natural frequency); ``damping``
     is the damping ratio; ``spread`` is a of the symmetrical optimum; ``kp`` in V/A and ``ki`` in V/(A s) are for the
-    method ``given`` (both axes). ``q_formats`` are the fractional bits (kp, ki t_s) of the per-unit integers, if asked.
-    ``max_sensitivity`` bounds M_s of the method ``optimised``. With ``schedule`` the gains follow the inductances of a
-    machine that saturates.
+    method ``given`` (both axes). ``q_formats`` are the fractional bits (kp, ki t_s) of the per-unit integers, if asked;
+    ``auto`` takes those that use 16 bits best. ``max_sensitivity`` bounds M_s of the method ``optimised``. With
+    ``schedule`` the gains follow the inductances of a machine that saturates.
     """
 
     method: CurrentLoopMethod = "magnitude-optimum"
@@ -128,7 +129,7 @@ class CurrentLoopSettings:
     kp: float | None = None
     ki: float | None = None
     phase_margin_min: float = 0.5235987755982988
-    q_formats: tuple[int, int] | None = None
+    q_formats: QFormats | None = None
     max_sensitivity: float = 1.6
     schedule: bool = False
 
@@ -150,7 +151,7 @@ class SpeedLoopSettings:
     kp: float | None = None
     ki: float | None = None
     phase_margin_min: float = 0.5235987755982988
-    q_formats: tuple[int, int] | None = None
+    q_formats: QFormats | None = None
     max_sensitivity: float = 1.6
 
 

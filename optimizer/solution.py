@@ -18,6 +18,7 @@ from dqforge.optimizer.drive_budget import BudgetOptions
 from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.fit_alternatives import Alternative, alternatives
 from dqforge.optimizer.fit_choice import FitChoice, Trial, choose_fit
+from dqforge.optimizer.fixed_design import FixedControlFit, fit_controls
 from dqforge.optimizer.gain_schedule import GainSchedule, schedule_gains
 from dqforge.optimizer.gains import LoopGains, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loop_batch import PlantBatch
@@ -76,7 +77,7 @@ class Solution:
     sinusoidal back-EMF. ``certificate`` bounds the errors of the fit, None where that could not be proven;
     ``trials`` are the forms that were tried for a budget. ``weakening`` is None where no
     two-dimensional reference, ``choice`` where no choice of modulator and switching frequency, ``mission`` where
-    no mission is asked for.
+    no mission is asked for. ``fixed`` are control functions in fixed point.
     """
 
     design: Design
@@ -92,6 +93,7 @@ class Solution:
     weakening: WeakeningFit | None = None
     choice: ModulationChoice | None = None
     mission: MissionComparison | None = None
+    fixed: tuple[FixedControlFit, ...] = ()
 
 
 def current_choice(design: Design) -> CurrentChoice:
@@ -257,6 +259,11 @@ def solve_weakening(design: Design) -> WeakeningFit | None:
     return fit_weakening(design.machine, design.i_max, limit.v_max, design.weakening)
 
 
+def solve_fixed(design: Design, gains: GainSet) -> tuple[FixedControlFit, ...]:
+    """Control functions in the fixed-point formats that the design asks for; errors as `fit_control`."""
+    return fit_controls(design, (gains.i_d, gains.i_q, gains.speed), gains.observer)
+
+
 def solve(design: Design) -> Solution:
     """Solve everything that the design asks for.
 
@@ -266,7 +273,7 @@ def solve(design: Design) -> Solution:
         As the single steps do; the message names the section of the design.
     """
     chosen = solve_fit(design)
-    fit = chosen.fit
+    fit, gains = chosen.fit, solve_gains(design)
     return Solution(
         design=design,
         curves=solve_curves(design),
@@ -274,11 +281,12 @@ def solve(design: Design) -> Solution:
         certificate=certify(current_choice(design), fit.reference, fit.errors),
         trials=chosen.trials,
         alternatives=alternatives(current_choice(design), fit),
-        gains=solve_gains(design),
+        gains=gains,
         losses=solve_losses(design),
         waveforms=None if design.phase_machine is None else compare_waveforms(design),
         phases=None if design.phase_machine is None else solve_phases(design),
         weakening=solve_weakening(design),
         choice=solve_choice(design),
         mission=solve_mission(design),
+        fixed=solve_fixed(design, gains),
     )

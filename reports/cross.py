@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
+from dqforge.optimizer.fixed_reference import FIXED_WIDTHS
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.reports.cycle_model import Span
 from dqforge.reports.target_cost import cost_on_target
@@ -31,8 +32,11 @@ _DIFFERS = {
     103: "current reference with field weakening",
     104: "choice of modulator",
     105: "gains over the current",
+    106: "control functions in fixed point",
 }
 """Exit codes of the program on the target; the emulator's own failures end with 1."""
+
+_CALLS = ("reference", "phases", "weakening", "modulation", "gains", "fixed")
 
 _VECTOR_TORQUE = re.compile(rb"\{ 0x([0-9A-F]{8})U, 0x[0-9A-F]{8}U, 0x[0-9A-F]{8}U \}")
 _FIXED = re.compile(rb"_current_reference_(q15|q31)\(")
@@ -75,8 +79,8 @@ def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> Ta
     Parameters
     ----------
     files:
-        Contents of the headers and of their vectors by name; those of phase currents and of field weakening are run
-        as well.
+        Contents of the headers and of their vectors by name; those of phase currents, of field weakening and of
+        control functions in fixed point are run as well.
     prefix:
         Checked C identifier.
     target:
@@ -100,9 +104,12 @@ def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> Ta
         "prefix": prefix,
         "waveform": f"{prefix}_waveform_vectors.h" in files,
         "weakening": f"{prefix}_weakening_vectors.h" in files,
+        "fixed": [name for name in FIXED_WIDTHS if f"{prefix}_control_{name}_vectors.h" in files],
         "modulation": f"{prefix}_modulation_vectors.h" in files,
         "gains": f"{prefix}_gains_vectors.h" in files,
-        "differs": dict(zip(("reference", "phases", "weakening", "modulation", "gains"), _DIFFERS, strict=True)),
+        "differs": dict(
+            zip(("reference", "phases", "weakening", "modulation", "gains", "fixed"), _DIFFERS, strict=True)
+        ),
     }
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
         main = render("target_main.c.j2", context).encode("ascii")

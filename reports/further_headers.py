@@ -10,10 +10,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from dqforge.machines.errors import InputError
+from dqforge.optimizer.fixed_control import FixedControl
 from dqforge.optimizer.phase_reference import PhaseReference
 from dqforge.optimizer.schedule_fit import GainEvaluator
 from dqforge.optimizer.surface_reference import WeakeningReference
+from dqforge.reports.control_fixed_header import fixed_control_from
+from dqforge.reports.control_fixed_model import row_inputs, row_results
 from dqforge.reports.control_header import control_from, control_programme
 from dqforge.reports.gains_header import evaluator_from, schedule_inputs
 from dqforge.reports.observer_header import EmittedObserver, observer_from
@@ -70,6 +75,15 @@ def _weakening_programme(reference: WeakeningReference) -> Programme:
     return Programme("surface_harness.c.j2", inputs, results, name="current reference with field weakening")
 
 
+def _control_fixed_programme(control: FixedControl) -> Programme:
+    """In 16 bits as many rows as there are angles, so that each comes once."""
+    inputs = row_inputs(control, 2**16 if control.width == 16 else SWEEP_POINTS, SWEEP_SEED)
+    wide = np.dtype(f"i{control.width // 4}")
+    context = {"width": control.width, "format": control.format}
+    results = row_results(control, inputs).astype(wide)
+    return Programme("control_fixed_harness.c.j2", inputs.astype(wide), results, context, name="fixed-point control")
+
+
 def _rule_programme(rule: EmittedRule) -> Programme:
     half = SWEEP_POINTS // 2
     inputs = rule_inputs(rule, half, SWEEP_SEED, patterns=half)
@@ -95,6 +109,8 @@ FURTHER_HEADERS = (
     FurtherHeader("gains", lambda own, _: evaluator_from(own), _gains_programme),
     FurtherHeader("observer", lambda own, _: observer_from(own), _observer_programme, vectors=False),
     FurtherHeader("control", control_from, control_programme, vectors=False),
+    FurtherHeader("control_q15", lambda own, _: fixed_control_from(own, 16), _control_fixed_programme),
+    FurtherHeader("control_q31", lambda own, _: fixed_control_from(own, 32), _control_fixed_programme),
 )
 """All kinds, in the order in which they are written and verified."""
 

@@ -7,10 +7,11 @@ from typing import Any
 
 from dqforge import __version__
 from dqforge.machines.design import Design
+from dqforge.machines.settings import QFormats
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.current_reference import Reference
-from dqforge.optimizer.fixed_point import to_q
+from dqforge.optimizer.fixed_gains import pi_integers
 from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.solution import Solution
@@ -113,7 +114,7 @@ def _gain_group(
     name: str,
     units: tuple[str, str],
     bases: tuple[float, float],
-    q_formats: tuple[int, int] | None,
+    q_formats: QFormats | None,
     robust: list[str],
 ) -> PlainData:
     """Macros of one PI controller; ``units`` are those of kp and ki as (macro suffix, text) pairs joined by '|'.
@@ -136,10 +137,9 @@ def _gain_group(
         _entry(f"{name}_KP_PU", kp_pu, "proportional gain, per unit"),
         _entry(f"{name}_KI_TS_PU", ki_ts_pu, "integral gain times sampling period, per unit"),
     ]
-    if q_formats is not None:
-        kp_bits, ki_bits = q_formats
-        entries.append(_entry(f"{name}_KP_PU_Q{kp_bits}", to_q(kp_pu, kp_bits), f"per unit times 2^{kp_bits}"))
-        entries.append(_entry(f"{name}_KI_TS_PU_Q{ki_bits}", to_q(ki_ts_pu, ki_bits), f"per unit times 2^{ki_bits}"))
+    for label, number in zip(("KP", "KI_TS"), pi_integers(kp_pu, ki_ts_pu, q_formats) or (), strict=False):
+        bits = number.shift
+        entries.append(_entry(f"{name}_{label}_PU_Q{bits}", number.mantissa, f"per unit times 2^{bits}"))
     titles = {
         "ID": "PI controller of i_d",
         "IQ": "PI controller of i_q",

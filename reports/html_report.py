@@ -14,6 +14,7 @@ from dqforge.machines.design import Design
 from dqforge.optimizer.gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.certificate_text import proof_title, proven_text
+from dqforge.reports.control_fixed_tables import control_fixed_html
 from dqforge.reports.drive_simulation import DriveSimulation
 from dqforge.reports.figures_losses import POINTS_SHOWN
 from dqforge.reports.figures_reference import ROUNDING
@@ -379,6 +380,7 @@ def report_context(
             loop_table(design, solution.gains),
             *tolerance_tables(solution.gains),
             *observer_tables(design, solution.gains, solution.fit.torque_max),
+            *control_fixed_html(solution.fixed),
         ],
         "losses": [] if solution.losses is None else loss_tables(solution.losses),
         "mission": mission_part(solution),

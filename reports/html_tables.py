@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.machines.design import Design
-from dqforge.machines.settings import Core
+from dqforge.machines.settings import Core, QFormats
 from dqforge.machines.synchronous import FloatArray, LinearMachine, copper_loss
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
 from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
-from dqforge.optimizer.fixed_point import to_q
+from dqforge.optimizer.fixed_gains import pi_integers
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.observer import ObserverError, steady_state_error
@@ -252,13 +252,12 @@ def trials_table(trials: Sequence[Trial], core: Core) -> HtmlTable:
     return HtmlTable(f"Forms tried for the budget, by estimated cycles on {core_name(core)}", _headings(*columns), rows)
 
 
-def _loop_cells(gains: LoopGains, bases: tuple[float, float], q_formats: tuple[int, int] | None) -> tuple[str, ...]:
+def _loop_cells(gains: LoopGains, bases: tuple[float, float], q_formats: QFormats | None) -> tuple[str, ...]:
     kp, ki_ts = per_unit(gains, *bases)
     per_unit_text = f"{number(kp, 5)}, {number(ki_ts, 5)}"
-    if q_formats is not None:
-        per_unit_text += (
-            f" = {to_q(kp, q_formats[0])} in Q{q_formats[0]}, {to_q(ki_ts, q_formats[1])} in Q{q_formats[1]}"
-        )
+    integers = pi_integers(kp, ki_ts, q_formats)
+    if integers is not None:
+        per_unit_text += " = " + ", ".join(f"{found.mantissa} in Q{found.shift}" for found in integers)
     poles = ", ".join(_pole_text(complex(pole)) for pole in gains.poles)
     delay = f"{quantity(gains.delay_margin, 's', 3)} ({number(gains.delay_margin_samples, 3)} samples)"
     return (

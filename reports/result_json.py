@@ -11,12 +11,13 @@ import numpy as np
 
 from dqforge import __version__
 from dqforge.machines.design import Design
+from dqforge.machines.settings import QFormats
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.certificate import Certificate
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
-from dqforge.optimizer.fixed_point import to_q
+from dqforge.optimizer.fixed_gains import pi_integers
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.piecewise import PiecewisePolynomial
@@ -25,6 +26,7 @@ from dqforge.optimizer.solution import Curves, GainSet, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
 from dqforge.reports.choice_tables import plain_choice
+from dqforge.reports.control_fixed_header import plain_fixed_control, plain_fixed_evidence
 from dqforge.reports.control_header import plain_control
 from dqforge.reports.drive_losses_tables import plain_mission
 from dqforge.reports.gains_header import plain_evaluator
@@ -149,11 +151,12 @@ def plain_fit(
     }
 
 
-def _plain_loop(gains: LoopGains, bases: tuple[float, float], q_formats: tuple[int, int] | None) -> PlainData:
+def _plain_loop(gains: LoopGains, bases: tuple[float, float], q_formats: QFormats | None) -> PlainData:
     kp_pu, ki_ts_pu = per_unit(gains, *bases)
-    integers = {}
-    if q_formats is not None:
-        integers = {"kp_q": to_q(kp_pu, q_formats[0]), "ki_ts_q": to_q(ki_ts_pu, q_formats[1]), "q_formats": q_formats}
+    integers, found = {}, pi_integers(kp_pu, ki_ts_pu, q_formats)
+    if found is not None:
+        kp, ki_ts = found
+        integers = {"kp_q": kp.mantissa, "ki_ts_q": ki_ts.mantissa, "q_formats": (kp.shift, ki_ts.shift)}
     return {
         "method": gains.method,
         "kp": gains.kp,
@@ -249,6 +252,15 @@ def plain_weakening_fit(fit: WeakeningFit | None) -> PlainData | None:
     }
 
 
+def _plain_fixed(solution: Solution) -> PlainData:
+    """Control functions in fixed point with their evidence; nothing where none are asked for."""
+    if not solution.fixed:
+        return {}
+    evidence = {fit.control.format: plain_fixed_evidence(fit) for fit in solution.fixed}
+    headers = {f"control_{fit.control.format}_header": plain_fixed_control(fit.control) for fit in solution.fixed}
+    return {"control_fixed": evidence} | headers
+
+
 def plain_solution(solution: Solution) -> PlainData:
     """Everything that a run found, with what `dqforge verify` needs under ``header``."""
     design, weakening, schedule = solution.design, solution.weakening, solution.gains.schedule
@@ -271,6 +283,7 @@ def plain_solution(solution: Solution) -> PlainData:
         "weakening": plain_weakening_fit(weakening),
         "weakening_header": None if weakening is None else plain_weakening(weakening.reference),
         "control_header": plain_control(solution) if "float32" in design.export.control else None,
+        **_plain_fixed(solution),
         "modulation_choice": None if solution.choice is None else plain_choice(solution.choice),
         "modulation_header": None if solution.choice is None else plain_emitted(choice_model(solution.choice)),
         "gains_header": None if schedule is None else plain_evaluator(schedule.fit.evaluator),

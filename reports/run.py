@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from dqforge.machines.design import Design
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.control_fixed_header import control_fixed_files
 from dqforge.reports.control_header import control_files
 from dqforge.reports.drive_simulation import simulate_design, simulation_files
 from dqforge.reports.further_headers import programmes
@@ -59,6 +60,8 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
         files |= observer_files(design, solution.gains.position)
     if "float32" in design.export.control:
         files |= control_files(solution)
+    for fit in solution.fixed:
+        files |= control_fixed_files(design, fit)
     plain = plain_solution(solution)
     verification = _verified(solution, files, plain) if verify else None
     files["result.json"] = to_text("run", design.name, plain).encode("ascii")

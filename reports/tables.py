@@ -9,14 +9,14 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.quantities import format_quantity
-from dqforge.machines.settings import Core
+from dqforge.machines.settings import Core, QFormats
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.certificate import Certificate
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
 from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
-from dqforge.optimizer.fixed_point import to_q
+from dqforge.optimizer.fixed_gains import pi_integers
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.mtpa import PerUnitBase
@@ -198,11 +198,12 @@ def _loop_row(gains: LoopGains, unit: str, per_unit_text: str) -> tuple[str, ...
     )
 
 
-def _per_unit_text(gains: LoopGains, bases: tuple[float, float], q_formats: tuple[int, int] | None) -> str:
+def _per_unit_text(gains: LoopGains, bases: tuple[float, float], q_formats: QFormats | None) -> str:
     kp, ki_ts = per_unit(gains, *bases)
-    if q_formats is None:
+    integers = pi_integers(kp, ki_ts, q_formats)
+    if integers is None:
         return f"{kp:.5g}, {ki_ts:.4g}"
-    return f"{to_q(kp, q_formats[0])} (Q{q_formats[0]}), {to_q(ki_ts, q_formats[1])} (Q{q_formats[1]})"
+    return ", ".join(f"{number.mantissa} (Q{number.shift})" for number in integers)
 
 
 def gains_tables(design: Design, gains: GainSet) -> list[Table]:

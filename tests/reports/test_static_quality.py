@@ -26,7 +26,9 @@ from dqforge.machines.settings import (
     WeakeningSettings,
 )
 from dqforge.optimizer.choice_rule import Leaf, Question, Rule, SimplifiedChoice
-from dqforge.optimizer.solution import solve, solve_gains, solve_phases, solve_weakening
+from dqforge.optimizer.fixed_design import fit_control
+from dqforge.optimizer.solution import Solution, solve, solve_gains, solve_phases, solve_weakening
+from dqforge.reports.control_fixed_header import control_fixed_files
 from dqforge.reports.control_header import control_files
 from dqforge.reports.gains_header import gains_files
 from dqforge.reports.header import header_files
@@ -80,6 +82,7 @@ def headers() -> dict[str, dict[str, bytes]]:
         operation = replace(solution.design.operation, modulation=modulator)
         changed = replace(solution, design=replace(solution.design, operation=operation))
         found[f"control {modulator}"] = header_files(changed) | control_files(changed)
+    found |= fixed_headers(solution)
     alternatives = [Alternative("svpwm", 16e3), Alternative("ddt-gdpwm", 41.9e3), Alternative("dpwm3", 35.1e3)]
     deep = Question(
         "speed_rad_per_s",
@@ -103,6 +106,20 @@ def headers() -> dict[str, dict[str, bytes]]:
         schedule = solve_gains(made).schedule
         assert schedule is not None
         found[f"gains {name}"] = gains_files(made, schedule)
+    return found
+
+
+def fixed_headers(solution: Solution) -> dict[str, dict[str, bytes]]:
+    """Control functions in fixed point, in both widths and with modulators whose code differs most."""
+    found, design, gains = {}, solution.design, solution.gains
+    bases = replace(design.control.bases, speed=1000.0)
+    design = replace(design, control=replace(design.control, bases=bases))
+    loops = (gains.i_d, gains.i_q, gains.speed)
+    pairs: tuple[tuple[int, ModulationName], ...] = ((16, "svpwm"), (16, "dpwm0"), (16, "thipwm6"), (32, "ddt-gdpwm"))
+    for width, modulator in pairs:
+        changed = replace(design, operation=replace(design.operation, modulation=modulator))
+        fit = fit_control(changed, loops, gains.observer, width)
+        found[f"control_{fit.control.format} {modulator}"] = control_fixed_files(changed, fit)
     return found
 
 
@@ -136,7 +153,8 @@ def written(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     for file_name, content in HEADERS[name].items():
         (tmp_path / file_name).write_bytes(content)
     kind = name.split()[0]
-    part = f"drive_{kind}" if kind in {"waveform", "weakening", "modulation", "gains"} else "drive"
+    vectors = {"waveform", "weakening", "modulation", "gains", "control_q15", "control_q31"}
+    part = f"drive_{kind}" if kind in vectors else "drive"
     call = f"{part}_mismatches" if part != "drive" else "drive_vectors_mismatches"
     main = f'#include "{part}_vectors.h"\nint main(void)\n{{\n    return ({call}() == 0U) ? 0 : 1;\n}}\n'
     (tmp_path / "main.c").write_text(CONTROL_MAIN if kind == "control" else main, encoding="ascii")
