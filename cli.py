@@ -496,44 +496,27 @@ def bemf(
 
 @app.command()
 def reproduce(
-    paper: Annotated[str, typer.Argument(metavar="PAPER", help="Number of the paper: 000 or 002.")],
+    paper: Annotated[str, typer.Argument(metavar="PAPER", help="Number of the paper: 000, 001 or 002.")],
     json: JsonOption = False,
     figures: Annotated[
-        Path | None, typer.Option("--figures", metavar="OUT", help="Folder for the paper's figures (002).")
+        Path | None, typer.Option("--figures", metavar="OUT", help="Folder for the paper's figures.")
     ] = None,
 ) -> None:
-    """Recompute a paper's tables beside the printed values, and draw its figures."""
-    from dqforge.machines.errors import InputError
+    """Recompute a paper's tables beside the printed values, replay its transients, and draw its figures."""
+    from dqforge.reports import reproduction
+    from dqforge.reports.console import status
 
-    if paper not in ("000", "002"):
-        raise InputError(f"paper {paper!r} cannot be reproduced; write: dqforge reproduce 000, or 002")
-    if paper == "000" and figures is not None:
-        raise InputError("--figures: the figures of paper 000 are not drawn; 'dqforge reproduce 002' has some")
-    tables, plain = _reproduced(paper, figures)
-    if json:
-        _print_json("reproduce", f"paper {paper}", plain)
-    else:
-        _show(tables)
-
-
-def _reproduced(paper: str, figures: Path | None) -> tuple[list[Table], dict[str, Any]]:
-    """Tables and plain data of a paper; its figures go into a folder, if one is given."""
-    if paper == "000":
-        from dqforge.reports import paper000
-
-        found = paper000.reproduce_paper()
-        return paper000.reproduction_tables(found), paper000.plain_reproduction(found)
-    from dqforge.reports import paper002
-
-    reproduction = paper002.reproduce_paper()
+    with status("recomputing"):
+        found = reproduction.reproduce(paper, figures=figures is not None)
     if figures is not None:
         from dqforge.reports.figures import to_svg
-        from dqforge.reports.figures_paper002 import plot_drive, plot_frames
         from dqforge.reports.files import write_all
 
-        drawn = {"figures-2.3-to-3.2.svg": plot_frames(), "figures-6.4-to-6.9.svg": plot_drive(reproduction.drive)}
-        write_all(figures, {name: to_svg(figure).encode("utf-8") for name, figure in drawn.items()})
-    return paper002.reproduction_tables(reproduction), paper002.plain_reproduction(reproduction)
+        write_all(figures, {name: to_svg(draw()).encode("utf-8") for name, draw in found.figures.items()})
+    if json:
+        _print_json("reproduce", f"paper {paper}", found.plain)
+    else:
+        _show(found.tables)
 
 
 @app.command()
