@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.settings import CurrentLoopSettings, SpeedLoopSettings
+from dqforge.optimizer.coupled_loops import CurrentControl, largest_pole
 from dqforge.optimizer.gains import LoopGains, speed_delay
 from dqforge.optimizer.loop_batch import BatchMargins, PlantBatch, batch_margins, close_loops
 from dqforge.optimizer.optimised_pi import optimised_pi, pi_scale
@@ -25,6 +26,8 @@ from dqforge.optimizer.pi_methods import (
 from dqforge.optimizer.tolerance_box import Axis, BoxPoints, DriveBox
 
 FloatArray = NDArray[np.float64]
+
+_SPEEDS = 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +72,16 @@ class LoopRobustness:
 
 @dataclass(frozen=True, slots=True)
 class RobustSet:
-    """Robustness of both current loops and, where there is one, of the speed loop."""
+    """Robustness of both current loops and, where there is one, of the speed loop.
+
+    ``turning`` is the largest pole modulus of both current loops together up to the largest speed, None where the
+    machine states none.
+    """
 
     i_d: LoopRobustness
     i_q: LoopRobustness
     speed: LoopRobustness | None
+    turning: Worst | None = None
 
 
 def summarise(margins: BatchMargins, points: BoxPoints) -> LoopRobustness:
@@ -177,6 +185,36 @@ def current_robustness(box: DriveBox, gains: LoopGains, axis: Axis) -> LoopRobus
         return current_pi(r_s, inductance, control.t_s, trial)
 
     return _kept("control.current_loop", gains, settings, plants, points, formula)
+
+
+def turning_robustness(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> Worst | None:
+    """Largest pole modulus of both current loops together over the box, at standstill and up to the largest speed.
+
+    None where the machine states no largest speed.
+
+    Raises
+    ------
+    NoSolutionError
+        The loops are unstable at a point; names it with its speed.
+    """
+    machine, control = box.design.machine, box.design.control
+    if machine.omega_m_max is None:
+        return None
+    points = box.turning_points()
+    omega_m = np.linspace(-machine.omega_m_max, machine.omega_m_max, _SPEEDS)
+    emitted = CurrentControl(
+        (i_d.kp, i_q.kp), (i_d.ki_ts, i_q.ki_ts), machine.l_d, machine.l_q, CURRENT_DELAY * control.t_s, control.t_s
+    )
+    radius = largest_pole(box.turning_machines(points, machine.pole_pairs * omega_m), emitted)
+    row, place = divmod(int(np.argmax(radius)), _SPEEDS)
+    at = f"{omega_m[place] * 30.0 / np.pi:.4g} rpm, {points.text(row)}"
+    if np.max(radius) >= 1.0:
+        raise NoSolutionError(
+            f"control.current_loop: within control.tolerances both current loops together are unstable at {at} (largest"
+            f" pole modulus {np.max(radius):.4g}): the decoupling leaves too much; lower the gains or"
+            " machine.max_speed, sample faster, or narrow control.tolerances"
+        )
+    return Worst(float(np.max(radius)), at)
 
 
 def speed_robustness(box: DriveBox, gains: LoopGains, current_gains: LoopGains) -> LoopRobustness:

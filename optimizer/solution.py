@@ -30,7 +30,7 @@ from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_obser
 from dqforge.optimizer.observer_tuning import PositionObserver, tune_position_observer
 from dqforge.optimizer.phase_reference import PhaseFit, fit_phases
 from dqforge.optimizer.reference_fit import ReferenceFit, domain_end, fit_reference
-from dqforge.optimizer.robustness import RobustSet, current_robustness, speed_robustness
+from dqforge.optimizer.robustness import RobustSet, current_robustness, speed_robustness, turning_robustness
 from dqforge.optimizer.surface_fit import WeakeningFit, fit_weakening
 from dqforge.optimizer.tolerance_box import Axis, drive_box
 from dqforge.optimizer.waveform_comparison import WaveformComparison, compare_waveforms, limits_of, require_phases
@@ -188,6 +188,7 @@ def solve_gains(design: Design) -> GainSet:
             current_robustness(box, i_d, "i_d"),
             current_robustness(box, i_q, "i_q"),
             None if speed is None else speed_robustness(box, speed, i_q),
+            turning_robustness(box, i_d, i_q),
         )
     wanted = control.current_loop.schedule
     schedule = schedule_gains(design, box if named else None, i_d, i_q) if wanted else None

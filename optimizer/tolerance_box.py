@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from dqforge.machines.design import Design
 from dqforge.machines.settings import Tolerances
 from dqforge.machines.synchronous import LinearMachine, torque_from_flux
+from dqforge.optimizer.coupled_loops import TurningMachines
 from dqforge.optimizer.loop_batch import DriveVariants, PlantBatch, current_plants, speed_plants
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 
@@ -119,6 +120,24 @@ class DriveBox:
     def current_points(self, axis: Axis) -> BoxPoints:
         """Corners and points inside of what the current loop of one axis depends on."""
         return box_points(self._limits(axis))
+
+    def turning_points(self) -> BoxPoints:
+        """The same for both current loops together."""
+        return box_points({**self._limits("i_d"), **self._limits("i_q")})
+
+    def turning_machines(self, points: BoxPoints, omega_e: FloatArray) -> TurningMachines:
+        """Windings at M points, each at S electrical speeds in rad/s, points by speeds in one row."""
+
+        def spread(column: FloatArray) -> FloatArray:
+            return np.repeat(column, omega_e.size)
+
+        return TurningMachines(
+            r_s=spread(self.resistance(points)),
+            l_d=spread(self.nominal[0] * (1.0 + points.of("l_d"))),
+            l_q=spread(self.nominal[1] * (1.0 + points.of("l_q"))),
+            gain=spread(1.0 + points.of("v_dc")),
+            omega_e=np.tile(omega_e, len(points.deviations)),
+        )
 
     def speed_points(self) -> BoxPoints:
         """The same for the speed loop; salient machines at no load and at full current."""

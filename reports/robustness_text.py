@@ -59,6 +59,8 @@ def robust_rows(robust: RobustSet) -> tuple[tuple[str, ...], ...]:
             ("largest pole", f"{loop.radius.value:.6f}", loop.radius.at),
         )
         rows += [(name if place == 0 else "", *text) for place, text in enumerate(texts)]
+    if robust.turning is not None:
+        rows.append(("both, turning", "largest pole", f"{robust.turning.value:.6f}", robust.turning.at))
     return tuple(rows)
 
 
@@ -95,6 +97,7 @@ def plain_robustness(robust: RobustSet | None) -> PlainData:
     plain: PlainData = {"i_d": None, "i_q": None, "speed": None}
     for name, loop in _loops(robust):
         plain[name] = {units.get(key, key): value for key, value in asdict(loop).items()}
+    plain["both_turning"] = None if robust.turning is None else {"largest_pole": asdict(robust.turning)}
     return {"tolerances": plain}
 
 
