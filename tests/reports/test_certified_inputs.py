@@ -1,4 +1,4 @@
-"""Ten million inputs per form through the compiled C: no proven bound is violated.
+"""Three million inputs per form through the compiled C: no proven bound is violated.
 
 The exact currents come from Newton's method on the optimality conditions in doubles, written here once more.
 """
@@ -22,7 +22,7 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.header import header_files
 from dqforge.reports.templating import render
 
-INPUTS = 10_000_000
+INPUTS = 3_000_000
 CHUNK = 1_000_000
 ROUNDING = 2e-13
 """Of the largest current or torque: what Newton's method in doubles leaves open."""
