@@ -19,6 +19,7 @@ from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_numbers import float_literal
 from dqforge.reports.control_model import ControlModel, ControlState, modulator_of
+from dqforge.reports.plain_singles import single_from
 from dqforge.reports.programme import Programme
 from dqforge.reports.reference_ir import PlainData, from_plain, shortest
 from dqforge.reports.surface_header import weakening_from
@@ -105,8 +106,8 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
         The data are not what `plain_control` makes.
     """
     try:
-        gains: dict[str, Any] = {name: tuple(_single(x) for x in described[name]) for name in _PIS}
-        gains |= {name: _single(described[name]) for name in _NUMBERS}
+        gains: dict[str, Any] = {name: tuple(single_from(x) for x in described[name]) for name in _PIS}
+        gains |= {name: single_from(described[name]) for name in _NUMBERS}
         modulation, ratio = described["modulation"], described["ratio"]
         reference = from_plain(whole["header"]["reference"])
         weakening = weakening_from(whole["weakening_header"]) if described["weakening"] else None
@@ -119,15 +120,6 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
     if isinstance(reference, FixedReference):
         raise _FAULT
     return ControlModel(gains, ratio, modulation, reference, weakening)
-
-
-def _single(value: Any) -> np.float32:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError
-    single = np.float32(value)
-    if not math.isfinite(single):
-        raise ValueError
-    return single
 
 
 def control_inputs(model: ControlModel) -> SingleArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,6 +13,7 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.gain_schedule import GainSchedule
 from dqforge.optimizer.schedule_fit import GAIN_NAMES, GainEvaluator
 from dqforge.optimizer.single_precision import SingleArray
+from dqforge.reports.plain_singles import single_from, singles_from
 from dqforge.reports.reference_ir import PlainData, shortest
 from dqforge.reports.schedule_text import schedule_lines
 from dqforge.reports.templating import render
@@ -50,15 +50,16 @@ def evaluator_from(plain: Mapping[str, Any]) -> GainEvaluator:
     """
     try:
         found = GainEvaluator(
-            end=_single(plain["end"]),
-            fallback={name: _single(plain["fallback"][name]) for name in GAIN_NAMES},
-            constants={name: _single(value) for name, value in plain["constants"].items()},
-            starts=_singles(plain["starts"]),
+            end=single_from(plain["end"]),
+            fallback={name: single_from(plain["fallback"][name]) for name in GAIN_NAMES},
+            constants={name: single_from(value) for name, value in plain["constants"].items()},
+            starts=singles_from(plain["starts"], _MOST_VALUES),
             polynomials={
-                name: np.stack([_singles(row) for row in rows]) for name, rows in plain["polynomials"].items()
+                name: np.stack([singles_from(row, _MOST_VALUES) for row in rows])
+                for name, rows in plain["polynomials"].items()
             },
-            inverse_step=_single(plain["inverse_step"]),
-            tables={name: _singles(values) for name, values in plain["tables"].items()},
+            inverse_step=single_from(plain["inverse_step"]),
+            tables={name: singles_from(values, _MOST_VALUES) for name, values in plain["tables"].items()},
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise _FAULT from error
@@ -78,23 +79,6 @@ def evaluator_from(plain: Mapping[str, Any]) -> GainEvaluator:
     if not sound:
         raise _FAULT
     return found
-
-
-def _single(value: Any) -> np.float32:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError
-    with np.errstate(over="ignore"):
-        single = np.float32(value)
-    if not math.isfinite(single):
-        raise ValueError
-    return single
-
-
-def _singles(values: Any) -> SingleArray:
-    array: SingleArray = np.array([_single(value) for value in values], dtype=np.float32)
-    if not 1 <= array.size <= _MOST_VALUES:
-        raise ValueError
-    return array
 
 
 def schedule_inputs(evaluator: GainEvaluator, count: int, seed: int, patterns: int = 0) -> SingleArray:

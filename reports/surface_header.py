@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,6 +13,7 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.single_precision import SingleArray, SinglePolynomial
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.optimizer.surface_reference import SingleSurface, WeakeningReference
+from dqforge.reports.plain_singles import single_from, singles_from
 from dqforge.reports.reference_ir import PlainData, shortest
 from dqforge.reports.templating import render
 from dqforge.reports.weakening_text import error_lines
@@ -51,14 +51,14 @@ def weakening_from(plain: Mapping[str, Any]) -> WeakeningReference:
     """
     try:
         found = WeakeningReference(
-            flux_min=_single(plain["flux_min"]),
-            flux_max=_single(plain["flux_max"]),
+            flux_min=single_from(plain["flux_min"]),
+            flux_max=single_from(plain["flux_max"]),
             limit=_curve(plain["limit"]),
             d=_curve(plain["d"]),
             q=_curve(plain["q"]),
             flux=_curve(plain["flux"]),
-            torque_mid=_single(plain["torque_mid"]),
-            excess_mid=_single(plain["excess_mid"]),
+            torque_mid=single_from(plain["torque_mid"]),
+            excess_mid=single_from(plain["excess_mid"]),
             surface_d=_surface(plain["surface_d"]),
             surface_q=_surface(plain["surface_q"]),
         )
@@ -70,26 +70,9 @@ def weakening_from(plain: Mapping[str, Any]) -> WeakeningReference:
     return found
 
 
-def _single(value: Any) -> np.float32:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError
-    with np.errstate(over="ignore"):
-        single = np.float32(value)
-    if not math.isfinite(single):
-        raise ValueError
-    return single
-
-
-def _singles(values: Any) -> SingleArray:
-    array: SingleArray = np.array([_single(value) for value in values], dtype=np.float32)
-    if not 1 <= array.size <= _MOST_TERMS:
-        raise ValueError
-    return array
-
-
 def _curve(rows: Any) -> SinglePolynomial:
-    starts = _singles([row["start"] for row in rows])
-    coefficients = np.stack([_singles(row["coefficients"]) for row in rows])
+    starts = singles_from([row["start"] for row in rows], _MOST_TERMS)
+    coefficients = np.stack([singles_from(row["coefficients"], _MOST_TERMS) for row in rows])
     ascending = starts[0] == 0.0 and bool(np.all(np.diff(starts) > 0.0)) and starts.size <= _MOST_SEGMENTS
     if coefficients.shape[1] < 2 or not ascending:
         raise ValueError
@@ -99,7 +82,7 @@ def _curve(rows: Any) -> SinglePolynomial:
 def _surface(rows: Any) -> SingleSurface:
     if not 1 <= len(rows) <= _MOST_TERMS:
         raise ValueError
-    return SingleSurface(tuple(_singles(row) for row in rows))
+    return SingleSurface(tuple(singles_from(row, _MOST_TERMS) for row in rows))
 
 
 def weakening_inputs(reference: WeakeningReference, count: int, seed: int, patterns: int = 0) -> SingleArray:
