@@ -210,9 +210,10 @@ class ControlModel:
         error_d, error_q = reference[0] - i_d, reference[1] - i_q
         wanted_d = _pi_output(gains["d"], state.d, error_d) - (omega_e * (gains["l_q"] * i_q))
         wanted_q = _pi_output(gains["q"], state.q, error_q) + (omega_e * ((gains["l_d"] * i_d) + gains["psi_pm"]))
-        v_d = np.where(wanted_d > v_max, v_max, np.where(wanted_d < -v_max, -v_max, wanted_d))
-        rest = np.sqrt((v_max * v_max) - (v_d * v_d))
-        v_q = np.where(wanted_q > rest, rest, np.where(wanted_q < -rest, -rest, wanted_q))
+        length = np.sqrt((wanted_d * wanted_d) + (wanted_q * wanted_q))
+        beyond = length > v_max
+        share = np.where(beyond, v_max / np.where(beyond, length, _ONE), _ONE)
+        v_d, v_q = share * wanted_d, share * wanted_q
         state.d = state.d + ((gains["d"][1] * error_d) + (gains["d"][2] * (v_d - wanted_d)))
         state.q = state.q + ((gains["q"][1] * error_q) + (gains["q"][2] * (v_q - wanted_q)))
         state.reference = reference

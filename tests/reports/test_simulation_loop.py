@@ -131,7 +131,7 @@ def test_duty_cycles_act_one_period_after_their_samples(program: Simulator, solv
 
 
 def test_speed_limit_of_the_torque_and_voltage_limit_leave_no_windup(program: Simulator, solved: Solution) -> None:
-    """A step far beyond the voltage: the current is limited by it, and the speed comes back without lasting windup."""
+    """A step far beyond the voltage: it limits the speed, and the way back takes neither windup nor wild currents."""
     reference = Profile((0.0, 4.0), (5000.0, 200.0))
     found = run(program, solved, Scenario(7.0, "speed", reference))
 
@@ -139,7 +139,9 @@ def test_speed_limit_of_the_torque_and_voltage_limit_leave_no_windup(program: Si
         i_q, omega_e = 0.01 * omega_m / (1.5 * 3 * 0.1), 3.0 * omega_m
         return 500.0 / math.sqrt(3.0) - math.hypot(2e-3 * omega_e * i_q, 0.3 * i_q + 0.1 * omega_e)
 
-    assert float(np.max(found.omega_m)) == pytest.approx(brentq(voltage_left, 0.0, 1000.0), rel=0.01)
+    most = brentq(voltage_left, 0.0, 1000.0)
+    assert 0.85 * most < float(np.max(found.omega_m)) < 1.01 * most
+    assert float(found.figures.peak_current[0]) < 1.5 * solved.design.i_max
     assert float(found.omega_m[-1]) == pytest.approx(200.0, abs=0.1)
     assert float(np.min(found.omega_m[found.t > 4.0])) > 170.0
 
