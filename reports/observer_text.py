@@ -9,7 +9,7 @@ import numpy as np
 
 from dqforge.optimizer.observer_judgement import judge_at
 from dqforge.optimizer.observer_tuning import PositionObserver
-from dqforge.reports.observer_header import speed_range_text
+from dqforge.reports.observer_header import speed_range_text, tuning_text
 from dqforge.reports.reference_ir import PlainData
 
 TextTable = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], tuple[str, ...]]
@@ -29,7 +29,7 @@ def _size(value: float) -> str:
 
 def position_parts(observer: PositionObserver) -> list[TextTable]:
     """Angle errors over the speed, and the tuning, as text tables."""
-    tuning, known = observer.tuning, observer.disturbances
+    known = observer.disturbances
     omega = np.array(_SHARES) * observer.omega_max
     judged = judge_at(observer.method, observer.gains, observer.t_s, observer.machine, known, omega)
     names = tuple(judged.bias)
@@ -52,11 +52,9 @@ def position_parts(observer: PositionObserver) -> list[TextTable]:
         )
         for s in range(len(omega))
     )
-    gain = f", speed_gain {tuning.speed_gain:.4g}" if "speed_gain" in observer.method.keys else ""
-    loop = f"loop {tuning.pll_bandwidth:.5g} rad/s, damping {tuning.damping:.3g}"
     noise = f"noise {known.i_noise:.2g} A and {known.v_noise:.2g} V r.m.s."
     notes = (
-        f"bandwidth {tuning.bandwidth:.5g} rad/s{gain}; {loop}",
+        tuning_text(observer),
         f"holds from {speed_range_text(observer)}",
         f"i_q = {known.i_load:.3g} A, acceleration {known.acceleration:.3g} rad/s^2 (electrical), {noise}",
     )
