@@ -258,7 +258,11 @@ def test_optimised_tuning_beats_the_usual_one_in_simulation(method: ObserverMeth
     first = method.usual(IPM, T_S, OMEGA_MAX)
     first = replace(first, bandwidth=5.0 * first.bandwidth, pll_bandwidth=0.3 * first.pll_bandwidth)
     best = optimise(method, first, IPM, T_S, _disturbances(), OMEGA_MAX)
-    time: FloatArray = np.arange(4000.0)[:, None] * T_S
+    if method.name == "ekf":  # tuned by its innovations, which `test_ekf` shows to find the noise from a wrong start
+        assert best == first
+        return
+    assert best != first
+    time: FloatArray = np.arange(2000.0)[:, None] * T_S
     signs = {"r_s": 0.3 * np.array([1, -1, 1, -1]), "psi_pm": 0.1 * np.array([1, 1, -1, -1])}
     motion = drive_motion(IPM, T_S, 500.0 + 2000.0 * time, np.array([100j]), signs).measured(1.0, 1.0, 5)
     spread = []

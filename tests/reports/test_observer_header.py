@@ -13,16 +13,20 @@ import numpy as np
 import pytest
 from drives import make_design
 
+from dqforge.machines import catalogue
 from dqforge.machines.drive_motion import drive_motion
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.settings import ObserverSettings
+from dqforge.optimizer import observer_proof
+from dqforge.optimizer.observer_judgement import judge_at
 from dqforge.optimizer.observer_parts import EXACT, cast
+from dqforge.optimizer.observer_proof import prove
 from dqforge.optimizer.observer_tuning import PositionObserver
 from dqforge.optimizer.position_observers import METHODS, observe
 from dqforge.optimizer.solution import solve_gains
 from dqforge.reports.observer_header import emitted, observer_files, observer_from, plain_observer, speed_range_text
 from dqforge.reports.observer_model import SINGLE, observer_inputs, observer_outputs
-from dqforge.reports.observer_text import plain_position, position_parts
+from dqforge.reports.observer_text import plain_position, position_parts, proof_text
 from dqforge.reports.result_json import to_text
 from dqforge.reports.run import export_design
 from dqforge.reports.verify import verify_folder
@@ -151,3 +155,29 @@ def test_not_a_number_does_not_stay(name: str) -> None:
             assert name != "ekf" or (np.isfinite(state.theta_e).all() and np.isfinite(state.omega_e).all())
     assert np.max(np.abs(EXACT.wrap(state.theta_e.astype(np.float64) - theta[-1]))) < 2e-3
     np.testing.assert_allclose(state.omega_e, 1900.0, rtol=2e-3)
+
+
+@pytest.mark.slow
+def test_tune_says_what_is_proven_of_the_flux_observer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A contraction no smaller than the largest pole between the ends, in text; none of other methods."""
+    design = catalogue.load("paper001-pmsm-bench")
+    control = replace(design.control, observer=ObserverSettings(method="flux"))
+    observer = solve_gains(replace(design, control=control)).position
+    assert observer is not None
+    proof = prove(observer)
+    assert proof is not None
+    assert proof.contraction is not None
+    omega = np.linspace(proof.omega_low, proof.omega_high, 30)
+    judged = judge_at(observer.method, observer.gains, observer.t_s, observer.machine, observer.disturbances, omega)
+    assert np.max(judged.radius) < proof.contraction < 1.0
+    assert position_parts(observer, proof)[0][3][-1].startswith(
+        f"proven: small errors shrink by {proof.contraction:.5f}"
+    )
+    assert prove(_observer("extended-emf")) is None
+    wild = replace(observer, gains=replace(observer.gains, pll=replace(observer.gains.pll, l_1=2.05)))
+    refused = prove(wild)
+    assert refused is not None
+    assert refused.contraction is None
+    assert "no common Lyapunov function was found" in proof_text(refused)
+    monkeypatch.setattr(observer_proof, "find_spec", lambda _: None)
+    assert prove(observer) is None
