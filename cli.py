@@ -297,6 +297,9 @@ def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = Non
 @app.command()
 def tune(design: DesignArgument, json: JsonOption = False, plot: PlotOption = None) -> None:
     """Tune the controllers and the observer and show their margins."""
+    from dataclasses import asdict
+
+    from dqforge.optimizer.observer_proof import prove
     from dqforge.optimizer.solution import solve_fixed, solve_gains
     from dqforge.reports.control_fixed_header import plain_fixed_evidence
     from dqforge.reports.control_fixed_tables import control_fixed_tables
@@ -305,16 +308,17 @@ def tune(design: DesignArgument, json: JsonOption = False, plot: PlotOption = No
 
     loaded = _load_for(design, plot)
     gains = solve_gains(loaded)
-    fixed = solve_fixed(loaded, gains)
+    fixed, proof = solve_fixed(loaded, gains), prove(gains.position)
     if plot is not None:
         from dqforge.reports.figures import plot_gains
 
         _plot(lambda: plot_gains(loaded, gains), plot)
     if json:
         evidence = {"control_fixed": {fit.control.format: plain_fixed_evidence(fit) for fit in fixed}} if fixed else {}
-        _print_json("tune", loaded.name, {"gains": plain_gains(loaded, gains)} | evidence)
+        proven = {} if proof is None else {"observer_proof": asdict(proof)}
+        _print_json("tune", loaded.name, {"gains": plain_gains(loaded, gains)} | proven | evidence)
     else:
-        _show([*gains_tables(loaded, gains), *control_fixed_tables(fixed)])
+        _show([*gains_tables(loaded, gains, proof), *control_fixed_tables(fixed)])
 
 
 @app.command()

@@ -135,7 +135,7 @@ def _check_observer(observer: ObserverSection, document: YamlDocument) -> None:
         if getattr(observer, key) is not None and key not in used:
             raise document.error(
                 f"control.observer: the method '{observer.method}' does not use '{key}'; remove it, or write another "
-                f"method (it uses {', '.join(used)})",
+                f"method (it uses {', '.join(used) or 'no key but tuning'})",
                 (*path, key),
                 key=True,
             )

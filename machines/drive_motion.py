@@ -233,9 +233,10 @@ def drive_motion(
     theta = np.array(np.broadcast_to(np.asarray(theta_0, dtype=np.float64), shape[1:]))
     i_now = np.array(reference[0])
     psi = plant.flux(i_now) * np.exp(1j * theta)
-    integral = plant.r_s * i_now
-    steady = integral + 1j * omega[0] * plant.flux(i_now)
-    pending, before = (steady * np.exp(1j * (theta + share * omega[0] * t_s)) for share in (0.5, -0.5))
+    # The integrals hold what the controller does not know of its machine, so that wrong ones stand still as well.
+    steady = steady_voltage(plant, i_now, omega[0], t_s)
+    integral = steady * np.exp(0.5j * omega[0] * t_s) - 1j * omega[0] * control.flux(i_now)
+    pending, before = steady * np.exp(1j * (theta + omega[0] * t_s)), steady * np.exp(1j * theta)
     rows = np.empty((3, *shape), dtype=np.complex128)  # voltage that acted, current, dq current
     angles = np.empty(shape)
     for k in range(shape[0]):

@@ -169,7 +169,13 @@ def common_lyapunov(matrices: FloatArray, contraction: float) -> FloatArray | No
 
 
 def certify_flux_observer(
-    gains: FluxGains, omega_low: float, omega_high: float, currents: Sequence[complex] = (0j,)
+    gains: FluxGains,
+    omega_low: float,
+    omega_high: float,
+    currents: Sequence[complex] = (0j,),
+    *,
+    pieces: int = _PIECES,
+    bisections: int = _BISECTIONS,
 ) -> LyapunovCertificate:
     """Prove the flux observer's linearised error to decay at every speed of the range, however fast the speed changes.
 
@@ -178,25 +184,28 @@ def certify_flux_observer(
     omega_low, omega_high:
         Range of the electrical speed in rad/s, both positive.
     currents:
-        Currents i_d + j i_q in A at which the machine may be.
+        Currents i_d + j i_q in A at which the machine may be. Two with the same i_d stand for all between them: A is
+        affine in i_q.
+    pieces, bisections:
+        Boxes along the speed, and tries for a smaller contraction: the time is proportional to their product.
 
     Raises
     ------
     NoSolutionError
         No common quadratic Lyapunov function was found, or what the solver found does not stand the exact check.
     """
-    corners = corner_parameters(gains, omega_low, omega_high)
+    corners = corner_parameters(gains, omega_low, omega_high, pieces)
     matrices = np.array(
         [flux_error_matrix(gains, i_dq, *map(float, corner)) for i_dq in currents for corner in corners]
     )
     low = float(np.max(np.abs(np.linalg.eigvals(matrices))))
     if low >= 1.0:
-        raise NoSolutionError(f"no certificate: at some speed a pole has the modulus {low:.6f}")
+        raise NoSolutionError(f"no certificate: at some speed a corner of its box has a pole of modulus {low:.6f}")
     exact = [
         flux_error_matrix(gains, i_dq, *map(_rational, corner)) for i_dq in currents for corner in corners.tolist()
     ]
     best, high = None, 1.0
-    for _ in range(_BISECTIONS):
+    for _ in range(bisections):
         middle = high if best is None else float(np.sqrt(low * high))
         p = common_lyapunov(matrices, middle)
         if p is not None and holds_exactly(p, middle, exact):

@@ -120,16 +120,17 @@ class ObserverRun:
         return wrapped(self.theta - trial.theta)
 
 
-def check_speeds(machine: LinearMachine, what: str, bandwidth: float, t_s: float) -> None:
-    """Refuse what has no magnet or a pole that the sampling cannot hold."""
+def check_speeds(machine: LinearMachine, what: str, poles: dict[str, float], t_s: float) -> None:
+    """Refuse what has no magnet or a pole in rad/s, by the key of the design, that the sampling cannot hold."""
     if not machine.psi_pm > 0.0:
         raise NoSolutionError(
             f"control.observer: {what} needs magnet flux (machine.psi_pm is 0); write method: injection or ekf"
         )
-    if not (bandwidth > 0.0 and bandwidth * t_s <= 1.0):
-        raise InputError(
-            f"control.observer.pole must lie above 0 and up to {1.0 / t_s:g} rad/s (pole t_s = 1), got {bandwidth:g}"
-        )
+    for key, pole in poles.items():
+        if not (pole > 0.0 and pole * t_s <= 1.0):
+            raise InputError(
+                f"control.observer.{key} must lie above 0 and up to {1.0 / t_s:g} rad/s (pole t_s = 1), got {pole:g}"
+            )
 
 
 def matsui(
@@ -163,9 +164,11 @@ def matsui(
         No magnet, or a pole too fast for the sampling.
     """
     model = sampled_machine(machine, t_s, omega_max)
-    check_speeds(model.machine, f"Matsui's {kind} model", bandwidth, t_s)
+    of_speed = bandwidth if speed_bandwidth is None else speed_bandwidth
+    poles = {"pll_bandwidth": bandwidth, "bandwidth": of_speed}
+    check_speeds(model.machine, f"Matsui's {kind} model", poles, t_s)
     slow = model.omega_max / 50.0 if omega_min is None else omega_min
-    share = 1.0 - np.exp(-(bandwidth if speed_bandwidth is None else speed_bandwidth) * t_s)
+    share = 1.0 - np.exp(-of_speed * t_s)
     if kind == "current":
         return Matsui(model, kind, slow, float(share), l_theta=float(1.0 - np.exp(-bandwidth * t_s)))
     roots = np.exp(np.roots([1.0, 2.0 * damping * bandwidth, bandwidth**2]) * t_s)

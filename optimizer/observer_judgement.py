@@ -119,8 +119,8 @@ def _derivative(method: ObserverMethod, gains: Any, case: _Case, states: FloatAr
     m, n = states.shape
     size = np.ones((m, n))
     count = 2 * _vectors(method)
-    largest = np.max(np.abs(states[:, count:-2]), axis=0)
-    size[:, count:-2] = np.where(largest > 0.0, largest, 1.0)
+    if method.sizes is not None:
+        size[:, count:-2] = method.sizes(states[:, count:-2], case.omega)
     for k in range(0, count, 2):
         norm = np.hypot(states[:, k], states[:, k + 1])
         size[:, k] = size[:, k + 1] = np.where(norm > 0.0, norm, 1.0)

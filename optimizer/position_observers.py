@@ -36,6 +36,10 @@ class ObserverMethod:
         The dataclass that ``design`` returns.
     settle:
         Steps from the start after which Newton's method finds the steady state that is reached, and no other.
+    sizes:
+        (scalars of M states, shape (M, n), electrical speeds in rad/s, shape (M,)) -> how large a change of each
+        scalar is noticeable, shape (M, n), positive. In a steady state many are nil, so that their own size tells
+        nothing. None without scalars.
     """
 
     name: str
@@ -48,6 +52,7 @@ class ObserverMethod:
     keys: tuple[str, ...]
     gains: type[Any]
     settle: int = 0
+    sizes: Callable[[FloatArray, FloatArray], FloatArray] | None = None
 
 
 def _pll_bandwidth(t_s: float) -> float:
@@ -122,6 +127,7 @@ METHODS: dict[str, ObserverMethod] = {
             ("bandwidth",),
             sampled_steps.MatsuiVoltageGains,
             300,
+            sampled_steps.matsui_voltage_sizes,
         ),
         ObserverMethod(
             "matsui-current",
@@ -146,6 +152,7 @@ METHODS: dict[str, ObserverMethod] = {
             (),
             sampled_steps.EkfGains,
             300,
+            sampled_steps.ekf_sizes,
         ),
     )
 }

@@ -12,12 +12,17 @@ from typing import Any
 
 import numpy as np
 
+from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.ekf import Ekf
 from dqforge.optimizer.matsui import Matsui
 from dqforge.optimizer.observer_parts import Arithmetic, ObserverState, Pair, Reals, park
 from dqforge.optimizer.sampled_machine import SampledMachine
 
 EVEN = 5
+_TURN = np.float32(6.2831855)
+_I_SQUARE = np.float32(1e30)
+_P_THETA = np.float32(10.0)
+"""Largest variance of an angle in rad^2: one of which nothing is known has pi^2/3."""
 _ORDER = (0, 3, 4, 7, 8, 1, 2, 5, 6, 9)
 """Rows of `SampledMachine.table` in the order of the C: the even ones first."""
 
@@ -117,6 +122,17 @@ def ekf_start(theta_e: Reals, omega_e: Reals) -> ObserverState:
     return ObserverState((), theta_e, omega_e, False, (zero,) * (2 + len(_UPPER)))
 
 
+def ekf_sizes(scalars: FloatArray, _: FloatArray) -> FloatArray:
+    """Noticeable changes of the scalars of M filters, shape (M, 12): a covariance counts by its two variances."""
+    size = np.empty_like(scalars)
+    norm = np.hypot(scalars[:, 0], scalars[:, 1])
+    size[:, 0] = size[:, 1] = np.where(norm > 0.0, norm, 1.0)
+    root = np.sqrt(np.abs(scalars[:, [2 + _UPPER.index((n, n)) for n in range(4)]]))
+    for k, (n, m) in enumerate(_UPPER):
+        size[:, 2 + k] = np.maximum(root[:, n] * root[:, m], 1e-30)
+    return size
+
+
 def _ekf_predicted(
     gains: EkfGains, state: ObserverState, v: Pair, maths: Arithmetic
 ) -> tuple[Pair, list[list[Reals]], Reals]:
@@ -150,14 +166,35 @@ def _ekf_predicted(
     return _next(e, i, u), new, maths.wrap(state.theta_e + model.t_s * state.omega_e)
 
 
+def _ekf_begun(gains: EkfGains, theta: Reals, omega: Reals, i: Pair, maths: Arithmetic) -> ObserverState:
+    """The measured current at a given angle and speed, with the covariance of the start."""
+    first = park(i, maths.rotation(theta))
+    zero = np.zeros_like(theta)
+    diagonal = [zero + value for value in (gains.r, gains.r, gains.p_omega, gains.p_theta)]
+    rows = tuple(diagonal[n] if n == m else zero for n, m in _UPPER)
+    return ObserverState((), theta, omega, True, (*first, *rows))
+
+
+def _ekf_sound(gains: EkfGains, i: Pair, speed: Reals, p: list[list[Reals]], det: Reals, turn: Reals) -> Any:
+    """Whether all is within the range of a filter that works, shape (N,): false for not-a-number.
+
+    ``det`` is the determinant of the innovation's covariance, ``turn`` the correction of the angle in rad.
+    """
+    good = (det > 0.0) & (turn >= -_TURN) & (turn <= _TURN)
+    good &= (speed >= -gains.omega_max) & (speed <= gains.omega_max)
+    good &= (i[0] * i[0] + i[1] * i[1]) < _I_SQUARE
+    good &= (p[0][0] > 0.0) & (p[1][1] > 0.0) & (p[2][2] > 0.0) & (p[3][3] > 0.0)
+    return good & (p[2][2] <= gains.omega_max * gains.omega_max + gains.p_omega) & (p[3][3] <= _P_THETA)
+
+
 def ekf_step(gains: EkfGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic) -> ObserverState:
-    """Next state; ``v`` in V acted over the period that ends at the instant of ``i`` in A (alpha, beta)."""
+    """Next state; ``v`` in V acted over the period that ends at the instant of ``i`` in A (alpha, beta).
+
+    A sample after which a number is out of range (`_ekf_sound`) begins anew with its current, the covariance of the
+    start, the angle that was foretold and the speed before.
+    """
     if not state.started:
-        first = park(i, maths.rotation(state.theta_e))
-        zero = np.zeros_like(state.theta_e)
-        diagonal = [zero + value for value in (gains.r, gains.r, gains.p_omega, gains.p_theta)]
-        rows = tuple(diagonal[n] if n == m else zero for n, m in _UPPER)
-        return ObserverState((), state.theta_e, state.omega_e, True, (*first, *rows))
+        return _ekf_begun(gains, state.theta_e, state.omega_e, i, maths)
     (i_d, i_q), p, theta = _ekf_predicted(gains, state, v, maths)
     seen = park(i, maths.rotation(theta))
     nu_d, nu_q = seen[0] - i_d, seen[1] - i_q
@@ -166,15 +203,21 @@ def ekf_step(gains: EkfGains, state: ObserverState, v: Pair, i: Pair, maths: Ari
     s_dd = (h[0][0] + b_d * h[3][0]) + gains.r
     s_dq = h[0][1] + b_d * h[3][1]
     s_qq = (h[1][1] + b_q * h[3][1]) + gains.r
-    inverse = 1.0 / (s_dd * s_qq - s_dq * s_dq)
+    det = s_dd * s_qq - s_dq * s_dq
+    inverse = 1.0 / det
     k = [((h[n][0] * s_qq - h[n][1] * s_dq) * inverse, (h[n][1] * s_dd - h[n][0] * s_dq) * inverse) for n in range(4)]
     x = [k[n][0] * nu_d + k[n][1] * nu_q for n in range(4)]
     for n in range(4):
         for m in range(n + 1):
             p[m][n] = p[n][m] = p[m][n] - (k[m][0] * h[n][0] + k[m][1] * h[n][1])
-    speed = limited(state.omega_e + x[2], gains.omega_max)
-    rows = tuple(p[n][m] for n, m in _UPPER)
-    return ObserverState((), maths.wrap(theta + x[3]), speed, True, (i_d + x[0], i_q + x[1], *rows))
+    speed, current = limited(state.omega_e + x[2], gains.omega_max), (i_d + x[0], i_q + x[1])
+    sound = _ekf_sound(gains, current, speed, p, det, x[3])
+    values = (maths.wrap(theta + x[3]), speed, *current, *(p[n][m] for n, m in _UPPER))
+    if not np.all(sound):
+        anew = _ekf_begun(gains, theta, state.omega_e, i, maths)
+        parts = zip(values, (anew.theta_e, anew.omega_e, *anew.scalars), strict=True)
+        values = tuple(np.where(sound, own, other) for own, other in parts)
+    return ObserverState((), values[0], values[1], True, values[2:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,6 +275,11 @@ def matsui_voltage_start(theta_e: Reals, omega_e: Reals) -> ObserverState:
     """
     zero = np.zeros_like(theta_e)
     return ObserverState(((zero, zero),), theta_e, omega_e, False, (zero, zero))
+
+
+def matsui_voltage_sizes(scalars: FloatArray, omega: FloatArray) -> FloatArray:
+    """Noticeable changes of the scalars of M estimators, shape (M, 2): both are speeds, nil in an ideal drive."""
+    return np.maximum(np.abs(scalars), np.maximum(np.abs(omega), 1.0)[:, None])
 
 
 def matsui_current_start(theta_e: Reals, omega_e: Reals) -> ObserverState:

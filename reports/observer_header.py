@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from textwrap import wrap
 from typing import Any
 
 from dqforge import __version__
@@ -58,12 +59,31 @@ def speed_range_text(observer: PositionObserver) -> str:
     return f"{low:.3g} to {high:.3g} Hz (electrical) below 10 deg r.m.s."
 
 
+def tuning_text(observer: PositionObserver) -> str:
+    """By what numbers the observer was tuned, in words."""
+    tuning, method = observer.tuning, observer.method
+    if method.name == "ekf":
+        gains = observer.gains
+        density = gains.q_22 / observer.t_s
+        return (
+            f"tuned by its innovations: variance of the currents {gains.q_i:.3g} A^2 per sample, of what is measured "
+            f"{gains.r:.3g} A^2, density of the acceleration {density:.3g} rad^2/s^3"
+        )
+    if method.name == "matsui-current":
+        return f"pole of the speed {tuning.bandwidth:.5g} rad/s, of the angle {tuning.pll_bandwidth:.5g} rad/s"
+    gain = f", speed_gain {tuning.speed_gain:.4g}" if "speed_gain" in method.keys else ""
+    return (
+        f"bandwidth {tuning.bandwidth:.5g} rad/s{gain}; loop {tuning.pll_bandwidth:.5g} rad/s, "
+        f"damping {tuning.damping:.3g}"
+    )
+
+
 def _preamble(design: Design, observer: PositionObserver) -> list[str]:
-    tuning, wrong = observer.tuning, observer.disturbances
+    wrong = observer.disturbances
     code, prefix = observer.method.code, design.export.prefix
     return [
         f"Method: {observer.method.title}, sampled every {observer.t_s * 1e6:.6g} us.",
-        f"Bandwidth {tuning.bandwidth:.6g} rad/s, loop {tuning.pll_bandwidth:.6g} rad/s, damping {tuning.damping:.4g}.",
+        *wrap(f"Tuning: {tuning_text(observer)}.", 110),
         f"Holds from {speed_range_text(observer)}",
         f"with R {100.0 * wrong.r_s:.3g} %, L {100.0 * wrong.l_q:.3g} %, psi {100.0 * wrong.psi_pm:.3g} % wrong,",
         f"noise of {wrong.i_noise:.3g} A and {wrong.v_noise:.3g} V r.m.s., i_q = {wrong.i_load:.4g} A.",

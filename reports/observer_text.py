@@ -8,8 +8,9 @@ from dataclasses import asdict
 import numpy as np
 
 from dqforge.optimizer.observer_judgement import judge_at
+from dqforge.optimizer.observer_proof import ObserverProof
 from dqforge.optimizer.observer_tuning import PositionObserver
-from dqforge.reports.observer_header import speed_range_text
+from dqforge.reports.observer_header import speed_range_text, tuning_text
 from dqforge.reports.reference_ir import PlainData
 
 TextTable = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], tuple[str, ...]]
@@ -27,9 +28,20 @@ def _size(value: float) -> str:
     return f"{math.degrees(value):.3g}" if math.isfinite(value) else "lost"
 
 
-def position_parts(observer: PositionObserver) -> list[TextTable]:
-    """Angle errors over the speed, and the tuning, as text tables."""
-    tuning, known = observer.tuning, observer.disturbances
+def proof_text(proof: ObserverProof) -> str:
+    """What is proven over the speed range, in one line."""
+    low, high = (value / (2.0 * math.pi) for value in (proof.omega_low, proof.omega_high))
+    span = f"{low:.3g} to {high:.3g} Hz, |i_q| up to {proof.i_q:.3g} A"
+    if proof.contraction is None:
+        return f"no common Lyapunov function was found for {span}: {proof.reason}"
+    return (
+        f"proven: small errors shrink by {proof.contraction:.5f} per sample or faster while the speed varies in {span}"
+    )
+
+
+def position_parts(observer: PositionObserver, proof: ObserverProof | None = None) -> list[TextTable]:
+    """Angle errors over the speed, the tuning, and what is proven, as text tables."""
+    known = observer.disturbances
     omega = np.array(_SHARES) * observer.omega_max
     judged = judge_at(observer.method, observer.gains, observer.t_s, observer.machine, known, omega)
     names = tuple(judged.bias)
@@ -52,14 +64,14 @@ def position_parts(observer: PositionObserver) -> list[TextTable]:
         )
         for s in range(len(omega))
     )
-    gain = f", speed_gain {tuning.speed_gain:.4g}" if "speed_gain" in observer.method.keys else ""
-    loop = f"loop {tuning.pll_bandwidth:.5g} rad/s, damping {tuning.damping:.3g}"
     noise = f"noise {known.i_noise:.2g} A and {known.v_noise:.2g} V r.m.s."
-    notes = (
-        f"bandwidth {tuning.bandwidth:.5g} rad/s{gain}; {loop}",
+    notes: tuple[str, ...] = (
+        tuning_text(observer),
         f"holds from {speed_range_text(observer)}",
         f"i_q = {known.i_load:.3g} A, acceleration {known.acceleration:.3g} rad/s^2 (electrical), {noise}",
     )
+    if proof is not None:
+        notes = (*notes, proof_text(proof))
     return [(f"Position observer: {observer.method.title}; angle error in deg (electrical)", columns, rows, notes)]
 
 

@@ -21,6 +21,7 @@ from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.mtpa import PerUnitBase
 from dqforge.optimizer.observer import steady_state_error
+from dqforge.optimizer.observer_proof import ObserverProof
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, Solution
@@ -206,8 +207,8 @@ def _per_unit_text(gains: LoopGains, bases: tuple[float, float], q_formats: QFor
     return ", ".join(f"{number.mantissa} (Q{number.shift})" for number in integers)
 
 
-def gains_tables(design: Design, gains: GainSet) -> list[Table]:
-    """Gains of each loop with their margins, and the observer with its error for a wrong resistance."""
+def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = None) -> list[Table]:
+    """Gains of each loop with their margins, and the observer with its errors and what is proven of it."""
     control, bases = design.control, design.control.bases
     current = (bases.current, bases.voltage)
     rows = [
@@ -240,7 +241,7 @@ def gains_tables(design: Design, gains: GainSet) -> list[Table]:
     if gains.observer is not None:
         tables.append(_observer_table(design, gains))
     if gains.position is not None:
-        tables += [Table(*part) for part in position_parts(gains.position)]
+        tables += [Table(*part) for part in position_parts(gains.position, proof)]
     return tables
 
 

@@ -1,0 +1,62 @@
+"""What is proven of a design's flux observer over its speed range, where the solvers for it are installed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+import numpy as np
+
+from dqforge.machines.errors import NoSolutionError
+from dqforge.optimizer.flux_observer import FluxGains
+from dqforge.optimizer.lpv_certificate import certify_flux_observer
+from dqforge.optimizer.observer_tuning import PositionObserver
+
+_PIECES = 6
+_BISECTIONS = 3
+_LEAST_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class ObserverProof:
+    """Result of the search for a common Lyapunov function (`dqforge.optimizer.lpv_certificate`).
+
+    Parameters
+    ----------
+    contraction:
+        Factor by which the norm of a small error shrinks at least in every sample; None where none was found.
+    omega_low, omega_high:
+        Electrical speeds in rad/s between which the speed may change arbitrarily.
+    i_q:
+        Largest |i_q| in A, at i_d = 0.
+    reason:
+        Why there is none, empty otherwise.
+    """
+
+    contraction: float | None
+    omega_low: float
+    omega_high: float
+    i_q: float
+    reason: str = ""
+
+
+def prove(observer: PositionObserver | None) -> ObserverProof | None:
+    """Search a proof from the least speed at which the observer holds to the largest of the drive.
+
+    None for other methods, which have none, and where cvxpy or Clarabel (dqforge[lmi]) are not installed.
+    """
+    if observer is None or not isinstance(observer.gains, FluxGains):
+        return None
+    if find_spec("cvxpy") is None or find_spec("clarabel") is None:
+        return None
+    low, high = observer.judgement.omega_low, observer.omega_max
+    if not (np.isfinite(low) and low < high):
+        low = _LEAST_SHARE * high
+    i_q = observer.disturbances.i_load
+    try:
+        found = certify_flux_observer(
+            observer.gains, low, high, (1j * i_q, -1j * i_q), pieces=_PIECES, bisections=_BISECTIONS
+        )
+    except NoSolutionError as error:
+        return ObserverProof(None, low, high, i_q, str(error).removeprefix("no certificate: "))
+    return ObserverProof(found.contraction, low, high, i_q)
