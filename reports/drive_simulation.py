@@ -16,9 +16,11 @@ from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control_header import control_files, plain_control
 from dqforge.reports.header import header_files
+from dqforge.reports.observer_header import observer_files
 from dqforge.reports.plant_input import Drive
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.simulation import Simulation, require_compiler, simulate, simulator
+from dqforge.reports.speed_observer_header import REDUCED_ORDER, speed_observer_files
 from dqforge.reports.surface_header import weakening_files
 
 SETTLED = 0.02
@@ -78,12 +80,11 @@ def gains_bytes(plain: PlainData) -> bytes:
     return np.array(numbers, dtype=np.float32).tobytes() + np.array([plain["ratio"]], dtype=np.uint32).tobytes()
 
 
-def drive_of(design: Design, solution: Solution) -> Drive:
+def drive_of(design: Design) -> Drive:
     """What is simulated of a design."""
     speed = design.control.speed_loop
     ratio = 1 if speed is None else speed.ratio
-    observer = solution.gains.observer
-    return Drive(design.machine, design.inverter, design.control.t_s, ratio, design.phase_machine, observer)
+    return Drive(design.machine, design.inverter, design.control.t_s, ratio, design.phase_machine)
 
 
 def controller_files(solution: Solution) -> dict[str, bytes]:
@@ -94,8 +95,18 @@ def controller_files(solution: Solution) -> dict[str, bytes]:
     InputError
         The current references are in fixed point.
     """
-    files = header_files(solution) | control_files(solution)
+    files = header_files(solution) | control_files(solution) | observers_of(solution)[0]
     return files if solution.weakening is None else files | weakening_files(solution.design, solution.weakening)
+
+
+def observers_of(solution: Solution) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """Headers of the observers of a design, and their names in C."""
+    design, gains = solution.design, solution.gains
+    if gains.position is not None:
+        return observer_files(design, gains.position), (gains.position.method.code,)
+    if gains.observer is not None:
+        return speed_observer_files(design, gains.observer), (REDUCED_ORDER,)
+    return {}, ()
 
 
 def require_scenario(design: Design, *, switched: bool = False) -> Scenario:
@@ -144,9 +155,9 @@ def simulate_design(
     scenario = require_scenario(design, switched=switched)
     require_compiler()
     solved = solve(design) if solution is None else solution
-    drive = drive_of(design, solved)
+    drive = drive_of(design)
     stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
-    with simulator(controller_files(solved), design.export.prefix) as program:
+    with simulator(controller_files(solved), design.export.prefix, observers_of(solved)[1]) as program:
         gains = gains_bytes(plain_control(solved))
         run = simulate(program, drive, scenario, stride=stride, gains=gains, progress=progress)
     return evaluate(design, run)
