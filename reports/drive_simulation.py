@@ -51,6 +51,19 @@ class StepFigures:
     error: float
 
 
+@dataclass(frozen=True, slots=True)
+class ObservedFigures:
+    """Errors of the observers over a run: of the electrical angle in rad (None without one), of the mechanical speed.
+
+    ``speed_largest`` in rad/s; ``sensorless_share`` is the share of the samples that were controlled by the estimates.
+    """
+
+    angle_rms: float | None
+    angle_largest: float | None
+    speed_largest: float
+    sensorless_share: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveSimulation:
     """A run with what is read off it.
@@ -177,6 +190,23 @@ def controlled(run: Simulation) -> tuple[FloatArray, str]:
     if run.scenario.mode == "speed":
         return run.omega_m, "rad/s"
     return (run.torque, "N m") if run.scenario.mode == "torque" else (run.i_q, "A")
+
+
+def angle_error(run: Simulation) -> FloatArray:
+    """Observed less true electrical angle in rad, wrapped to -pi to pi, shape (N,); nan where none is observed."""
+    gap = run.theta_e_observed - run.theta_e
+    return np.asarray((gap + np.pi) % (2.0 * np.pi) - np.pi, dtype=np.float64)
+
+
+def observed(run: Simulation) -> ObservedFigures | None:
+    """How well the observers did over the run, None where none ran."""
+    if not np.all(np.isfinite(run.omega_m_observed)):
+        return None
+    speed, error = float(np.max(np.abs(run.omega_m_observed - run.omega_m))), angle_error(run)
+    share = float(np.mean(run.sensorless))
+    if not np.all(np.isfinite(error)):
+        return ObservedFigures(None, None, speed, share)
+    return ObservedFigures(float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error))), speed, share)
 
 
 def step_figures(time: FloatArray, value: FloatArray, reference: Profile) -> tuple[StepFigures, ...]:
