@@ -63,12 +63,12 @@ def plot_simulation(found: DriveSimulation) -> Figure:
         )
         axes = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
         speed, torque, currents, duty = axes[0], axes[1], axes[2], axes[-1]
-        if seen is not None:
-            _line(speed, time, run.omega_m_observed * _RPM, ORANGE, "observed", 0.7)
         if angle:
             _angle(axes[3], time, run)
         _line(speed, time, run.omega_m * _RPM, TEAL, "speed")
-        if run.scenario.encoder.speed != "exact" and run.scenario.encoder.lines > 0:
+        if seen is not None:
+            _line(speed, time, run.omega_m_observed * _RPM, ORANGE, "observed", 0.7)
+        elif run.scenario.encoder.speed != "exact" and run.scenario.encoder.lines > 0:
             _line(speed, time, run.omega_m_measured * _RPM, FAINT, "measured", 0.7)
         speed.set_ylabel("speed in rpm")
         _line(torque, time, run.torque, ORANGE, "torque")

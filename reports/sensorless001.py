@@ -56,7 +56,7 @@ class Estimator:
 
 
 def _errors(found: Simulation, hold: int = 1) -> tuple[float, float, float]:
-    """Errors of speed and angle and the true speed over the end of a run, the angle read at every ``hold``-th sample."""
+    """Errors of speed and angle and the true speed at the end of a run, the angle read at every ``hold``-th sample."""
     last = found.t >= _STEADY
     speed = float(np.mean((found.omega_m_observed - found.omega_m)[last])) / (_RPM * RPM)
     sample = np.arange(found.t.size)

@@ -57,8 +57,6 @@ def test_the_estimator_errs_in_speed_as_printed_and_in_position_by_less(found: p
     assert 0.02 < bench.angle_error < 0.05
     assert bench.switched is not None
     assert bench.switched == pytest.approx((bench.speed_error, bench.angle_error), abs=3e-3)
-    # With i_q in phase with the back-EMF the lost voltage 4/pi f t_d v_dc stands on the speed's: it bears on the angle
-    # only by way of the d axis, which the thesis does not control.
     held = rows[sensorless001.HELD]
     age = np.mean(np.arange(10)) * 2e-4 * 3.0 * bench.speed / (2.0 * np.pi)
     assert held.angle_error == pytest.approx(bench.angle_error + age, abs=2e-3)

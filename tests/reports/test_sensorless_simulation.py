@@ -45,9 +45,11 @@ def _design(method: ObserverMethodName) -> Design:
         base.control,
         t_s=T_S,
         current_loop=CurrentLoopSettings("bandwidth", bandwidth=2.0 * math.pi * 300.0),
-        speed_loop=SpeedLoopSettings("symmetrical-optimum", ratio=5, spread=4.0),
+        speed_loop=SpeedLoopSettings("symmetrical-optimum", ratio=5, spread=16.0),
         observer=observer,
     )
+    if method == "open-loop-flux":  # its usual loop is so fast that the drive swings on it
+        control = replace(control, observer=ObserverSettings(method=method, pll_bandwidth=100.0))
     return replace(base, control=control, inverter=Inverter(500.0, 1.0 / T_S), losses=None)
 
 
@@ -108,7 +110,7 @@ def test_a_drive_runs_on_its_observer_which_equals_its_model(method: ObserverMet
     # Position observers have no notion of the acceleration: while it lasts, the angle lags.
     assert np.degrees(np.max(np.abs(_angle_error(found)))) < 15.0
     assert np.degrees(np.max(np.abs(_angle_error(found)[late]))) < 1.0
-    assert float(np.mean(found.omega_m[late])) == pytest.approx(150.0, abs=0.2)
+    assert float(np.mean(found.omega_m[late])) == pytest.approx(150.0, abs=0.5)
     assert float(np.mean(found.omega_m_observed[late] - found.omega_m[late])) == pytest.approx(0.0, abs=0.05)
 
 
