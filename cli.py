@@ -77,12 +77,15 @@ def _print_json(command: str, name: str, result: dict[str, Any]) -> None:
     typer.echo(to_text(command, name, result), nl=False)
 
 
-def _load_for(design: str, plot: Path | None) -> Design:
-    """Load a design, and refuse a figure that could not be written before anything is computed."""
+def _load_for(design: str, plot: Path | None, made: Path | None = None) -> Design:
+    """Load a design, and refuse a figure that could not be written before anything is computed.
+
+    ``made`` is a folder that will be there by then.
+    """
     if plot is not None:
         from dqforge.reports.files import check_figure_path
 
-        check_figure_path(plot)
+        check_figure_path(plot, made)
     return _load(design)
 
 
@@ -445,15 +448,15 @@ def simulate(
     from dqforge.reports.files import write_all
     from dqforge.reports.simulation_tables import plain_simulation, simulation_tables
 
-    loaded = _load_for(design, plot)
+    loaded = _load_for(design, plot, out)
     require_scenario(loaded, switched=switched)
     with progress("simulating") as report:
         found = simulate_design(loaded, switched=switched, progress=report)
+    paths = write_all(out, simulation_files(found))
     if plot is not None:
         from dqforge.reports.figures_simulation import plot_simulation
 
         _plot(lambda: plot_simulation(found), plot)
-    paths = write_all(out, simulation_files(found))
     if json:
         _print_json("simulate", loaded.name, {"simulation": plain_simulation(found)})
     else:

@@ -97,6 +97,28 @@ class Encoder:
 
 
 @dataclass(frozen=True, slots=True)
+class Sensorless:
+    """Control with angle and speed of the position observer while the drive turns fast enough.
+
+    It begins where the speed that the controller knows reaches ``above`` and ends where that falls under ``below``,
+    both mechanical in rad/s.
+
+    Raises
+    ------
+    InputError
+        A speed is negative, or ``below`` exceeds ``above``.
+    """
+
+    above: float
+    below: float
+
+    def __post_init__(self) -> None:
+        """Refuse speeds between which it would never rest."""
+        if not 0.0 <= self.below <= self.above < np.inf:
+            raise InputError(f"sensorless control from {self.above:g} rad/s cannot end below {self.below:g} rad/s")
+
+
+@dataclass(frozen=True, slots=True)
 class CurrentSensor:
     """Sensors and converters of the phase currents.
 
@@ -156,6 +178,8 @@ class Scenario:
         Speed in rad/s (mechanical) and electrical angle in rad at the start.
     seed:
         Of the noise.
+    sensorless:
+        When angle and speed come from the position observer; None for never.
     sub_steps:
         Integration steps per control period; None for as many as the accuracy needs.
     """
@@ -176,3 +200,4 @@ class Scenario:
     theta_e: float = 0.0
     seed: int = 1
     sub_steps: int | None = None
+    sensorless: Sensorless | None = None

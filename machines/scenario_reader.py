@@ -17,6 +17,7 @@ from dqforge.machines.scenario import (
     PlantErrors,
     Profile,
     Scenario,
+    Sensorless,
     Shape,
 )
 from dqforge.machines.schema import DesignFile
@@ -24,6 +25,7 @@ from dqforge.machines.schema_simulation import (
     CurrentProfileSection,
     CurrentSensorSection,
     PlantErrorsSection,
+    SensorlessSection,
     SimulationSection,
     SpeedProfileSection,
     TorqueProfileSection,
@@ -36,6 +38,7 @@ from dqforge.machines.yaml_source import KeyPath
 MOST_SAMPLES = 10_000_000
 _PATH: KeyPath = ("simulation",)
 _MODES: tuple[ControlMode, ...] = ("speed", "torque", "current")
+_BAND = 0.8  # speed at which the encoder takes over again, of that at which it is left
 _TOPOLOGIES = ("three-wire", "split-capacitor")
 
 
@@ -118,6 +121,27 @@ def _sensor(section: CurrentSensorSection, reading: Reading) -> CurrentSensor:
     )
 
 
+def _sensorless(section: SensorlessSection | None, control: ControlSettings, reading: Reading) -> Sensorless | None:
+    """Speeds of the handover; raises `InputError` with a position where there is no observer or no band."""
+    if section is None:
+        return None
+    path: KeyPath = (*_PATH, "sensorless")
+    if control.observer is None or control.observer.method == "reduced-order":
+        message = "simulation.sensorless needs an observer of the position; write control.observer: {method: flux}"
+        raise reading.document.error(message, path, key=True)
+    for name, speed in (("above", section.above), ("below", section.below)):
+        if speed is not None and speed.si < 0.0:
+            message = (
+                f"simulation.sensorless.{name}: {speed.text} is negative; write the magnitude, for both directions"
+            )
+            raise reading.document.error(message, (*path, name))
+    if section.below is not None and section.below.si > section.above.si:
+        message = f"simulation.sensorless.below: {section.below.text} exceeds above = {section.above.text}; write less"
+        raise reading.document.error(message, (*path, "below"))
+    below = _BAND * section.above.si if section.below is None else section.below.si
+    return Sensorless(section.above.si, below)
+
+
 def _errors(section: PlantErrorsSection) -> PlantErrors:
     entries = (
         section.resistance,
@@ -164,6 +188,7 @@ def read_scenario(
         theta_e=si_of(section.initial.angle) or 0.0,
         seed=section.seed,
         sub_steps=section.steps,
+        sensorless=_sensorless(section.sensorless, control, reading),
     )
 
 

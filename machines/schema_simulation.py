@@ -109,6 +109,15 @@ class EncoderSection(Section):
     misalignment: Angle | None = Field(default=None, description="added to the electrical angle (rad; write deg)")
 
 
+class SensorlessSection(Section):
+    """Control with angle and speed of the position observer (control.observer)."""
+
+    above: PointSpeed = Field(description="from this speed on, mechanical, in either direction (rad/s; write rpm)")
+    below: PointSpeed | None = Field(
+        default=None, description="under it the encoder takes over again (rad/s; write rpm); default 80 % of above"
+    )
+
+
 class CurrentSensorSection(Section):
     """Sensors and converters of the phase currents."""
 
@@ -160,6 +169,9 @@ class SimulationSection(Section):
     )
     dead_time: DeadTime | None = Field(default=None, description="dead time (s); default inverter.dead_time")
     encoder: EncoderSection = Field(default=EncoderSection(), description="position sensor")
+    sensorless: SensorlessSection | None = Field(
+        default=None, description="angle and speed from the position observer at speed; default: from the encoder"
+    )
     current_sensor: CurrentSensorSection = Field(default=CurrentSensorSection(), description="current sensors")
     errors: PlantErrorsSection = Field(default=PlantErrorsSection(), description="differences from the data")
     initial: InitialSection = Field(default=InitialSection(), description="state at the start")

@@ -140,9 +140,23 @@ def _empty_parts(document: YamlDocument) -> list[InputError]:
     found = []
     for path in document.values:
         if path and _lookup(document.data, path) is None:
-            message = f"{dotted(path)} has no value; write one, or remove the line"
+            cut = _cut_number(document, path)
+            message = cut or f"{dotted(path)} has no value; write one, or remove the line"
             found.append(document.error(message, path, key=True))
     return found
+
+
+def _cut_number(document: YamlDocument, path: KeyPath) -> str:
+    """Complaint about {time: 0,2 s}, which is a time of 0 and a key "2 s"; nothing for other keys."""
+    around, key = _lookup(document.data, path[:-1]) if len(path) > 1 else document.data, str(path[-1])
+    if not isinstance(around, dict) or not key[:1].isdigit():
+        return ""
+    names = [str(name) for name in around]
+    before = names[names.index(key) - 1] if names.index(key) > 0 else ""
+    value = around.get(before)
+    if isinstance(value, bool) or not isinstance(value, int):
+        return ""
+    return f"{dotted((*path[:-1], before))}: '{value},{key}' has a decimal comma; write {value}.{key}"
 
 
 def _lookup(data: YamlValue, path: KeyPath) -> YamlValue:

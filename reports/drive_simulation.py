@@ -16,9 +16,11 @@ from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control_header import control_files, plain_control
 from dqforge.reports.header import header_files
+from dqforge.reports.observer_header import observer_files
 from dqforge.reports.plant_input import Drive
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.simulation import Simulation, require_compiler, simulate, simulator
+from dqforge.reports.speed_observer_header import REDUCED_ORDER, speed_observer_files
 from dqforge.reports.surface_header import weakening_files
 
 SETTLED = 0.02
@@ -47,6 +49,19 @@ class StepFigures:
     overshoot: float
     settling: float
     error: float
+
+
+@dataclass(frozen=True, slots=True)
+class ObservedFigures:
+    """Errors of the observers over a run: of the electrical angle in rad (None without one), of the mechanical speed.
+
+    ``speed_largest`` in rad/s; ``sensorless_share`` is the share of the samples that were controlled by the estimates.
+    """
+
+    angle_rms: float | None
+    angle_largest: float | None
+    speed_largest: float
+    sensorless_share: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,12 +93,11 @@ def gains_bytes(plain: PlainData) -> bytes:
     return np.array(numbers, dtype=np.float32).tobytes() + np.array([plain["ratio"]], dtype=np.uint32).tobytes()
 
 
-def drive_of(design: Design, solution: Solution) -> Drive:
+def drive_of(design: Design) -> Drive:
     """What is simulated of a design."""
     speed = design.control.speed_loop
     ratio = 1 if speed is None else speed.ratio
-    observer = solution.gains.observer
-    return Drive(design.machine, design.inverter, design.control.t_s, ratio, design.phase_machine, observer)
+    return Drive(design.machine, design.inverter, design.control.t_s, ratio, design.phase_machine)
 
 
 def controller_files(solution: Solution) -> dict[str, bytes]:
@@ -94,8 +108,18 @@ def controller_files(solution: Solution) -> dict[str, bytes]:
     InputError
         The current references are in fixed point.
     """
-    files = header_files(solution) | control_files(solution)
+    files = header_files(solution) | control_files(solution) | observers_of(solution)[0]
     return files if solution.weakening is None else files | weakening_files(solution.design, solution.weakening)
+
+
+def observers_of(solution: Solution) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """Headers of the observers of a design, and their names in C."""
+    design, gains = solution.design, solution.gains
+    if gains.position is not None:
+        return observer_files(design, gains.position), (gains.position.method.code,)
+    if gains.observer is not None:
+        return speed_observer_files(design, gains.observer), (REDUCED_ORDER,)
+    return {}, ()
 
 
 def require_scenario(design: Design, *, switched: bool = False) -> Scenario:
@@ -144,9 +168,9 @@ def simulate_design(
     scenario = require_scenario(design, switched=switched)
     require_compiler()
     solved = solve(design) if solution is None else solution
-    drive = drive_of(design, solved)
+    drive = drive_of(design)
     stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
-    with simulator(controller_files(solved), design.export.prefix) as program:
+    with simulator(controller_files(solved), design.export.prefix, observers_of(solved)[1]) as program:
         gains = gains_bytes(plain_control(solved))
         run = simulate(program, drive, scenario, stride=stride, gains=gains, progress=progress)
     return evaluate(design, run)
@@ -166,6 +190,23 @@ def controlled(run: Simulation) -> tuple[FloatArray, str]:
     if run.scenario.mode == "speed":
         return run.omega_m, "rad/s"
     return (run.torque, "N m") if run.scenario.mode == "torque" else (run.i_q, "A")
+
+
+def angle_error(run: Simulation) -> FloatArray:
+    """Observed less true electrical angle in rad, wrapped to -pi to pi, shape (N,); nan where none is observed."""
+    gap = run.theta_e_observed - run.theta_e
+    return np.asarray((gap + np.pi) % (2.0 * np.pi) - np.pi, dtype=np.float64)
+
+
+def observed(run: Simulation) -> ObservedFigures | None:
+    """How well the observers did over the run, None where none ran."""
+    if not np.all(np.isfinite(run.omega_m_observed)):
+        return None
+    speed, error = float(np.max(np.abs(run.omega_m_observed - run.omega_m))), angle_error(run)
+    share = float(np.mean(run.sensorless))
+    if not np.all(np.isfinite(error)):
+        return ObservedFigures(None, None, speed, share)
+    return ObservedFigures(float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error))), speed, share)
 
 
 def step_figures(time: FloatArray, value: FloatArray, reference: Profile) -> tuple[StepFigures, ...]:

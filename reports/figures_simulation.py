@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.machines.synchronous import FloatArray
-from dqforge.reports.drive_simulation import DriveSimulation
+from dqforge.reports.drive_simulation import DriveSimulation, angle_error, observed
 from dqforge.reports.figures_style import (
     AXIS_COLOURS,
     BLUE,
@@ -21,6 +21,7 @@ from dqforge.reports.figures_style import (
     style,
     thinned,
 )
+from dqforge.reports.simulation import Simulation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,17 +38,37 @@ def _reference(axes: Axes, time: FloatArray, value: FloatArray, label: str = "re
     axes.plot(*thinned(time, value, 600), color=INK, linewidth=0.8, linestyle=(0, (3.0, 2.0)), label=label)
 
 
+def _angle(axes: Axes, time: FloatArray, run: Simulation) -> None:
+    """Error of the observed angle; a bar on top where the controller ran on it."""
+    _line(axes, time, np.degrees(angle_error(run)), BLUE, "error of the observed angle", 0.9)
+    if run.scenario.sensorless is not None:
+        axes.fill_between(
+            time, 0.0, 1.0, where=run.sensorless > 0.5, transform=axes.get_xaxis_transform(), color=FAINT, alpha=0.35,
+            linewidth=0.0, label="control without encoder", zorder=0,
+        )  # fmt: skip
+    axes.set_ylabel("angle error in deg")
+
+
 def plot_simulation(found: DriveSimulation) -> Figure:
     """Speed, torque, currents and duty cycles, with their references where they have some."""
     run = found.run
     factor, unit = (1e3, "ms") if run.t[-1] < 0.5 else (1.0, "s")
     time = run.t * factor
     with style():
-        figure = new_figure("simulation", 6.6, "Speed, torque, currents and duty cycles of the simulated drive")
-        axes = figure.subplots(4, 1, sharex=True, height_ratios=(1.3, 1.0, 1.3, 0.9))
-        speed, torque, currents, duty = axes
+        seen = observed(run)
+        angle = seen is not None and seen.angle_rms is not None
+        ratios = (1.3, 1.0, 1.3, 0.8, 0.9) if angle else (1.3, 1.0, 1.3, 0.9)
+        figure = new_figure(
+            "simulation", 7.9 if angle else 6.6, "Speed, torque, currents and duty cycles of the simulated drive"
+        )
+        axes = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
+        speed, torque, currents, duty = axes[0], axes[1], axes[2], axes[-1]
+        if angle:
+            _angle(axes[3], time, run)
         _line(speed, time, run.omega_m * _RPM, TEAL, "speed")
-        if run.scenario.encoder.speed != "exact" and run.scenario.encoder.lines > 0:
+        if seen is not None:
+            _line(speed, time, run.omega_m_observed * _RPM, ORANGE, "observed", 0.7)
+        elif run.scenario.encoder.speed != "exact" and run.scenario.encoder.lines > 0:
             _line(speed, time, run.omega_m_measured * _RPM, FAINT, "measured", 0.7)
         speed.set_ylabel("speed in rpm")
         _line(torque, time, run.torque, ORANGE, "torque")

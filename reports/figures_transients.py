@@ -61,11 +61,13 @@ def _speed(axes: Axes, title: str, run_t: FloatArray, reference: FloatArray, ome
 
 
 def plot_bench(runs: Runs) -> Figure:
-    """Start and reversal, sine and step references, and the start without speed sensor."""
+    """Start and reversal, sine and step references, and the starts without sensor."""
     with style():
-        figure = new_figure("paper-001-chapter-8", 6.4, "Transients of the bench with the emitted controller")
-        places = ((0.1, 0.71), (0.6, 0.71), (0.1, 0.39), (0.6, 0.39), (0.1, 0.07), (0.6, 0.07))
-        first, second, third, fourth, fifth, sixth = (figure.add_axes((x, y, 0.38, 0.22)) for x, y in places)
+        figure = new_figure("paper-001-chapter-8", 8.4, "Transients of the bench with the emitted controller")
+        places = tuple((x, y) for y in (0.785, 0.54, 0.295, 0.05) for x in (0.1, 0.6))
+        first, second, third, fourth, fifth, sixth, seventh, eighth = (
+            figure.add_axes((x, y, 0.38, 0.17)) for x, y in places
+        )
         run = runs.reversal
         _speed(first, "Figures 8.3, 8.21: start, reversal", run.t, run.reference / RPM, run.omega_m / RPM)
         second.plot(run.t, run.i_q_reference, color=MUTED, linewidth=0.9, label="reference")
@@ -81,8 +83,19 @@ def plot_bench(runs: Runs) -> Figure:
         fifth.plot(run.t, run.omega_m_measured / RPM, color=TEAL, linewidth=0.8, linestyle="dashed", label="estimate")
         sixth.plot(run.t, (run.omega_m_measured - run.omega_m) / RPM, color=TEAL)
         sixth.set(title="Its error", ylabel="rpm", xlabel="Time in s")
+        run = runs.estimator
+        _speed(seventh, "Speed, dead time and $\\psi$ + 1.5 %", run.t, run.reference / RPM, run.omega_m / RPM)
+        seventh.plot(run.t, run.omega_m_observed / RPM, color=TEAL, linewidth=0.8, linestyle="dashed", label="estimate")
+        late = run.t >= run.t[-1] - 0.03
+        time = (run.t[late] - run.t[-1]) * 1e3
+        for angle, colour, label in (
+            (run.theta_e, BLUE, "rotor"),
+            (run.theta_e_observed, TEAL, "estimate"),
+        ):
+            eighth.plot(time, np.degrees(angle[late]), color=colour, linewidth=0.9, label=label)
+        eighth.set(title="Figure 8.32: position, the last 30 ms", ylabel="deg (electrical)", xlabel="Time in ms")
         third.set(xlim=(0.9, 3.0), ylim=(900.0, 1500.0))
         fourth.set(xlim=(0.9, 3.0), ylim=(900.0, 2100.0))
-        for axes in (first, second, fifth):
+        for axes in (first, second, fifth, seventh, eighth):
             axes.legend(frameon=False, loc="best", fontsize=6.5)
     return figure

@@ -38,8 +38,15 @@ def write_atomically(path: Path, content: bytes) -> None:
 FIGURE_SUFFIXES = (".svg", ".png", ".pdf")
 
 
-def check_figure_path(path: Path) -> None:
+def check_figure_path(path: Path, made: Path | None = None) -> None:
     """Refuse a figure's file name before anything is computed for it.
+
+    Parameters
+    ----------
+    path:
+        The file.
+    made:
+        A folder that will be there by the time the figure is written.
 
     Raises
     ------
@@ -49,7 +56,7 @@ def check_figure_path(path: Path) -> None:
     if path.suffix.lower() not in FIGURE_SUFFIXES:
         got = f"the suffix {path.suffix!r}" if path.suffix else "no suffix"
         raise InputError(f"a figure is written as .svg, .png or .pdf; {path.name!r} has {got}")
-    if not path.parent.is_dir():
+    if not path.parent.is_dir() and path.parent != made:
         raise InputError(f"cannot write {path}: there is no folder {path.parent}; make it, or choose another file")
 
 

@@ -25,6 +25,12 @@ from dqforge.reports.observer_header import EmittedObserver, observer_from
 from dqforge.reports.observer_model import observer_inputs, observer_outputs
 from dqforge.reports.programme import Programme
 from dqforge.reports.rule_header import EmittedRule, emitted_from, rule_inputs, rule_results
+from dqforge.reports.speed_observer_header import (
+    ReducedOrderGains,
+    speed_observer_from,
+    speed_observer_inputs,
+    speed_observer_outputs,
+)
 from dqforge.reports.surface_header import weakening_currents, weakening_from, weakening_inputs
 from dqforge.reports.waveform_header import model_currents, phase_reference_from, waveform_inputs
 
@@ -102,12 +108,19 @@ def _observer_programme(observer: EmittedObserver) -> Programme:
     return Programme("observer_harness.c.j2", inputs, outputs, {"code": method.code}, name="position observer")
 
 
+def _speed_observer_programme(gains: ReducedOrderGains) -> Programme:
+    inputs = speed_observer_inputs(gains, SWEEP_POINTS, SWEEP_SEED)
+    outputs = speed_observer_outputs(gains, inputs)
+    return Programme("speed_observer_harness.c.j2", inputs, outputs, name="speed observer")
+
+
 FURTHER_HEADERS = (
     FurtherHeader("waveform", lambda own, _: phase_reference_from(own), _waveform_programme),
     FurtherHeader("weakening", lambda own, _: weakening_from(own), _weakening_programme),
     FurtherHeader("modulation", lambda own, _: emitted_from(own), _rule_programme),
     FurtherHeader("gains", lambda own, _: evaluator_from(own), _gains_programme),
     FurtherHeader("observer", lambda own, _: observer_from(own), _observer_programme, vectors=False),
+    FurtherHeader("speed_observer", lambda own, _: speed_observer_from(own), _speed_observer_programme, vectors=False),
     FurtherHeader("control", control_from, control_programme, vectors=False),
     FurtherHeader("control_q15", lambda own, _: fixed_control_from(own, 16), _control_fixed_programme),
     FurtherHeader("control_q31", lambda own, _: fixed_control_from(own, 32), _control_fixed_programme),

@@ -103,6 +103,8 @@ def observer_files(design: Design, observer: PositionObserver) -> dict[str, byte
         "version": __version__,
         "digest": design.digest,
         "preamble": _preamble(design, observer),
+        "file": "observer",
+        "kind": "position",
         "code": observer.method.code,
         "gains": asdict(observer.gains),
     }

@@ -7,7 +7,7 @@ which makes back-calculation what holding the output of the velocity form is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.observer import ObserverError, steady_state_error
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.reference_ir import PlainData
+from dqforge.reports.sensorless001 import PRINTED_ANGLE, PRINTED_SPEED, Estimator, estimator_errors, estimator_table
 from dqforge.reports.simulation import Simulation
 from dqforge.reports.tables import Table
 from dqforge.reports.transients import RPM, Bench, bench, settling_time
@@ -56,12 +57,16 @@ class Transient:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Runs:
-    """Recorded transients: start and reversal, sine reference, steps, and the start without sensor."""
+    """Recorded transients: start and reversal, sine reference, steps, and starts without sensor.
+
+    ``sensorless`` has the speed from the exact observer, ``estimator`` angle and speed with the errors of the bench.
+    """
 
     reversal: Simulation
     sine: Simulation
     steps: Simulation
     sensorless: Simulation
+    estimator: Simulation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +75,8 @@ class Reproduction:
 
     ``integers`` by name as in `PRINTED_INTEGERS`; ``sine_lag`` in degrees, ``sine_amplitude`` in rpm, ``step_time`` in
     s; ``sensorless_error`` and ``sensorless`` are steady speed errors at 1500 rpm, relative, with exact parameters in
-    simulation, and by formula with what is stated in the key.
+    simulation, and by formula with what is stated in the key; ``estimator`` the errors of angle and speed without
+    encoder.
     """
 
     integers: dict[str, int]
@@ -80,6 +86,7 @@ class Reproduction:
     step_time: float
     sensorless_error: float
     sensorless: dict[str, float]
+    estimator: tuple[Estimator, ...]
     runs: Runs
 
 
@@ -217,6 +224,7 @@ def reproduce_paper() -> Reproduction:
         sine, amplitude, lag = _sine(place)
         steps, step_time = _steps(place)
         sensorless, error = _sensorless(place)
+        estimator, wrong = estimator_errors(thesis_gains(place, REVERSAL_CURRENT))
         return Reproduction(
             integers=_integers(place.solution),
             transients=transients,
@@ -225,7 +233,8 @@ def reproduce_paper() -> Reproduction:
             step_time=step_time,
             sensorless_error=error,
             sensorless=_stated_errors(place),
-            runs=Runs(reversal, sine, steps, sensorless),
+            estimator=estimator,
+            runs=Runs(reversal, sine, steps, sensorless, wrong),
         )
 
 
@@ -266,6 +275,7 @@ def reproduction_tables(found: Reproduction) -> list[Table]:
                 *(("by formula: " + name, error) for name, error in errors),
             ),
         ),
+        estimator_table(found.estimator),
     ]
 
 
@@ -293,5 +303,10 @@ def plain_reproduction(found: Reproduction) -> PlainData:
             "printed_error": 0.04,
             "simulated_error_exact_parameters": found.sensorless_error,
             "by_formula": dict(found.sensorless),
+        },
+        "estimator_1500_rpm": {
+            "printed_speed_error": PRINTED_SPEED,
+            "printed_angle_error": PRINTED_ANGLE,
+            "found": [asdict(row) for row in found.estimator],
         },
     }

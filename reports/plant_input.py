@@ -14,7 +14,6 @@ from dqforge.machines.inverter import Inverter
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.scenario import ControlMode, Profile, Scenario
 from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
-from dqforge.optimizer.observer import ReducedOrderObserver
 
 STATES = (
     "i_x",
@@ -37,7 +36,7 @@ PARAMETERS = (
     *("counts", "speed_ratio", "angle_error"),
     *("adc_bits", "adc_full_scale", "noise", "offset_a", "offset_b", "offset_c", "gain_a", "gain_b", "gain_c"),
     *("v_bits", "v_full_scale"),
-    *("observer", "obs_a", "obs_b_u", "obs_b_i", "obs_c", "obs_l_d"),
+    *("observed_speed", "sensorless", "sensor_above", "sensor_below"),
 )
 """Fields of the C structure ``parameters_t``, all doubles, in this order."""
 
@@ -45,6 +44,7 @@ COLUMNS = (
     *("t", "i_d", "i_q", "i_zero", "omega_m", "theta_e", "torque", "torque_load", "duty_a", "duty_b", "duty_c"),
     *("v_dc", "reference", "reference_d", "i_a_measured", "i_b_measured", "i_c_measured"),
     *("theta_e_measured", "omega_m_measured", "i_d_reference", "i_q_reference", "torque_reference"),
+    *("v_alpha", "v_beta", "theta_e_observed", "omega_m_observed", "sensorless"),
 )
 """What is recorded at a sampling instant, in this order."""
 
@@ -80,8 +80,6 @@ class Drive:
         Current samples per sample of the speed controller.
     phases:
         Machine with another back-EMF than a sine, None for others.
-    observer:
-        The sampled speed observer, None where there is none.
     """
 
     machine: Machine
@@ -89,7 +87,6 @@ class Drive:
     t_s: float
     ratio: int = 10
     phases: PhaseMachine | None = None
-    observer: ReducedOrderObserver | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,16 +173,15 @@ def _machine_parameters(drive: Drive, scenario: Scenario) -> dict[str, float]:
     return values | {"kind": 0.0, "psi_pm": machine.psi_pm * (1.0 + errors.psi_pm)}
 
 
-def _observer_parameters(drive: Drive, scenario: Scenario) -> dict[str, float]:
-    """Coefficients of the speed observer, which knows the machine by its data alone."""
-    names = ("observer", "obs_a", "obs_b_u", "obs_b_i", "obs_c", "obs_l_d")
-    if scenario.encoder.speed != "observer":
-        return dict.fromkeys(names, 0.0)
-    observer = drive.observer
-    if observer is None:
-        raise InputError("the speed is to come from an observer; give the drive one (control.observer)")
-    values = (1.0, observer.a, observer.b_u, observer.b_i, observer.c, drive.machine.l_d)
-    return dict(zip(names, values, strict=True))
+def _observer_parameters(scenario: Scenario) -> dict[str, float]:
+    """What of the observers reaches the controller; speeds mechanical, in rad/s."""
+    wanted = scenario.sensorless
+    return {
+        "observed_speed": 1.0 if scenario.encoder.speed == "observer" else 0.0,
+        "sensorless": 0.0 if wanted is None else 1.0,
+        "sensor_above": 0.0 if wanted is None else wanted.above,
+        "sensor_below": 0.0 if wanted is None else wanted.below,
+    }
 
 
 def carrier_halves(drive: Drive, scenario: Scenario) -> int:
@@ -295,7 +291,7 @@ def run_input(drive: Drive, scenario: Scenario, *, stride: int = 1, tail: float 
             "v_bits": 0.0,
             "v_full_scale": 1.0,
         }
-        | _observer_parameters(drive, scenario)
+        | _observer_parameters(scenario)
     )
     for index, phase in enumerate("abc"):
         parameters[f"offset_{phase}"], parameters[f"gain_{phase}"] = sensor.offset[index], sensor.gain_error[index]

@@ -36,6 +36,7 @@ from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.robustness_text import plain_robustness
 from dqforge.reports.rule_header import choice_model, plain_emitted
 from dqforge.reports.schedule_text import plain_schedule
+from dqforge.reports.speed_observer_header import plain_speed_observer
 from dqforge.reports.surface_header import plain_weakening
 from dqforge.reports.waveform_header import plain_phase_reference
 from dqforge.reports.waveform_tables import plain_waveforms
@@ -288,4 +289,5 @@ def plain_solution(solution: Solution) -> PlainData:
         "modulation_header": None if solution.choice is None else plain_emitted(choice_model(solution.choice)),
         "gains_header": None if schedule is None else plain_evaluator(schedule.fit.evaluator),
         "observer_header": None if observer is None else plain_observer(observer),
+        "speed_observer_header": plain_speed_observer(design.machine, solution.gains.observer),
     }

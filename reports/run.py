@@ -17,6 +17,7 @@ from dqforge.reports.observer_header import observer_files
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.result_json import plain_solution, to_text
 from dqforge.reports.rule_header import choice_files
+from dqforge.reports.speed_observer_header import speed_observer_files
 from dqforge.reports.surface_header import weakening_files
 from dqforge.reports.verify import Verification, verify_files
 from dqforge.reports.waveform_header import waveform_files
@@ -58,6 +59,8 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
         files |= gains_files(design, solution.gains.schedule)
     if solution.gains.position is not None:
         files |= observer_files(design, solution.gains.position)
+    if solution.gains.observer is not None:
+        files |= speed_observer_files(design, solution.gains.observer)
     if "float32" in design.export.control:
         files |= control_files(solution)
     for fit in solution.fixed:

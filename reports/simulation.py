@@ -18,7 +18,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.errors import VerificationError
+from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.scenario import Scenario
 from dqforge.machines.synchronous import FloatArray
 from dqforge.reports.plant_input import (
@@ -31,6 +31,7 @@ from dqforge.reports.plant_input import (
     run_input,
     share_tables,
 )
+from dqforge.reports.speed_observer_header import REDUCED_ORDER
 from dqforge.reports.templating import render
 
 _TIMEOUT_S = 60
@@ -89,7 +90,10 @@ class Simulation:
     ``torque_load`` in N m; ``duty`` acts until the next sample, shape (N, 3); ``v_dc`` in V. ``reference`` and
     ``reference_d`` are those that the controller saw (`Scenario.reference`), ``i_measured`` (N, 3),
     ``theta_e_measured`` and ``omega_m_measured`` what its sensors gave, ``i_d_reference``, ``i_q_reference`` and
-    ``torque_reference`` what its outer loops asked for. ``figures`` are those of the one run.
+    ``torque_reference`` what its outer loops asked for. ``theta_e_observed`` and ``omega_m_observed`` are the estimates
+    of the design's observers (nan where there is none) from the measured currents and ``v_alpha``, ``v_beta`` in V,
+    which the controller made over the period that ends; ``sensorless`` is 1 where the controller ran on them, and then
+    ``theta_e_measured`` and ``omega_m_measured`` are theirs. ``figures`` are those of the one run.
     """
 
     scenario: Scenario
@@ -111,15 +115,24 @@ class Simulation:
     i_d_reference: FloatArray
     i_q_reference: FloatArray
     torque_reference: FloatArray
+    v_alpha: FloatArray
+    v_beta: FloatArray
+    theta_e_observed: FloatArray
+    omega_m_observed: FloatArray
+    sensorless: FloatArray
     figures: Summary
 
 
 @dataclass(frozen=True, slots=True)
 class Simulator:
-    """A compiled program; ``prefix`` is that of the controller, empty where there is none."""
+    """A compiled program; ``prefix`` is that of the controller, empty where there is none.
+
+    ``observers`` are the names in C of those that run in it: at most one of the position, and ``reduced_order``.
+    """
 
     program: Path
     prefix: str
+    observers: tuple[str, ...] = ()
 
 
 def require_compiler() -> str:
@@ -130,7 +143,9 @@ def require_compiler() -> str:
     return program
 
 
-def compile_simulator(folder: Path, files: Mapping[str, bytes] | None = None, prefix: str = "") -> Simulator:
+def compile_simulator(
+    folder: Path, files: Mapping[str, bytes] | None = None, prefix: str = "", observers: tuple[str, ...] = ()
+) -> Simulator:
     """Compile the plant around a controller.
 
     Parameters
@@ -142,6 +157,9 @@ def compile_simulator(folder: Path, files: Mapping[str, bytes] | None = None, pr
         scenarios of the mode ``open-loop`` only.
     prefix:
         That of the headers.
+    observers:
+        Names in C of the observers to run: ``reduced_order`` of ``<prefix>_speed_observer.h``, any other of
+        ``<prefix>_observer.h``.
 
     Raises
     ------
@@ -152,6 +170,8 @@ def compile_simulator(folder: Path, files: Mapping[str, bytes] | None = None, pr
     controller = prefix if files else ""
     context = {
         "prefix": controller,
+        "position": next((name for name in observers if name != REDUCED_ORDER), ""),
+        "reduced": REDUCED_ORDER in observers,
         "parameters": PARAMETERS,
         "columns": COLUMNS,
         "summary": SUMMARY,
@@ -174,14 +194,16 @@ def compile_simulator(folder: Path, files: Mapping[str, bytes] | None = None, pr
         lines = done.stderr.decode("utf-8", "replace").splitlines()
         first = next((line for line in lines if "error" in line), "; ".join(lines)[:200])
         raise VerificationError(f"the simulation does not compile with {_COMPILER}: {first}")
-    return Simulator(program, controller)
+    return Simulator(program, controller, observers)
 
 
 @contextmanager
-def simulator(files: Mapping[str, bytes] | None = None, prefix: str = "") -> Iterator[Simulator]:
+def simulator(
+    files: Mapping[str, bytes] | None = None, prefix: str = "", observers: tuple[str, ...] = ()
+) -> Iterator[Simulator]:
     """A compiled program in a folder that goes with the block; parameters and errors as `compile_simulator`."""
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        yield compile_simulator(Path(name), files, prefix)
+        yield compile_simulator(Path(name), files, prefix, observers)
 
 
 def _execute(program: Path, content: bytes, progress: Progress | None) -> bytes:
@@ -304,3 +326,7 @@ def simulate_many(
 def _require_controller(simulator: Simulator, scenario: Scenario) -> None:
     if not simulator.prefix and scenario.mode != "open-loop":
         raise ValueError(f"a program without a controller cannot follow a {scenario.mode} reference")
+    if scenario.encoder.speed == "observer" and not simulator.observers:
+        raise InputError("the speed is to come from an observer; give the drive one (control.observer)")
+    if scenario.sensorless is not None and not set(simulator.observers) - {REDUCED_ORDER}:
+        raise InputError("the angle is to come from an observer; give the drive one of the position (control.observer)")

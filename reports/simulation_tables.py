@@ -8,7 +8,7 @@ from dataclasses import asdict
 import numpy as np
 
 from dqforge.machines.quantities import format_quantity
-from dqforge.reports.drive_simulation import DriveSimulation
+from dqforge.reports.drive_simulation import DriveSimulation, observed
 from dqforge.reports.html_tables import HtmlTable, Row
 from dqforge.reports.html_text import symbols
 from dqforge.reports.reference_ir import PlainData
@@ -51,6 +51,23 @@ def _figure_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
     )
 
 
+def _observer_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
+    """Estimates beside the truth, nothing where no observer ran."""
+    seen = observed(found.run)
+    if seen is None:
+        return ()
+    rows = [("largest error of the observed speed", _value(seen.speed_largest, "rad/s", 3))]
+    if seen.angle_rms is not None and seen.angle_largest is not None:
+        rows = [
+            ("angle of the observer, largest error", f"{math.degrees(seen.angle_largest):.3g} deg (electrical)"),
+            ("angle of the observer, r.m.s. error", f"{math.degrees(seen.angle_rms):.3g} deg (electrical)"),
+            *rows,
+        ]
+    if found.run.scenario.sensorless is not None:
+        rows.append(("control without encoder", f"{100.0 * seen.sensorless_share:.3g} % of the time"))
+    return tuple(rows)
+
+
 def _notes(found: DriveSimulation) -> tuple[str, ...]:
     if found.run.figures.bounded[0]:
         return ("rise from 10 to 90 % of the step; settled within 2 % of it",) if found.steps else ()
@@ -59,7 +76,8 @@ def _notes(found: DriveSimulation) -> tuple[str, ...]:
 
 def simulation_tables(found: DriveSimulation) -> list[Table]:
     """Figures of the run and of each step of its reference."""
-    tables = [Table(f"{found.design.name}: simulation", ("", ""), _figure_rows(found), _notes(found))]
+    rows = (*_figure_rows(found), *_observer_rows(found))
+    tables = [Table(f"{found.design.name}: simulation", ("", ""), rows, _notes(found))]
     if found.steps:
         tables.append(Table(f"Steps of the {found.run.scenario.mode}", _STEP_COLUMNS, _step_rows(found)))
     return tables
@@ -67,7 +85,8 @@ def simulation_tables(found: DriveSimulation) -> list[Table]:
 
 def simulation_html(found: DriveSimulation) -> list[HtmlTable]:
     """The same for the report."""
-    figures = tuple(Row((symbols(label), symbols(value))) for label, value in _figure_rows(found))
+    lines = (*_figure_rows(found), *_observer_rows(found))
+    figures = tuple(Row((symbols(label), symbols(value))) for label, value in lines)
     tables = [HtmlTable("Figures of the run", ("", "value"), figures)]
     if found.steps:
         rows = tuple(Row(cells) for cells in _step_rows(found))
@@ -96,7 +115,7 @@ def simulation_part(found: DriveSimulation | None) -> PlainData | None:
 
 def plain_simulation(found: DriveSimulation) -> PlainData:
     """Figures as plain data, in SI units; the samples are in the archive."""
-    run, figures = found.run, found.run.figures
+    run, figures, seen = found.run, found.run.figures, observed(found.run)
     return {
         "mode": run.scenario.mode,
         "inverter": run.scenario.inverter,
@@ -118,4 +137,12 @@ def plain_simulation(found: DriveSimulation) -> PlainData:
             "i_q_A": float(figures.i_q[0]),
         },
         "steps": [asdict(step) for step in found.steps],
+        "observer": None
+        if seen is None
+        else {
+            "angle_error_rms_rad": seen.angle_rms,
+            "angle_error_largest_rad": seen.angle_largest,
+            "speed_error_largest_rad_per_s": seen.speed_largest,
+            "sensorless_share": seen.sensorless_share,
+        },
     }

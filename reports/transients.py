@@ -14,6 +14,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.scenario import Scenario
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control_header import control_files, gain_bytes, plain_control
+from dqforge.reports.drive_simulation import observers_of
 from dqforge.reports.header import header_files
 from dqforge.reports.plant_input import Drive
 from dqforge.reports.reference_ir import PlainData
@@ -33,10 +34,10 @@ class Bench:
     @property
     def drive(self) -> Drive:
         """The plant that the design describes."""
-        design, observer = self.solution.design, self.solution.gains.observer
+        design = self.solution.design
         speed = design.control.speed_loop
         ratio = 1 if speed is None else speed.ratio
-        return Drive(design.machine, design.inverter, design.control.t_s, ratio, observer=observer)
+        return Drive(design.machine, design.inverter, design.control.t_s, ratio)
 
     def run(self, scenario: Scenario, changes: Mapping[str, Any] | None = None, stride: int = 1) -> Simulation:
         """One scenario, with some members of the gains changed."""
@@ -54,8 +55,9 @@ def bench(design: Design) -> Iterator[Bench]:
         There is no compiler.
     """
     solution = solve(design)
-    files = header_files(solution) | control_files(solution)
-    with simulator(files, design.export.prefix) as program:
+    files, observers = observers_of(solution)
+    files |= header_files(solution) | control_files(solution)
+    with simulator(files, design.export.prefix, observers) as program:
         yield Bench(solution, program, plain_control(solution))
 
 

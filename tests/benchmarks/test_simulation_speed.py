@@ -21,7 +21,7 @@ pytestmark = pytest.mark.benchmark
 def test_one_second_of_drive_time(name: str) -> None:
     design = catalogue.load(name)
     solution = solve(design)
-    drive = drive_of(design, solution)
+    drive = drive_of(design)
     scenario = Scenario(1.0, "speed", constant(50.0))
     start = time.perf_counter()
     with simulator(controller_files(solution), design.export.prefix) as program:

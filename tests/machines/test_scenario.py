@@ -93,6 +93,28 @@ def test_everything_is_read_in_si_units() -> None:
     assert (scenario.seed, scenario.sub_steps) == (7, 12)
 
 
+def test_control_without_encoder_has_a_band() -> None:
+    base = BASE.replace("  speed_loop: {ratio: 10}\n", "  speed_loop: {ratio: 10}\n  observer: {method: flux}\n")
+    turn = math.pi / 30.0
+    both = read("duration: 1 s", SPEED, "sensorless: {above: 300 rpm, below: 200 rpm}", base=base).sensorless
+    assert both is not None
+    assert (both.above, both.below) == pytest.approx((300.0 * turn, 200.0 * turn))
+    usual = read("duration: 1 s", SPEED, "sensorless: {above: 300 rpm}", base=base).sensorless
+    assert usual is not None
+    assert (usual.above, usual.below) == pytest.approx((300.0 * turn, 240.0 * turn))
+    assert read("duration: 1 s", SPEED, base=base).sensorless is None
+    for entry, column, phrase in (
+        ("{above: -300 rpm}", 23, "is negative"),
+        ("{above: 300 rpm, below: 301 rpm}", 39, "exceeds above = 300 rpm"),
+        ("{below: 300 rpm}", 3, "needs the key 'above'"),
+        ("{above: 0,3 rad/s}", 25, "'0,3 rad/s' has a decimal comma; write 0.3 rad/s"),
+    ):
+        with pytest.raises(InputError) as caught:
+            read("duration: 1 s", SPEED, f"sensorless: {entry}", base=base)
+        assert phrase in caught.value.message
+        assert (caught.value.line, caught.value.column) == (20, column)
+
+
 def test_currents_and_torques_are_references_too() -> None:
     currents = read("duration: 1 s", "current: {points: [{time: 0 s, i_d: -1 A, i_q: 2 A}]}", "shaft: {}")
     assert (currents.mode, currents.reference, currents.reference_d) == ("current", constant(2.0), constant(-1.0))
@@ -118,6 +140,7 @@ SPEED = "speed: {points: [{time: 0 s, speed: 1000 rpm}]}"
         (("duration: 1 s", "speed: {amplitude: 60 rpm}"), 18, 3, "amplitude and frequency belong together"),
         (("duration: 1 s", SPEED, "inverter: switchd"), 19, 13, "did you mean 'switched'"),
         (("duration: 1 s", SPEED, "encoder: {speed: observer}"), 19, 20, "needs control.observer"),
+        (("duration: 1 s", SPEED, "sensorless: {above: 1 rpm}"), 19, 3, "needs an observer of the position"),
         (("duration: 1 s", SPEED, "encoder: {lines: yes}"), 19, 20, "whole number"),
         (("duration: 1 s", SPEED, "current_sensor: {bits: 12}"), 19, 26, "bits need full_scale"),
         (("duration: 1 s", SPEED, "current_sensor: {offset: [1 mA]}"), 19, 28, "at least 3"),

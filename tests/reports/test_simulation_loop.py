@@ -66,7 +66,7 @@ def program(solved: Solution) -> Iterator[Simulator]:
 
 
 def run(program: Simulator, solved: Solution, scenario: Scenario) -> Simulation:
-    return simulate(program, drive_of(solved.design, solved), scenario)
+    return simulate(program, drive_of(solved.design), scenario)
 
 
 @pytest.mark.parametrize("axis", ["d", "q"])
@@ -87,7 +87,7 @@ def test_disturbance_of_the_current_loop_too(program: Simulator, solved: Solutio
     gains = replace_psi(solved, 0.0)
     omega_m = 0.5
     scenario = Scenario(0.01, "current", constant(0.0), constant(0.0), shaft=constant(omega_m))
-    found = simulate(program, drive_of(solved.design, solved), scenario, gains=gains)
+    found = simulate(program, drive_of(solved.design), scenario, gains=gains)
     loop = current_loop(0.3, 2e-3, T_S, solved.gains.i_q.kp, solved.gains.i_q.ki)
     expected = -3.0 * omega_m * 0.1 * current_step(loop, 101).disturbance
     np.testing.assert_allclose(found.i_q, expected, atol=1e-3 * float(np.max(np.abs(expected))))
@@ -205,7 +205,7 @@ def test_two_thousand_drives_off_their_data_settle(program: Simulator) -> None:
 
 def test_gains_given_are_the_gains_of_the_header(program: Simulator, solved: Solution) -> None:
     scenario = Scenario(0.02, "speed", constant(30.0))
-    drive = drive_of(solved.design, solved)
+    drive = drive_of(solved.design)
     own, given = (simulate(program, drive, scenario, gains=g) for g in (b"", gains_bytes(plain_control(solved))))
     np.testing.assert_array_equal(own.i_q, given.i_q)
     with pytest.raises(VerificationError, match="gains"):
@@ -214,7 +214,7 @@ def test_gains_given_are_the_gains_of_the_header(program: Simulator, solved: Sol
 
 def test_sensors_leave_their_mark(program: Simulator, solved: Solution) -> None:
     """With an encoder and a converter the speed holds to a count, and with an offset the torque oscillates."""
-    drive = drive_of(solved.design, solved)
+    drive = drive_of(solved.design)
     sensor = CurrentSensor(bits=12, full_scale=60.0, noise=0.02)
     scenario = Scenario(0.6, "speed", constant(50.0), encoder=Encoder(lines=2048), sensor=sensor)
     found = simulate(program, drive, scenario, tail=0.8)
@@ -230,7 +230,7 @@ def test_sensors_leave_their_mark(program: Simulator, solved: Solution) -> None:
 
 def test_switched_inverter_follows_the_averaged_one(program: Simulator, solved: Solution) -> None:
     scenario = Scenario(0.3, "speed", constant(100.0), load=constant(3.0))
-    drive = drive_of(solved.design, solved)
+    drive = drive_of(solved.design)
     averaged = simulate(program, drive, scenario)
     switched = simulate(program, drive, replace(scenario, inverter="switched"))
     np.testing.assert_allclose(switched.omega_m, averaged.omega_m, atol=0.5)
