@@ -78,11 +78,12 @@ def test_run_writes_everything_and_verify_agrees(run: Run, tmp_path: Path) -> No
         "ipm100.h",
         "ipm100_modulation.h",
         "ipm100_modulation_vectors.h",
+        "ipm100_speed_observer.h",
         "ipm100_vectors.h",
         "report.html",
         "result.json",
     }
-    assert "40608 results equal the model bit for bit, compiled as C99 and C++11" in outcome.out
+    assert "60608 results equal the model bit for bit, compiled as C99 and C++11" in outcome.out
     assert "mtpa with ddt-gdpwm: 781 W" in outcome.out
     verified = run("verify", "out")
     assert verified.code == 0

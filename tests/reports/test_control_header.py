@@ -19,9 +19,17 @@ from dqforge.machines.settings import FitSettings, ModulationName, WeakeningSett
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.loops import current_loop, current_step
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.control_header import control_files, control_from, control_inputs, control_results, plain_control
+from dqforge.reports.control_header import (
+    control_files,
+    control_from,
+    control_inputs,
+    control_programme,
+    control_results,
+    plain_control,
+)
 from dqforge.reports.control_model import ControlModel, ControlState
 from dqforge.reports.files import write_all
+from dqforge.reports.header import header_files
 from dqforge.reports.result_json import plain_solution
 from dqforge.reports.run import export_design
 from dqforge.reports.verify import read_folder, verify_files, verify_folder
@@ -59,18 +67,11 @@ def test_compiled_control_equals_the_model_bit_for_bit(name: ModulationName, sol
     assert np.all((duties >= 0.0) & (duties <= 1.0))
     assert np.ptp(duties, axis=0) == pytest.approx(1.0, abs=0.02)  # every rail is reached
     assert np.unique(results, axis=0).shape[0] > 0.9 * results.shape[0] * (inputs[:, 6] > 0.0).mean()
-    folder_free = export_files(changed)
-    verification = verify_files(*folder_free)
+    export = changed.design.export
+    files = header_files(changed) | control_files(changed)
+    reference = changed.fit.reference
+    verification = verify_files(files, export.prefix, reference, export.vectors, [control_programme(model)])
     assert verification.languages == ("c99", "c++11")
-
-
-def export_files(solution: Solution) -> tuple[Any, ...]:
-    from dqforge.reports.further_headers import programmes
-    from dqforge.reports.header import header_files
-
-    export = solution.design.export
-    files = header_files(solution) | control_files(solution)
-    return files, export.prefix, solution.fit.reference, export.vectors, programmes(plain_solution(solution))[1]
 
 
 @pytest.mark.parametrize("name", MODULATORS)
