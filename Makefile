@@ -9,8 +9,9 @@ DEMO_DESIGN ?= paper000-ipmsm-100kw
 demo: $(VENV)/runtime.stamp
 	$(BIN)/dqforge run $(DEMO_DESIGN) -o out/demo
 
+# One thread per worker: the matrices are small, and threads of the linear algebra get in each other's way.
 test: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest -n auto
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
 check: lint types contracts
 

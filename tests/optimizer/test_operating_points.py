@@ -123,11 +123,11 @@ def test_scan_of_the_current_plane_finds_nothing_better(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [11, 13, 14, 15])
 def test_random_machines_have_no_failed_point(seed: int) -> None:
-    """100 points of each of 4 x 1000: every point keeps its conditions, and without limits the currents are those of
+    """100 points of each of 4 x 500: every point keeps its conditions, and without limits the currents are those of
     the quartic. (All 10,000 of seed 11 were run when the solver was written; docs/evidence.md.)"""
     generator = np.random.default_rng(seed)
     seen = np.zeros(6, dtype=int)
-    for _ in range(1000):
+    for _ in range(500):
         machine, v_max = random_machine(generator)
         torque, omega = random_points(machine, v_max, 100, generator)
         points = optimal_points(machine, torque, omega, v_max=v_max)
@@ -137,7 +137,7 @@ def test_random_machines_have_no_failed_point(seed: int) -> None:
         np.testing.assert_allclose(points.i_d[free], i_d, atol=1e-7 * machine.i_max)
         np.testing.assert_allclose(points.i_q[free], i_q, atol=1e-7 * machine.i_max)
         seen += np.bincount(points.active, minlength=6)
-    assert np.all(seen > 100)
+    assert np.all(seen > 50)
 
 
 @pytest.mark.slow
