@@ -145,11 +145,23 @@ def control_inputs(model: ControlModel) -> SingleArray:
     rows[:3, :, 1:4] = 0.0  # references and voltages that are exactly equal
     rows[2, :, 7:] = 0.0
     rows[5, :, 6] = 0.0  # no DC-link voltage
+    columns = np.arange(1, 9)  # of the measurements and references; one bad sample each
+    rows[10:18, :_DRIVES, columns] = np.where(
+        np.eye(8, dtype=np.bool_)[:, np.newaxis], np.nan, rows[10:18][..., columns]
+    )
+    rows[20:28, :_DRIVES, columns] = np.where(
+        np.eye(8, dtype=np.bool_)[:, np.newaxis], np.inf, rows[20:28][..., columns]
+    )
     return np.ascontiguousarray(rows.reshape(-1, 9), dtype=np.float32)
 
 
 def control_results(model: ControlModel, inputs: SingleArray) -> SingleArray:
     """What the harness must return for `control_inputs`, shape (N, 8)."""
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        return _results(model, inputs)
+
+
+def _results(model: ControlModel, inputs: SingleArray) -> SingleArray:
     drives = [slice(mode, _DRIVES, 3) for mode in range(3)]
     rows = inputs.reshape(-1, _DRIVES, 9)
     results = np.empty((rows.shape[0], _DRIVES, 8), dtype=np.float32)

@@ -20,6 +20,7 @@ from dqforge.reports.control_types_model import clarke, clarke_inverse, park, pa
 
 Singles = tuple[SingleArray, ...]
 
+_UNKNOWN = np.float32(1.0e15)  # beyond, and not-a-number
 _HALF, _ZERO, _ONE = np.float32(0.5), np.float32(0.0), np.float32(1.0)
 _THIRD_HARMONIC = {"thipwm6": 1.0 / 6.0, "thipwm4": 1.0 / 4.0}
 _SEEN = {"dpwm0": -0.5, "dpwm2": 0.5}
@@ -213,9 +214,11 @@ class ControlModel:
         length = np.sqrt((wanted_d * wanted_d) + (wanted_q * wanted_q))
         beyond = length > v_max
         share = np.where(beyond, v_max / np.where(beyond, length, _ONE), _ONE)
-        v_d, v_q = share * wanted_d, share * wanted_q
-        state.d = state.d + ((gains["d"][1] * error_d) + (gains["d"][2] * (v_d - wanted_d)))
-        state.q = state.q + ((gains["q"][1] * error_q) + (gains["q"][2] * (v_q - wanted_q)))
+        known = (length < _UNKNOWN) & (v_max >= _ZERO)
+        v_d, v_q = np.where(known, share * wanted_d, _ZERO), np.where(known, share * wanted_q, _ZERO)
+        next_d = state.d + ((gains["d"][1] * error_d) + (gains["d"][2] * (v_d - wanted_d)))
+        next_q = state.q + ((gains["q"][1] * error_q) + (gains["q"][2] * (v_q - wanted_q)))
+        state.d, state.q = np.where(known, next_d, state.d), np.where(known, next_q, state.q)
         state.reference = reference
         state.v = park_inverse(v_d, v_q, *rotation(wrap(theta + (omega_e * gains["advance"]))))
         return self.duties(*state.v, v_dc, current)
@@ -240,8 +243,9 @@ class ControlModel:
         """Torque reference in N m for a speed in rad/s."""
         _, ki_ts, tracking = self.gains["speed"]
         most = self.gains["torque_max"]
-        state.omega_m = state.omega_m + (self.gains["speed_filter"] * (omega_m - state.omega_m))
-        due = state.count == 0
+        filtered = state.omega_m + (self.gains["speed_filter"] * (omega_m - state.omega_m))
+        state.omega_m = np.where(np.abs(omega_m) < _UNKNOWN, filtered, state.omega_m)
+        due = (state.count == 0) & (np.abs(reference) < _UNKNOWN)
         error = reference - state.omega_m
         wanted = _pi_output(self.gains["speed"], state.speed, error)
         limited = np.where(wanted > most, most, np.where(wanted < -most, -most, wanted))

@@ -155,6 +155,26 @@ def test_the_speed_loop_works_at_its_own_rate_and_holds_its_limit(solution: Solu
     assert all(k % model.ratio == 0 for k in changes)
 
 
+@pytest.mark.parametrize("column", range(6))
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_bad_sample_makes_no_voltage_and_is_forgotten(solution: Solution, column: int, bad: float) -> None:
+    """Currents, angle, speed or DC link that are no numbers for one sample: the next one goes on as if without it."""
+    model = model_of(solution)
+    good = np.array([[0.2, -0.1, -0.1, 0.3, 20.0, 300.0]], dtype=np.float32)
+    spoilt = good.copy()
+    spoilt[0, column] = bad
+    target = np.full(1, 50.0, dtype=np.float32)
+    state = ControlState.start(1)
+    model.speed_control(state, good, target)
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        duty = model.speed_control(state, spoilt, target)
+    assert all(np.isfinite(one) and 0.0 <= one <= 1.0 for one in np.concatenate(duty))
+    kept = np.concatenate([state.d, state.q, state.speed, state.omega_m, state.torque, *state.v])
+    assert np.all(np.isfinite(kept))
+    after = np.concatenate(model.speed_control(state, good, target))
+    assert np.all((after > 0.2) & (after < 0.8))
+
+
 def test_a_changed_sign_is_found_and_damage_is_refused(tmp_path: Path) -> None:
     output = export_design(bench(), verify=True)
     write_all(tmp_path, output.files)
