@@ -11,11 +11,11 @@ from typing import Any
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.reports.files import read_output
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.result_json import FORMAT, plain_solution, to_text
 
 _RESULT = "result.json"
-_LARGEST_FILE = 64 * 1024 * 1024
 _PARTS = ("input", "drive", "header", "fit", "gains")
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _GUARD = re.compile(r"^#ifndef ([A-Za-z_][A-Za-z0-9_]*)_H$", re.MULTILINE)
@@ -130,16 +130,7 @@ def header_macros(header: str, prefix: str) -> dict[str, str]:
 def _read(path: Path) -> bytes:
     if path.exists() and not path.is_file():
         raise InputError("is no file; give what 'dqforge run' or 'dqforge export' wrote", source=str(path))
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError("the file is larger than 64 MiB; that is no output of dqforge", source=str(path))
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"cannot be read ({error.strerror}); give a design, a library name, or what 'dqforge run' or 'dqforge "
-            "export' wrote",
-            source=str(path),
-        ) from error
+    return read_output(path, "a design, a library name, or what 'dqforge run' or 'dqforge export' wrote")
 
 
 def _from_result(text: str, path: Path) -> Side:

@@ -10,7 +10,6 @@ from typing import Any, get_args
 
 import numpy as np
 
-from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.fixed_arithmetic import Integers
@@ -21,6 +20,7 @@ from dqforge.optimizer.fixed_ranges import control_ranges
 from dqforge.optimizer.fixed_transforms import FIXED_MODULATORS, full_scale, rotation, sine_steps
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.control_fixed_model import input_names, output_names, row_inputs, row_results
+from dqforge.reports.header_title import title
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.templating import render
 
@@ -170,11 +170,7 @@ def control_fixed_context(design: Design, fit: FixedControlFit) -> PlainData:
     error = rounded_up(sine_error(control.width))
     found = "exhaustive" if control.width == 16 else "sampled"
     return {
-        "prefix": design.export.prefix,
-        "macro": design.export.prefix.upper(),
-        "name": design.name,
-        "version": __version__,
-        "digest": design.digest,
+        **title(design),
         "format": control.format,
         "width": control.width,
         "top": full_scale(control.width),

@@ -9,7 +9,6 @@ from typing import Any, get_args
 
 import numpy as np
 
-from dqforge import __version__
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation import LINEAR_LIMITS
 from dqforge.machines.settings import ModulationName
@@ -19,6 +18,7 @@ from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_numbers import float_literal
 from dqforge.reports.control_model import ControlModel, ControlState, modulator_of
+from dqforge.reports.header_title import title
 from dqforge.reports.plain_singles import single_from
 from dqforge.reports.programme import Programme
 from dqforge.reports.reference_ir import PlainData, from_plain, shortest
@@ -208,11 +208,7 @@ def control_files(solution: Solution) -> dict[str, bytes]:
     design, plain = solution.design, plain_control(solution)
     prefix = design.export.prefix
     context = {
-        "prefix": prefix,
-        "macro": prefix.upper(),
-        "name": design.name,
-        "version": __version__,
-        "digest": design.digest,
+        **title(design),
         "weakening": plain["weakening"],
         "modulator": modulator_of(plain["modulation"]),
         "gains": _gain_lines(plain),

@@ -14,11 +14,10 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.scenario import Profile, Scenario
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.control_header import control_files, plain_control
+from dqforge.reports.control_header import control_files
 from dqforge.reports.header import header_files
 from dqforge.reports.observer_header import observer_files
 from dqforge.reports.plant_input import Drive
-from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.simulation import Simulation, require_compiler, simulate, simulator
 from dqforge.reports.speed_observer_header import REDUCED_ORDER, speed_observer_files
 from dqforge.reports.surface_header import weakening_files
@@ -29,8 +28,6 @@ SETTLED = 0.02
 _LAST = 0.1  # share of an interval over which its final error is averaged
 _MOST_STEPS = 12
 _MOST_ROWS = 2_000_000
-_PIS = ("d", "q", "speed")
-_NUMBERS = ("pole_pairs", "r_s", "l_d", "l_q", "psi_pm", "voltage_share", "advance", "torque_max", "speed_filter")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,18 +76,6 @@ class DriveSimulation:
     steps: tuple[StepFigures, ...]
     tracking: tuple[float, float]
     copper: float
-
-
-def gains_bytes(plain: PlainData) -> bytes:
-    """The C structure ``<prefix>_control_gains_t`` for gains as `plain_control` describes them.
-
-    Parameters
-    ----------
-    plain:
-        ``d``, ``q`` and ``speed`` as (kp, ki t_s, tracking), the numbers by name, and ``ratio``.
-    """
-    numbers = [float(x) for name in _PIS for x in plain[name]] + [float(plain[name]) for name in _NUMBERS]
-    return np.array(numbers, dtype=np.float32).tobytes() + np.array([plain["ratio"]], dtype=np.uint32).tobytes()
 
 
 def drive_of(design: Design) -> Drive:
@@ -171,8 +156,7 @@ def simulate_design(
     drive = drive_of(design)
     stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
     with simulator(controller_files(solved), design.export.prefix, observers_of(solved)[1]) as program:
-        gains = gains_bytes(plain_control(solved))
-        run = simulate(program, drive, scenario, stride=stride, gains=gains, progress=progress)
+        run = simulate(program, drive, scenario, stride=stride, progress=progress)
     return evaluate(design, run)
 
 

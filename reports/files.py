@@ -9,6 +9,24 @@ from pathlib import Path
 
 from dqforge.machines.errors import InputError
 
+_LARGEST_FILE = 64 * 1024 * 1024
+
+
+def read_output(path: Path, wanted: str) -> bytes:
+    """A file that dqforge wrote; ``wanted`` says in the message what to give instead of one that cannot be read.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or is far larger than anything that dqforge writes.
+    """
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise InputError("the file is larger than 64 MiB; that is no output of dqforge", source=str(path))
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror}); give {wanted}", source=str(path)) from error
+
 
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a file through a temporary one beside it: flushed to disk, then renamed over the target.

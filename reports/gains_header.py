@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.gain_schedule import GainSchedule
 from dqforge.optimizer.schedule_fit import GAIN_NAMES, GainEvaluator
 from dqforge.optimizer.single_precision import SingleArray
+from dqforge.reports.header_title import title
 from dqforge.reports.plain_singles import single_from, singles_from
 from dqforge.reports.reference_ir import PlainData, shortest
 from dqforge.reports.schedule_text import schedule_lines
@@ -118,11 +118,7 @@ def _context(design: Design, schedule: GainSchedule) -> PlainData:
         for place, (start, end) in enumerate(zip(plain["starts"], ends, strict=True))
     ]
     return {
-        "prefix": design.export.prefix,
-        "macro": design.export.prefix.upper(),
-        "name": design.name,
-        "version": __version__,
-        "digest": design.digest,
+        **title(design),
         "form": plain,
         "names": GAIN_NAMES,
         "segments": segments,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.machines.settings import QFormats
 from dqforge.machines.synchronous import LinearMachine
@@ -15,6 +14,7 @@ from dqforge.optimizer.fixed_gains import pi_integers
 from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.solution import Solution
+from dqforge.reports.header_title import title
 from dqforge.reports.reference_header import reference_context, vectors_context, vectors_template
 from dqforge.reports.reference_ir import PlainData, shortest, to_plain
 from dqforge.reports.robustness_text import robust_lines
@@ -212,11 +212,7 @@ def header_context(solution: Solution) -> PlainData:
     design = solution.design
     plain = to_plain(solution.fit.reference)
     return {
-        "prefix": design.export.prefix,
-        "macro": design.export.prefix.upper(),
-        "name": design.name,
-        "version": __version__,
-        "digest": design.digest,
+        **title(design),
         "preamble": [
             _drive_text(design),
             "Units stand in the names and comments; angles in rad, dq quantities as peak of phase.",

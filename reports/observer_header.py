@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 from textwrap import wrap
 from typing import Any
 
-from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.observer_tuning import PositionObserver
 from dqforge.optimizer.position_observers import METHODS, ObserverMethod
+from dqforge.reports.header_title import title
 from dqforge.reports.observer_model import gains_from, plain_gains_of
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.templating import render
@@ -97,11 +97,7 @@ def observer_files(design: Design, observer: PositionObserver) -> dict[str, byte
     """Name and bytes of the header of a position observer."""
     prefix = design.export.prefix
     context: PlainData = {
-        "prefix": prefix,
-        "macro": prefix.upper(),
-        "name": design.name,
-        "version": __version__,
-        "digest": design.digest,
+        **title(design),
         "preamble": _preamble(design, observer),
         "file": "observer",
         "kind": "position",

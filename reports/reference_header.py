@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from dqforge import __version__
 from dqforge.optimizer.current_reference import CurrentReference, Reference
 from dqforge.optimizer.fixed_polynomial import CodeArray
 from dqforge.optimizer.fixed_reference import FixedReference
@@ -12,6 +11,7 @@ from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.certificate_text import header_lines
+from dqforge.reports.header_title import title
 from dqforge.reports.labels import operation_text
 from dqforge.reports.reference_ir import PlainData, ladders, shortest
 
@@ -192,10 +192,7 @@ def vectors_context(solution: Solution) -> PlainData:
         torque = vector_torques(reference, design.export.vectors)
         rows = list(zip(torque, *reference.currents(torque), strict=True))
     return context | {
-        "prefix": design.export.prefix,
-        "macro": design.export.prefix.upper(),
-        "version": __version__,
-        "digest": design.digest,
+        **title(design),
         "vectors": rows,
     }
 

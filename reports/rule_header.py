@@ -9,7 +9,6 @@ from typing import Any, get_args
 
 import numpy as np
 
-from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.settings import ModulationName
@@ -19,6 +18,7 @@ from dqforge.optimizer.choice_solution import ModulationChoice
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.choice_text import limits_text
+from dqforge.reports.header_title import title
 from dqforge.reports.reference_ir import PlainData, shortest
 from dqforge.reports.templating import render
 
@@ -237,11 +237,7 @@ def rule_header(
         for part in model.alternatives
     ]
     context = {
-        "prefix": prefix,
-        "macro": prefix.upper(),
-        "name": design.name,
-        "version": __version__,
-        "digest": design.digest,
+        **title(design),
         "alternatives": listed,
         "modulators": [{"symbol": _modulator(prefix, name), "text": name} for name in model.modulators],
         "rule": plain_rule(model.rule),

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.synchronous import Machine
@@ -16,6 +15,7 @@ from dqforge.optimizer.observer import ReducedOrderObserver
 from dqforge.optimizer.observer_parts import cast
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.reports.control_types_model import park, rotation, wrap
+from dqforge.reports.header_title import title
 from dqforge.reports.observer_model import SINGLE, gains_from, plain_gains_of
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.templating import render
@@ -49,11 +49,7 @@ def speed_observer_files(design: Design, observer: ReducedOrderObserver) -> dict
     """Name and bytes of the header."""
     prefix = design.export.prefix
     context: PlainData = {
-        "prefix": prefix,
-        "macro": prefix.upper(),
-        "name": design.name,
-        "version": __version__,
-        "digest": design.digest,
+        **title(design),
         "file": "speed_observer",
         "kind": "speed",
         "preamble": [

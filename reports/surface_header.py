@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.single_precision import SingleArray, SinglePolynomial
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.optimizer.surface_reference import SingleSurface, WeakeningReference
+from dqforge.reports.header_title import title
 from dqforge.reports.plain_singles import single_from, singles_from
 from dqforge.reports.reference_ir import PlainData, shortest
 from dqforge.reports.templating import render
@@ -143,11 +143,7 @@ def _context(design: Design, fit: WeakeningFit) -> PlainData:
     plain = plain_weakening(fit.reference)
     rpm = fit.settings.omega_m * 30.0 / np.pi
     return {
-        "prefix": design.export.prefix,
-        "macro": design.export.prefix.upper(),
-        "name": design.name,
-        "version": __version__,
-        "digest": design.digest,
+        **title(design),
         "form": plain,
         "ladders": [
             _ladder("f", plain, {"limit": "limit"}),

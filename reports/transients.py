@@ -13,9 +13,8 @@ from dqforge.machines.design import Design
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.scenario import Scenario
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.control_header import control_files, gain_bytes, plain_control
-from dqforge.reports.drive_simulation import observers_of
-from dqforge.reports.header import header_files
+from dqforge.reports.control_header import gain_bytes, plain_control
+from dqforge.reports.drive_simulation import controller_files, drive_of, observers_of
 from dqforge.reports.plant_input import Drive
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.simulation import Simulation, Simulator, simulate, simulator
@@ -34,10 +33,7 @@ class Bench:
     @property
     def drive(self) -> Drive:
         """The plant that the design describes."""
-        design = self.solution.design
-        speed = design.control.speed_loop
-        ratio = 1 if speed is None else speed.ratio
-        return Drive(design.machine, design.inverter, design.control.t_s, ratio)
+        return drive_of(self.solution.design)
 
     def run(self, scenario: Scenario, changes: Mapping[str, Any] | None = None, stride: int = 1) -> Simulation:
         """One scenario, with some members of the gains changed."""
@@ -55,9 +51,7 @@ def bench(design: Design) -> Iterator[Bench]:
         There is no compiler.
     """
     solution = solve(design)
-    files, observers = observers_of(solution)
-    files |= header_files(solution) | control_files(solution)
-    with simulator(files, design.export.prefix, observers) as program:
+    with simulator(controller_files(solution), design.export.prefix, observers_of(solution)[1]) as program:
         yield Bench(solution, program, plain_control(solution))
 
 

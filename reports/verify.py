@@ -22,6 +22,7 @@ from dqforge.optimizer.current_reference import CurrentReference, Reference
 from dqforge.optimizer.fixed_polynomial import CodeArray
 from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.single_precision import SingleArray
+from dqforge.reports.files import read_output
 from dqforge.reports.further_headers import SWEEP_POINTS, SWEEP_SEED, programmes
 from dqforge.reports.programme import Programme
 from dqforge.reports.reference_header import vector_codes, vector_torques
@@ -40,7 +41,6 @@ WARNINGS = (
 """Warning flags of the header contract (docs/header.md)."""
 
 _TIMEOUT_S = 60
-_LARGEST_FILE = 64 * 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,15 +227,7 @@ def verify_files(
 
 
 def _read(path: Path) -> bytes:
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError("the file is larger than 64 MiB; that is no output of dqforge", source=str(path))
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"cannot be read ({error.strerror}); give the folder that 'dqforge run' or 'dqforge export' wrote",
-            source=str(path),
-        ) from error
+    return read_output(path, "the folder that 'dqforge run' or 'dqforge export' wrote")
 
 
 def _load_result(path: Path) -> dict[str, Any]:

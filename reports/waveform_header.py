@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.phase_reference import PhaseFit, PhaseHarmonics, PhaseReference, PhaseTable, sample_angles
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.reports.c_numbers import rounded_up
+from dqforge.reports.header_title import title
 from dqforge.reports.reference_ir import PlainData, shortest
 from dqforge.reports.templating import render
 
@@ -131,11 +131,7 @@ def _context(design: Design, fit: PhaseFit) -> PlainData:
         else "sine, cosine: of the electrical angle of the d axis from phase a."
     )
     return {
-        "prefix": design.export.prefix,
-        "macro": design.export.prefix.upper(),
-        "name": design.name,
-        "version": __version__,
-        "digest": design.digest,
+        **title(design),
         "torque_max": plain["torque_max"],
         "form": {"table": None, "size": 0} | plain | ({"size": len(plain["table"][0]) - 1} if "table" in plain else {}),
         "terms": _terms(plain),

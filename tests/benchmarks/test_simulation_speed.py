@@ -10,8 +10,8 @@ import pytest
 from dqforge.machines import catalogue
 from dqforge.machines.scenario import Scenario, constant
 from dqforge.optimizer.solution import solve
-from dqforge.reports.control_header import plain_control
-from dqforge.reports.drive_simulation import controller_files, drive_of, gains_bytes
+from dqforge.reports.control_header import gain_bytes, plain_control
+from dqforge.reports.drive_simulation import controller_files, drive_of
 from dqforge.reports.simulation import simulate, simulate_many, simulator
 
 pytestmark = pytest.mark.benchmark
@@ -31,7 +31,7 @@ def test_one_second_of_drive_time(name: str) -> None:
             start = time.perf_counter()
             simulate(program, drive, replace(scenario, inverter=inverter))
             spent[inverter] = time.perf_counter() - start
-        gains = gains_bytes(plain_control(solution))
+        gains = gain_bytes(plain_control(solution))
         start = time.perf_counter()
         simulate_many(program, [(drive, replace(scenario, duration=0.05), gains)] * 100)
         many = (time.perf_counter() - start) / 100.0 / 0.05

@@ -24,11 +24,10 @@ from dqforge.optimizer.loops import current_loop, current_step, speed_loop, spee
 from dqforge.optimizer.observer import steady_state_error
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports import simulation as simulation_module
-from dqforge.reports.control_header import plain_control
+from dqforge.reports.control_header import gain_bytes, plain_control
 from dqforge.reports.drive_simulation import (
     controller_files,
     drive_of,
-    gains_bytes,
     npz_bytes,
     simulate_design,
     step_figures,
@@ -94,7 +93,7 @@ def test_disturbance_of_the_current_loop_too(program: Simulator, solved: Solutio
 
 
 def replace_psi(solved: Solution, psi_pm: float) -> bytes:
-    return gains_bytes({**plain_control(solved), "psi_pm": psi_pm})
+    return gain_bytes({**plain_control(solved), "psi_pm": psi_pm})
 
 
 def test_speed_step_and_load_step_are_those_of_the_sampled_loops(program: Simulator, solved: Solution) -> None:
@@ -184,7 +183,7 @@ def random_drive(generator: np.random.Generator) -> tuple[Drive, Scenario, bytes
         omega_m=speed,
         errors=PlantErrors(r_s=wrong[0], l_d=wrong[1], l_q=wrong[2], psi_pm=wrong[3]),
     )
-    return Drive(machine, Inverter(v_dc, f_s), 1.0 / f_s), scenario, gains_bytes(plain)
+    return Drive(machine, Inverter(v_dc, f_s), 1.0 / f_s), scenario, gain_bytes(plain)
 
 
 def test_two_thousand_drives_off_their_data_settle(program: Simulator) -> None:
@@ -206,7 +205,7 @@ def test_two_thousand_drives_off_their_data_settle(program: Simulator) -> None:
 def test_gains_given_are_the_gains_of_the_header(program: Simulator, solved: Solution) -> None:
     scenario = Scenario(0.02, "speed", constant(30.0))
     drive = drive_of(solved.design)
-    own, given = (simulate(program, drive, scenario, gains=g) for g in (b"", gains_bytes(plain_control(solved))))
+    own, given = (simulate(program, drive, scenario, gains=g) for g in (b"", gain_bytes(plain_control(solved))))
     np.testing.assert_array_equal(own.i_q, given.i_q)
     with pytest.raises(VerificationError, match="gains"):
         simulate(program, drive, scenario, gains=b"12345678")
