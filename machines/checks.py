@@ -12,6 +12,7 @@ from dqforge.machines.quantities import format_quantity
 from dqforge.machines.schema import CurrentLoopSection, DesignFile, ObserverSection, SpeedLoopSection
 from dqforge.machines.schema_machine import MachineSection
 from dqforge.machines.settings import Strategy
+from dqforge.machines.speed_remarks import bare_speed_hint
 from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.machines.yaml_source import KeyPath, YamlDocument
 
@@ -53,8 +54,8 @@ def check_machine(section: MachineSection, machine: Machine, document: YamlDocum
     if torque is not None:
         with document.at(("machine", "rated", "torque")):
             datasheet.check_rated_torque(torque, _largest_torque(machine, machine.i_max))
-    if speed is not None and machine.omega_m_max is not None and speed > machine.omega_m_max * (1.0 + _ROUNDING):
-        message = f"machine.rated.speed {format_quantity(speed, 'rpm')} is above max_speed; correct one of them"
+    if rated.speed is not None and machine.omega_m_max is not None and rated.speed.si > machine.omega_m_max * (1.0 + _ROUNDING):
+        message = f"machine.rated.speed {format_quantity(rated.speed.si, 'rpm')} is above max_speed; {bare_speed_hint(rated.speed)}"
         raise document.error(message, ("machine", "rated", "speed"))
 
 
@@ -260,7 +261,7 @@ def _check_speed(sections: DesignFile, machine: Machine, document: YamlDocument)
     most = machine.omega_m_max
     if most is not None and operation.speed.si > most * (1.0 + _ROUNDING):
         shown, limit = format_quantity(operation.speed.si, "rpm"), format_quantity(most, "rpm")
-        message = f"operation.speed: {shown} is above machine.max_speed {limit}; correct one of them"
+        message = f"operation.speed: {shown} is above machine.max_speed {limit}; {bare_speed_hint(operation.speed)}"
         raise document.error(message, ("operation", "speed"))
 
 
@@ -311,8 +312,7 @@ def check_comparison(sections: DesignFile, machine: Machine, document: YamlDocum
         if most is not None and abs(point.speed.si) > most * (1.0 + _ROUNDING):
             shown, limit = format_quantity(point.speed.si, "rpm"), format_quantity(most, "rpm")
             message = f"losses.points[{index}].speed: {shown} is above machine.max_speed {limit}"
-            hint = "; a bare number is in rad/s, write e.g. '1500 rpm'" if point.speed.text[-1:].isdigit() else ""
-            raise document.error(message + (hint or "; correct one of them"), ("losses", "points", index, "speed"))
+            raise document.error(f"{message}; {bare_speed_hint(point.speed)}", ("losses", "points", index, "speed"))
 
 
 def sampling_warning(machine: Machine, f_s: float) -> str:

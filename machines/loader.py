@@ -41,6 +41,7 @@ from dqforge.machines.settings import (
     SpeedLoopSettings,
     WaveformSettings,
 )
+from dqforge.machines.speed_remarks import bare_speed_remarks
 from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.machines.tolerance_reader import read_tolerances
 from dqforge.machines.validation import read_sections
@@ -112,6 +113,7 @@ class _Build:
         checks.check_comparison(sections, machine, document)
         control = self.control(sections.control, machine, inverter, i_max)
         self.general_remarks(machine, inverter, control)
+        self.remarks.extend(bare_speed_remarks(sections))
         weakening = read_weakening(sections, machine, self.reading)
         choice = read_choice(sections, machine, i_max, self.reading)
         losses = read_losses(sections, machine, self.reading)

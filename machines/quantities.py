@@ -68,17 +68,25 @@ def parse_quantity(value: str | float, dimension: str) -> float:
 def parse_option(text: str | None, dimension: str, option: str) -> float | None:
     """SI value of an option of the command line, None where it was not given.
 
+    A speed needs its unit there: what is typed in haste is rpm more often than rad/s.
+
     Raises
     ------
     InputError
-        The text is no quantity of the dimension; names the option.
+        The text is no quantity of the dimension, or a speed without a unit; names the option.
     """
     if text is None:
         return None
     try:
-        return parse_quantity(text, dimension)
+        found = read_quantity(text, dimension)
     except InputError as error:
         raise InputError(f"{option}: {error.message}") from None
+    if dimension == "speed" and found.bare:
+        raise InputError(
+            f"{option}: {shown(text)} has no unit; write '{found.text} rpm', or '{found.text} rad/s' "
+            f"({format_quantity(found.si, 'rpm')})"
+        )
+    return found.si
 
 
 def read_quantity(value: str | float, dimension: str) -> Reading:

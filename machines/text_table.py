@@ -50,6 +50,7 @@ _UNDERSCORE_UNITS |= {"Wb", "mWb", "Vs", "mVs", "Nm", "W"}
 _PHASES = ("ABC", "UVW")
 _UNIT_WORDS = frozenset({"volt", "volts", "ampere", "amperes", "amp", "amps", "second", "seconds", "sec", "weber"})
 _UNIT_WORDS |= {"degree", "degrees", "radian", "radians", "newtonmeter", "watt", "watts", "hertz", "sequence", "u/min"}
+_TURNS = ("U", "r", "tr")
 _UNIT_PARTS = re.compile(r"[\s/*·^().-]+|\d+")
 _BRACKETED = re.compile(r"(.*?)(?:\[([^\[\]]*)\]|\(([^()]*)\))")
 _SEPARATED = re.compile(r"(.+?)\s*(?:/|,|\sin\s)\s*(.+)")
@@ -555,7 +556,9 @@ def _units_row(layout: _Layout, line: int, kept: _IndexArray) -> list[str] | Non
 
 
 def _is_unit(text: str) -> bool:
-    """Whether a text is a unit, or a product or quotient of units."""
+    """Whether a text is a unit, or a product or quotient of units; U and r alone name a phase or a radius."""
+    if text in _TURNS:
+        return False
     parts = [part for part in _UNIT_PARTS.split(text) if part]
     known = all(part in SYMBOLS or part in COMPOUNDS or part.lower() in _UNIT_WORDS for part in parts)
     return (bool(parts) and known) or text.lower() in _UNIT_WORDS
