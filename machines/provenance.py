@@ -9,6 +9,7 @@ from dqforge.machines.entries import Quantity
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.schema import DesignFile
 from dqforge.machines.schema_entries import Section
+from dqforge.machines.two_sided import Between
 from dqforge.machines.yaml_source import KeyPath, dotted
 
 _ALTERNATIVE = {
@@ -28,6 +29,8 @@ def quantities(section: Section, path: KeyPath = ()) -> Iterator[tuple[KeyPath, 
             inner = (*path, name) if index is None else (*path, name, index)
             if isinstance(part, Quantity):
                 yield inner, part
+            elif isinstance(part, Between):
+                yield from (((*inner, "from"), part.low), ((*inner, "to"), part.high))
             elif isinstance(part, Section):
                 yield from quantities(part, inner)
 

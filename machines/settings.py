@@ -155,24 +155,34 @@ class SpeedLoopSettings:
     max_sensitivity: float = 1.6
 
 
+ToleranceName = Literal["r_s", "l_d", "l_q", "psi_pm", "inertia", "v_dc", "dead_time"]
+Deviation = float | tuple[float, float]
+"""How far a value may be off: both ways, or from the first (zero or negative) to the second (zero or positive)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """How far the drive may be from its data, both ways; 0 where a value is taken as exact.
+    """How far the drive may be from its data; 0 where a value is taken as exact.
 
     ``r_s``, ``l_d``, ``l_q``, ``psi_pm`` and ``inertia`` are relative; ``v_dc`` is that of the voltage
     that acts from the one that duty cycles are computed with. ``dead_time`` in s is what the compensation of the
-    dead time gets wrong, and ``low_current`` in A (peak of phase) the smallest current at which the loops must hold
-    in spite of it.
+    dead time leaves over (positive), or does too much (negative), and ``low_current`` in A (peak of phase) the smallest
+    current at which the loops must hold in spite of it.
     """
 
-    r_s: float = 0.0
-    l_d: float = 0.0
-    l_q: float = 0.0
-    psi_pm: float = 0.0
-    inertia: float = 0.0
-    v_dc: float = 0.0
-    dead_time: float = 0.0
+    r_s: Deviation = 0.0
+    l_d: Deviation = 0.0
+    l_q: Deviation = 0.0
+    psi_pm: Deviation = 0.0
+    inertia: Deviation = 0.0
+    v_dc: Deviation = 0.0
+    dead_time: Deviation = 0.0
     low_current: float = 0.0
+
+    def limits(self, name: ToleranceName) -> tuple[float, float]:
+        """Least (zero or negative) and largest (zero or positive) deviation of one parameter."""
+        deviation = getattr(self, name)
+        return deviation if isinstance(deviation, tuple) else (-deviation, deviation)
 
 
 @dataclass(frozen=True, slots=True)

@@ -189,6 +189,7 @@ def solve_gains(design: Design) -> GainSet:
             current_robustness(box, i_q, "i_q"),
             None if speed is None else speed_robustness(box, speed, i_q),
             turning_robustness(box, i_d, i_q),
+            box.named_limits(),
         )
     wanted = control.current_loop.schedule
     schedule = schedule_gains(design, box if named else None, i_d, i_q) if wanted else None
