@@ -50,12 +50,15 @@ def check_machine(section: MachineSection, machine: Machine, document: YamlDocum
         with document.at(("machine", "rated", "power")):
             datasheet.check_rated_power(power, torque, speed)
     if rated.current is not None:
-        _check_rated_current(datasheet.peak_current(rated.current.si, rated.current.kind or ""), machine, document)
+        current = datasheet.peak_current(rated.current.si, rated.current.kind or "", section.connection)
+        _check_rated_current(current, machine, document)
     if torque is not None:
         with document.at(("machine", "rated", "torque")):
             datasheet.check_rated_torque(torque, _largest_torque(machine, machine.i_max))
-    if rated.speed is not None and machine.omega_m_max is not None and rated.speed.si > machine.omega_m_max * (1.0 + _ROUNDING):
-        message = f"machine.rated.speed {format_quantity(rated.speed.si, 'rpm')} is above max_speed; {bare_speed_hint(rated.speed)}"
+    most = machine.omega_m_max
+    if rated.speed is not None and most is not None and rated.speed.si > most * (1.0 + _ROUNDING):
+        hint = bare_speed_hint(rated.speed)
+        message = f"machine.rated.speed {format_quantity(rated.speed.si, 'rpm')} is above max_speed; {hint}"
         raise document.error(message, ("machine", "rated", "speed"))
 
 

@@ -94,4 +94,3 @@ def taken_header(prefix: str) -> str:
     # A prefix such as math_h is what remains of "math.h", and means the same.
     stem = re.sub(r"_(?:h|hpp|hxx)$", "", prefix.casefold())
     return taken_header(stem) if stem != prefix.casefold() else ""
-

@@ -11,6 +11,7 @@ import numpy as np
 from dqforge.machines import datasheet
 from dqforge.machines.checks import si_of
 from dqforge.machines.datasheet import FluxStatement
+from dqforge.machines.delta import at_the_terminals, check_connection
 from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import DqforgeError, InputError
@@ -64,6 +65,8 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
         Keys are missing or belong to another model, constants contradict each other, or a flux map is not sound.
     """
     _check_model(section, reading)
+    reading.connection = section.connection
+    check_connection(section, reading)
     counts = [None if q is None else int(q.si) for q in (section.pole_pairs, section.poles)]
     with reading.document.at(("machine", "poles") if section.poles else ("machine",), key=section.poles is None):
         pole_pairs = datasheet.check_pole_counts(*counts)
@@ -72,13 +75,13 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
     common: Mapping[str, Any] = {
         "pole_pairs": pole_pairs,
         "r_s": _resistance(section, reading),
-        "i_max": reading.peak(section.max_current, "machine.max_current"),
+        "i_max": reading.machine_peak(section.max_current, ("machine", "max_current")),
         "inertia": si_of(section.inertia),
         "friction": si_of(section.friction) or 0.0,
         "omega_m_max": si_of(section.max_speed),
     }
     if section.rated.current is not None:
-        reading.peak(section.rated.current, "machine.rated.current")
+        reading.machine_peak(section.rated.current, ("machine", "rated", "current"))
     if section.back_emf is not None:
         phases = read_phase_machine(section, common, reading)
         inductance = phases.l_s - phases.m_s
@@ -257,7 +260,7 @@ def _one_map(
             columns=columns or None,
         )
         found = build_flux_map(
-            points,
+            at_the_terminals(points, given),
             axes=given.axes,
             scaling=given.scaling,
             extrapolate=given.extrapolate,
@@ -317,18 +320,18 @@ def _flux_statements(section: MachineSection, pole_pairs: int, reading: Reading)
     """What each given key says about the flux linkage, in order of trust."""
     statements = []
     if (flux := section.magnet_flux) is not None:
-        psi_pm = datasheet.peak_flux(flux.si, flux.kind or "peak")
+        psi_pm = reading.phase_flux(flux, "machine.magnet_flux")
         statements.append(FluxStatement("magnet_flux", _said(flux), psi_pm, counts_poles=False))
-        if flux.kind != "peak":
-            reading.converted["machine.magnet_flux"] = (psi_pm, f"peak of phase from the {flux.kind} value")
     if (emf := section.back_emf_constant) is not None:
-        psi_pm = datasheet.flux_from_back_emf(emf.si, emf.kind or "", pole_pairs)
+        psi_pm = datasheet.flux_from_back_emf(emf.si, emf.kind or "", pole_pairs, section.connection)
         statements.append(FluxStatement("back_emf_constant", _said(emf), psi_pm, counts_poles=True))
         inverted = "reciprocal of the speed per volt; " if emf.inverted else ""
         implied = f"{inverted}implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
         reading.converted["machine.back_emf_constant"] = (emf.si, implied)
     if (constant := section.torque_constant) is not None:
-        psi_pm = datasheet.flux_from_torque_constant(constant.si, constant.kind or "", pole_pairs)
+        reading.check_current_kind(constant, ("machine", "torque_constant"))
+        kind = constant.kind or ""
+        psi_pm = datasheet.flux_from_torque_constant(constant.si, kind, pole_pairs, section.connection)
         statements.append(FluxStatement("torque_constant", _said(constant), psi_pm, counts_poles=True))
         implied = f"implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
         reading.converted["machine.torque_constant"] = (constant.si, implied)

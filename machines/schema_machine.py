@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from dqforge.machines.datasheet import Connection
 from dqforge.machines.schema_entries import (
     Angle,
     BackEmfConstant,
@@ -19,9 +20,9 @@ from dqforge.machines.schema_entries import (
     Inductance,
     Inertia,
     Listing,
+    MachineCurrent,
     MutualInductance,
     Nonnegative,
-    PhaseCurrent,
     PolePairs,
     Poles,
     Positive,
@@ -44,7 +45,7 @@ class RatedSection(Section):
     torque: Torque | None = Field(default=None, description="rated torque (N m)")
     speed: Speed | None = Field(default=None, description="rated mechanical speed (rad/s; write rpm)")
     power: Power | None = Field(default=None, description="rated mechanical power (W)")
-    current: PhaseCurrent | None = Field(
+    current: MachineCurrent | None = Field(
         default=None, description="rated phase current (A); kind peak (default) or rms"
     )
     frequency: Frequency | None = Field(default=None, description="rated electrical frequency (Hz)")
@@ -79,6 +80,9 @@ class FluxMapSection(Section):
     )
     scaling: FluxScaling = Field(
         default="peak", description="of currents and flux linkages: peak, rms, power-invariant"
+    )
+    quantities: Literal["line", "winding"] | None = Field(
+        default=None, description="of a delta: whether the map holds currents of lines (as measured) or of windings"
     )
     current_unit: Literal["A", "mA", "kA"] | None = Field(default=None, description="where the file does not say it")
     flux_unit: Literal["Wb", "mWb", "V s", "mV s"] | None = Field(
@@ -154,7 +158,7 @@ class MagnetLossSection(Section):
 
     loss: Power = Field(description="loss there (W)")
     frequency: Frequency = Field(description="electrical frequency (Hz)")
-    current: PhaseCurrent = Field(description="phase current (A); kind peak (default) or rms")
+    current: MachineCurrent = Field(description="phase current (A); kind peak (default) or rms")
 
 
 class AcResistanceSection(Section):
@@ -202,6 +206,10 @@ class MachineSection(Section):
         description="linear: constant inductances; flux-map: data in a file; saturation: published coefficients; "
         "waveform: any back-EMF shape",
     )
+    connection: Connection = Field(
+        default="star",
+        description="of the windings; the data of a delta are converted to the star that acts alike at the terminals",
+    )
     pole_pairs: PolePairs | None = Field(default=None, description="number of pole pairs p; or give poles")
     poles: Poles | None = Field(default=None, description="number of poles, 2 p; or give pole_pairs")
     resistance: Resistance = Field(description="stator resistance (Ohm); kind phase (default) or line-to-line")
@@ -220,7 +228,9 @@ class MachineSection(Section):
         description="back-EMF per mechanical speed (V s/rad; write V/krpm), kind required; rpm/V is inverted",
     )
     torque_constant: TorqueConstant | None = Field(
-        default=None, description="torque per ampere of phase current (N m/A), kind required: per ampere peak or rms"
+        default=None,
+        description="torque per ampere of phase current (N m/A), kind required: per ampere peak or rms; "
+        "of a delta line or winding",
     )
     self_inductance: Inductance | None = Field(default=None, description="for model waveform: L_s of a phase (H)")
     mutual_inductance: MutualInductance | None = Field(
@@ -233,7 +243,9 @@ class MachineSection(Section):
     ac_resistance: AcResistanceSection | None = Field(default=None, description="AC resistance, if it is known")
     magnet_loss: MagnetLossSection | None = Field(default=None, description="loss in the magnets, if it is known")
     temperature: TemperatureSection = Field(default=TemperatureSection(), description="operating temperatures")
-    max_current: PhaseCurrent = Field(description="largest phase current (A); kind peak (default) or rms")
+    max_current: MachineCurrent = Field(
+        description="largest phase current (A); kind peak (default) or rms; of a delta line peak, winding rms, ..."
+    )
     max_speed: Speed | None = Field(default=None, description="largest mechanical speed (rad/s; write rpm)")
     inertia: Inertia | None = Field(default=None, description="moment of inertia of all that turns (kg m^2)")
     friction: Friction | None = Field(default=None, description="viscous friction (N m s/rad); default 0")

@@ -27,8 +27,9 @@ class TolerancesSection(Section):
         default=None, description="dc-link voltage against the one that duty cycles are computed with; default 0"
     )
     dead_time: PartOrTime | None = Field(
-        default=None, description="error of the dead-time compensation: share of inverter.dead_time (20 %), or a time;"
-        " {from: 0 %, to: 100 %} reaches from a perfect compensation to none"
+        default=None,
+        description="error of the dead-time compensation: share of inverter.dead_time (20 %), or a time;"
+        " {from: 0 %, to: 100 %} reaches from a perfect compensation to none",
     )
     low_current: LowCurrent | None = Field(
         default=None, description="smallest phase current at which the loops must hold in spite of it; default 10 %"

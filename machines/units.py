@@ -275,9 +275,7 @@ DIMENSIONS: dict[str, Dimension] = {
     "current-slew": Dimension(
         "a rate of change of a current", "A/s", "ampere/second", "5 kA/s", CYCLIC, "write it in A/s"
     ),
-    "angle": Dimension(
-        "an angle", "rad", "radian", "30 deg", RELATIVE, "an angle is written in deg or rad", angle=1
-    ),
+    "angle": Dimension("an angle", "rad", "radian", "30 deg", RELATIVE, "an angle is written in deg or rad", angle=1),
     "number": Dimension(
         "a plain number", "", "dimensionless", "0.7", ANGULAR | CYCLIC, "this is a number without a unit"
     ),

@@ -109,9 +109,7 @@ def plain_robustness(robust: RobustSet | None) -> PlainData:
     for name, loop in _loops(robust):
         plain[name] = {units.get(key, key): value for key, value in asdict(loop).items()}
     plain["both_turning"] = None if robust.turning is None else {"largest_pole": asdict(robust.turning)}
-    plain["limits"] = {
-        "dead_time_s" if name == "dead_time" else name: [low, high] for name, low, high in robust.limits
-    }
+    plain["limits"] = {"dead_time_s" if name == "dead_time" else name: [low, high] for name, low, high in robust.limits}
     return {"tolerances": plain}
 
 

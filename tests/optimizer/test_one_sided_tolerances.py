@@ -24,7 +24,12 @@ NAMES: tuple[ToleranceName, ...] = get_args(ToleranceName)
 TEXT = catalogue.read_text("paper001-pmsm-bench").decode()
 DEAD_TIME = 2e-6
 CURRENT = 0.8
-SHARES = [("0 %", "100 %", 0.0, 1.0), ("-30 %", "0 %", -0.3, 0.0), ("-10 %", "25 %", -0.1, 0.25), ("0", "0.5", 0.0, 0.5)]
+SHARES = [
+    ("0 %", "100 %", 0.0, 1.0),
+    ("-30 %", "0 %", -0.3, 0.0),
+    ("-10 %", "25 %", -0.1, 0.25),
+    ("0", "0.5", 0.0, 0.5),
+]
 
 
 def text_with(line: str) -> bytes:
@@ -129,7 +134,7 @@ def test_no_compensation_at_all_is_a_box_without_the_corner_compensated_twice() 
 
 
 def test_the_loops_that_both_ways_refuse_hold_one_way() -> None:
-    # 4 f_sw t V_dc/(pi I) of 2 us at 0.1 A is some 20 Ohm: compensated twice, the loop with a kp of a few V/A runs away.
+    # 4 f_sw t V_dc/(pi I) of 2 us at 0.1 A is some 20 Ohm: compensated twice, a loop of a few V/A runs away.
     low = 0.1
     with pytest.raises(NoSolutionError, match=r"dead_time -"):
         solve_gains(bench(Tolerances(dead_time=DEAD_TIME, low_current=low)))
