@@ -197,7 +197,12 @@ DIMENSIONS: dict[str, Dimension] = {
     "current": Dimension("a current", "A", "ampere", "12 A", kinds=_RMS_OR_PEAK),
     "voltage": Dimension("a voltage", "V", "volt", "48 V"),
     "frequency": Dimension(
-        "a frequency", "Hz", "hertz", "10 kHz", ANGULAR, "a frequency counts cycles per second; write it in Hz"
+        "a frequency",
+        "Hz",
+        "hertz",
+        "10 kHz",
+        ANGULAR | LONG_TIMES,
+        "a frequency counts cycles per second; write it in Hz",
     ),
     "speed": Dimension(
         "a rotational speed", "rad/s", "radian/second", "1800 rpm", CYCLIC, _NO_HZ, angle=1, unnamed="revolutions"

@@ -55,12 +55,13 @@ def linear(design: Design) -> LinearMachine:
 
 def to_phases(d: float, q: float, theta: FloatArray) -> FloatArray:
     """Three phase quantities of a dq pair over the electrical angle, shape (3, N)."""
-    return d * np.cos(theta - SHIFTS) - q * np.sin(theta - SHIFTS)
+    return np.asarray(d * np.cos(theta - SHIFTS) - q * np.sin(theta - SHIFTS), dtype=np.float64)
 
 
 def to_dq(phases: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
     d = 2.0 / 3.0 * np.sum(phases * np.cos(theta - SHIFTS), axis=0)
-    return d, -2.0 / 3.0 * np.sum(phases * np.sin(theta - SHIFTS), axis=0)
+    q = -2.0 / 3.0 * np.sum(phases * np.sin(theta - SHIFTS), axis=0)
+    return np.asarray(d, dtype=np.float64), np.asarray(q, dtype=np.float64)
 
 
 def test_the_star_has_the_voltages_currents_and_torque_of_the_delta() -> None:

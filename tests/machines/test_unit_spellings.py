@@ -104,6 +104,8 @@ def expected_value(symbol: str, sign: int, dimension: str) -> float | None:
         "speed": None if hertz else value if angles else TURN * value,
         # Hertz are cycles, 1/s is rad/s, and 1/min could be either.
         "bandwidth": None if angles or minutes else TURN * value if hertz else value,
+        # 3000 1/min may be the frequency of the shaft.
+        "frequency": None if angles or minutes else value,
         "angle": value if angles and sign > 0 else None,
         # 1/Hz may be a period or a time constant.
         "time": None if hertz or angles else value,
@@ -253,6 +255,7 @@ TWO_WAYS = [
     ("300 1/min", "bandwidth", "Hz (times 2 pi) or rad/s"),
     ("300 rev/s", "bandwidth", "Hz (times 2 pi) or rad/s"),
     ("10 krpm", "frequency", "Hz"),
+    ("3000 1/min", "frequency", "write it in Hz"),
     ("10 rad/s", "frequency", "Hz"),
     ("12 V/krpm", "flux", "back_emf_constant"),
     ("12 mV/min^-1", "flux", "back_emf_constant"),
