@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from dataclasses import replace
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -102,7 +102,8 @@ def test_what_is_no_deviation_is_refused_with_its_place(line: str, phrase: str) 
 def test_corners_and_samples_stay_within_their_sides(name: ToleranceName, below: float, above: float) -> None:
     scale = 1e-6 if name == "dead_time" else 1.0
     sides = (below * scale, above * scale)
-    tolerances = replace(Tolerances(low_current=CURRENT), **{name: sides})
+    keys: dict[str, Any] = {name: sides}
+    tolerances = Tolerances(low_current=CURRENT, **keys)
     design = bench(tolerances, speed=True)
     nominal = (1.61e-3, 1.74e-3)
     box = drive_box(design, nominal, nominal)
@@ -151,11 +152,11 @@ def test_a_pair_of_equal_sides_is_the_value_itself() -> None:
 
 
 def test_margins_of_a_one_sided_box_are_those_of_single_drives() -> None:
-    sides = {"r_s": (0.0, 0.5), "v_dc": (-0.2, 0.05)}
-    robust = solve_gains(bench(Tolerances(**sides))).robust
+    of_r, of_v = (0.0, 0.5), (-0.2, 0.05)
+    robust = solve_gains(bench(Tolerances(r_s=of_r, v_dc=of_v))).robust
     assert robust is not None
     corners = []
-    for r_s, v_dc in itertools.product(*sides.values()):
+    for r_s, v_dc in itertools.product(of_r, of_v):
         one = solve_gains(bench(Tolerances(r_s=_to(r_s), v_dc=_to(v_dc)))).robust
         assert one is not None
         corners.append(one.i_q.phase_margin.value)
