@@ -24,11 +24,14 @@ text_encoding thread tuple type_traits typeindex typeinfo unordered_map unordere
 version
 """
 _SYSTEM = """
-aio alloca ar bits byteswap conio cpio cxxabi dirent direct dlfcn elf endian err error execinfo fcntl features fmtmsg
+aio alloca aliases argp argz ar bits byteswap conio cpio cxxabi dirent direct dlfcn elf endian err error execinfo
+fcntl features fmtmsg
 fnmatch ftw getopt glob grp iconv immintrin intrin io langinfo libgen link malloc mem memory monetary mqueue ndbm net
 netdb nl_types omp poll process pthread pwd quadmath regex regexp reent resolv sched search semaphore share spawn stab
 strings syscall sysexits syslog syslimits tar term termios trace ucontext ulimit unistd unwind utime utmp utmpx values
 varargs wait windows winsock2 wordexp newlib picolibc xlocale stdfix float_h yvals yvals_core corecrt vcruntime
+crypt envz fstab fts gconv gshadow ifaddrs lastlog mcheck mntent nss obstack paths printf pty re_comp shadow sgtty
+stdio_ext termcap termio thread_db ttyent
 con prn aux nul com1 com2 com3 com4 com5 com6 com7 com8 com9 lpt1 lpt2 lpt3 lpt4 lpt5 lpt6 lpt7 lpt8 lpt9
 """
 _VENDOR = """

@@ -17,7 +17,7 @@ _SUPERSCRIPT = str.maketrans("\u2070¹²³\u2074\u207a\u207b", "01234+-")
 _TOKEN = re.compile(
     r"\s*(?:(?P<symbol>°C|[A-Za-zµμΩ\N{OHM SIGN}](?:[A-Za-z_µμΩ\N{OHM SIGN}])*|[°%])"
     r"(?P<glued>(?:-?[1-4](?![0-9]))?)"
-    r"|(?P<exponent>(?:\^|\*\*)\s*[+-]?[1-4](?![0-9])|[\u207a\u207b]?[¹²³\u2074])"
+    r"|(?P<exponent>(?:\^|\*\*)\s*(?:[+-]?[1-4](?![0-9])|\([+-]?[1-4]\)|\{[+-]?[1-4]\})|[\u207a\u207b]?[¹²³\u2074])"
     r"|(?P<number>10*)(?![0-9])"
     r"|(?P<operator>[*·⋅/()]))"
 )
@@ -51,6 +51,7 @@ def _tokens(unit: str, wanted: Dimension) -> list[Token]:
         if match["symbol"] == "per" and not match["glued"]:
             tokens += [("operator", "/")] if tokens else [("number", "1"), ("operator", "/")]
         elif match["symbol"]:
+            _refuse_kind(match["symbol"], unit, wanted)
             tokens.append(("symbol", match["symbol"]))
             if match["glued"]:
                 tokens.append(("exponent", match["glued"]))
@@ -139,7 +140,7 @@ class _Parser:
         else:
             raise self._trouble(divided=False)
         if self._peek()[0] == "exponent":
-            exponent = int(self._peek()[1].lstrip("^*").translate(_SUPERSCRIPT))
+            exponent = int(self._peek()[1].strip("^*(){} ").translate(_SUPERSCRIPT))
             self.index += 1
             if exponent == -1 and last == list(base):
                 return _reciprocal(base)
@@ -170,18 +171,25 @@ def _names(symbol: str, wanted: Dimension) -> tuple[str, ...]:
         return (SYMBOLS[symbol],)
     if symbol in COMPOUNDS:
         return COMPOUNDS[symbol]
-    raise InputError(_kind_trouble(symbol, wanted) or _unknown(symbol, wanted))
+    raise InputError(_unknown(symbol, wanted))
 
 
-def _kind_trouble(symbol: str, wanted: Dimension) -> str:
-    """What to say on ``Arms`` and its like, which hide in a unit what the key ``kind`` says; empty for others."""
-    match = re.fullmatch(r"([munkµμ]?[AV])_?([A-Za-z]+)", symbol)
-    what = KIND_SUFFIXES.get(match[2].casefold()) if match else None
-    if match is None or what is None:
-        return ""
+def _refuse_kind(symbol: str, unit: str, wanted: Dimension) -> None:
+    """Raise what to write on ``Arms``, ``A_pk`` or ``V rms``, which hide in a unit what the key ``kind`` says."""
+    if symbol in SYMBOLS or symbol in COMPOUNDS:
+        return
+    alone = symbol.casefold() in KIND_SUFFIXES
+    glued = None if alone else re.fullmatch(r"([munkµμ]?[AV])_?([A-Za-z]+)", symbol)
+    ending = glued[2] if glued else symbol
+    what = KIND_SUFFIXES.get(ending.casefold())
+    if what is None:
+        return
+    plain = re.sub(r"\s+/", "/", unit.replace(symbol, glued[1] if glued else "", 1)).strip()
     kind = wanted.kinds.get(what, "")
-    beside = f"with {kind} beside it" if kind else "without it"
-    return f"{shown(symbol)} is no unit, '{match[2]}' says of which kind the value is; write {match[1]}, {beside}"
+    beside = f", with {kind} beside it" if kind else ""
+    raise InputError(
+        f"{shown(unit)} is no unit: {shown(ending)} says of which kind the value is; write {plain}{beside}"
+    )
 
 
 def _unknown(symbol: str, wanted: Dimension) -> str:
