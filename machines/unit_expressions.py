@@ -178,17 +178,17 @@ def _refuse_kind(symbol: str, unit: str, wanted: Dimension) -> None:
     """Raise what to write on ``Arms``, ``A_pk`` or ``V rms``, which hide in a unit what the key ``kind`` says."""
     if symbol in SYMBOLS or symbol in COMPOUNDS:
         return
-    alone = symbol.casefold() in KIND_SUFFIXES
+    alone = len(symbol) > 1 and symbol.casefold() in KIND_SUFFIXES
     glued = None if alone else re.fullmatch(r"([munkµμ]?[AV])_?([A-Za-z]+)", symbol)
     ending = glued[2] if glued else symbol
     what = KIND_SUFFIXES.get(ending.casefold())
-    if what is None:
+    if what is None or not (alone or glued):
         return
     plain = re.sub(r"\s+/", "/", unit.replace(symbol, glued[1] if glued else "", 1)).strip()
     kind = wanted.kinds.get(what, "")
     beside = f", with {kind} beside it" if kind else ""
     raise InputError(
-        f"{shown(unit)} is no unit: {shown(ending)} says of which kind the value is; write {plain}{beside}"
+        f"{shown(unit)} is no unit: {shown(ending)} says of which kind the value is; write {shown(plain)}{beside}"
     )
 
 
