@@ -64,8 +64,8 @@ def femag_arrays(text: str, source: str) -> list[NamedArray]:
     length = float(found[1]) if found else None
     names = {"i": "i", "beta": "beta"}
     arrays = []
-    for name, values in columns.items():
-        unit = units[name]
+    for name, given in columns.items():
+        values, unit = given, units[name]
         if "/mm" in unit:
             if length is None:
                 raise InputError("values are per mm and the file does not say its Armature Length", source=source)

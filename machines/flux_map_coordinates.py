@@ -197,13 +197,21 @@ def _rows_are_d(i_d: FloatArray, i_q: FloatArray, psi_d: FloatArray, psi_q: Floa
     sense as the currents do; a transposed grid turns the other way. Axes that are permuted, reversed or scaled in both
     the currents and the flux linkages do not change the sense. What has no sense at all has rows of i_d.
     """
+    step_d, step_q = np.sign(np.diff(i_d)), np.sign(np.diff(i_q))
+    area = turning(psi_d, psi_q)
+    as_rows, as_columns = (np.nansum(area * np.outer(*steps)) for steps in ((step_d, step_q), (step_q, step_d)))
+    return not bool(as_rows < -as_columns)
+
+
+def turning(psi_d: FloatArray, psi_q: FloatArray) -> FloatArray:
+    """Area that each cell of a grid (M, N) spans in the plane of the flux linkages, signed, shape (M - 1, N - 1).
+
+    It is positive where the rows go along i_d and both currents rise.
+    """
     (d_down, d_right), (q_down, q_right) = (
         (psi[1:, :-1] - psi[:-1, :-1], psi[:-1, 1:] - psi[:-1, :-1]) for psi in (psi_d, psi_q)
     )
-    area = d_down * q_right - d_right * q_down
-    step_d, step_q = np.sign(np.diff(i_d)), np.sign(np.diff(i_q))
-    as_rows, as_columns = (np.nansum(area * np.outer(*steps)) for steps in ((step_d, step_q), (step_q, step_d)))
-    return not bool(as_rows < -as_columns)
+    return np.asarray(d_down * q_right - d_right * q_down)
 
 
 _CONVENTIONS = {

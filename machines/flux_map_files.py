@@ -16,7 +16,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.flux_map_archives import arrays_of_hdf5, arrays_of_npz
 from dqforge.machines.flux_map_arrays import NamedArray
 from dqforge.machines.flux_map_coordinates import cartesian, claims, in_si, spread
-from dqforge.machines.flux_map_text import arrays_of_layout
+from dqforge.machines.flux_map_text import arrays_of_layout, oriented
 from dqforge.machines.flux_map_third import without_third
 from dqforge.machines.flux_map_units import EXPECTED, is_unit, per_pole_pair
 from dqforge.machines.flux_points import FileTorque, FluxPoints
@@ -194,7 +194,7 @@ def _from_sheets(content: bytes, source: str) -> list[NamedArray]:
             found.append(NamedArray(path, name, array.values, array.unit, array.lines))
     if not found and first_error is not None:
         raise first_error
-    return found
+    return oriented(found)
 
 
 def _together(arrays: list[NamedArray], source: str, companions: Mapping[str, tuple[bytes, str]]) -> list[NamedArray]:
@@ -207,7 +207,7 @@ def _together(arrays: list[NamedArray], source: str, companions: Mapping[str, tu
             if own is None or not np.array_equal(own.values, axis.values):
                 raise InputError(f"its {axis.name} differs from that in {source}; save both over the same", source=name)
         together.append(further[-1])
-    return together
+    return oriented(together)
 
 
 def _only(quantity: str, arrays: list[NamedArray], source: str) -> list[NamedArray]:

@@ -38,7 +38,7 @@ _TAIL = r"s?(?:axis|vec|vector|grid|mesh|map|mat|table|data|values|list)?"
 _SIZE = r"(?:amp|amplitude|abs|mag|magnitude|phase|ph|s|1)?"
 _FLUX_WORD = r"(?:[ψλφϕ]s?|psis?|lambdas?|lam|phis?|flux(?:linkage)?s?|linkage|f)"
 _PATTERNS = (
-    ("i", rf"(?:i[sm]?|cur|curr|current)(dq|d|q){_TAIL}|(d|q)(?:axis)?curr?(?:ent)?(?:ina)?(?:[xy]axis)?"),
+    ("i", rf"(?:i[sm]?|curr?i?|currenti?)(dq|d|q){_TAIL}|(d|q)(?:axis)?curr?(?:ent)?(?:ina)?(?:[xy]axis)?"),
     ("psi", rf"{_FLUX_WORD}(dq|d|q){_TAIL}|(d|q)(?:axis)?flux(?:linkage)?(?:values)?(?:inm?vs)?"),
     ("l", rf"(?:l|ind|inductance|lapp|lapparent)(d|q){_TAIL}|(d|q)(?:axis)?inductance"),
 )
@@ -47,7 +47,7 @@ _AXES = tuple((kind, re.compile(pattern)) for kind, pattern in _PATTERNS)
 
 _SINGLE = {
     "i": rf"i{_SIZE}|(?:wdg|winding|phase|stator)?curr?(?:ent)?{_SIZE}|(?:stator)?currentphase|currentvector",
-    "beta": r"(?:angle)?(?:beta|β|gamma|γ)(?:angle)?|(?:current|phase)(?:advance|angle)|anglei(?:up|vs)?|advance",
+    "beta": r"(?:angle)?(?:beta|β|gamma|\u03b3)(?:angle)?|(?:current|phase)(?:advance|angle)|anglei(?:up|vs)?|advance",
     "psi_m": rf"{_FLUX_WORD}(?:m|pm|magn?|magnets?|0|r|f)|magnetflux(?:linkage)?",
     "angle": r"(?:angular|rotor|mech(?:anical)?|el(?:ec(?:trical)?)?)*(?:theta|θ|angle|position|pos|rotate|rotation)"
     r"(?:vec|vector|axis|grid|deg|el|mech|r|m)?",
@@ -57,6 +57,9 @@ _SINGLE = {
     r"(?:vec|axis|m|mech|rpm|grid)?",
 }
 _ONE = {quantity: re.compile(pattern) for quantity, pattern in _SINGLE.items()}
+_BY_UNIT = {"temperature": ("t", "tm", "tr", "tw", "ϑ"), "speed": ("n", "nm", "w", "wm", "wr")}
+"""Short names that only their unit makes a temperature or a speed."""
+
 _TORQUE = re.compile(
     r"(?:angular|electromagnetic|electrom|airgap|em|el|mech|mechanical|shaft|output|measured|machine|motor|total|avg)*"
     r"(?:torque|drehmoment|moment|couple|coppia|tq|trq|te|tem|tel|tmech|tshaft|mel|mi)"
@@ -89,7 +92,8 @@ def _single(array: NamedArray, stem: str, unit: str) -> tuple[str, ...]:
         return ("torque",)
     for quantity, pattern in _ONE.items():
         known = is_unit(KINDS[quantity], unit)
-        if pattern.fullmatch(_plain(stem if known else array.name)) and (known or not unit):
+        plain = _plain(stem if known else array.name)
+        if (pattern.fullmatch(plain) and (known or not unit)) or (known and plain in _BY_UNIT.get(quantity, ())):
             return (quantity,)
     return ()
 

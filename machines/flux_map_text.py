@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.femag_tables import femag_arrays, is_femag
 from dqforge.machines.flux_map_arrays import NamedArray
+from dqforge.machines.flux_map_coordinates import turning
 from dqforge.machines.flux_map_names import recognised
 from dqforge.machines.flux_map_units import split_name
 from dqforge.machines.synchronous import FloatArray
@@ -24,10 +25,12 @@ from dqforge.machines.twin_builder_table import is_twin_builder, twin_builder_ar
 _MOST_BYTES = 16_000_000
 """Size up to which a text is looked through for another layout than columns, cell by cell."""
 
+_Rows = Sequence[Sequence[str]]
+
 _HEAD = 400
 _LEAST = 4
-_NAMES = {"psi_d": "psi_d", "psi_q": "psi_q", "torque": "torque"}
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?", re.ASCII)
+_DECIMAL_COMMA = re.compile(r"^([+-]?\d+),(\d+(?:[eE][+-]?\d+)?)$", re.ASCII)
 _MARKS = (";", "\t", ",", " ")
 
 
@@ -35,12 +38,12 @@ _MARKS = (";", "\t", ",", " ")
 class TextLayout:
     """One layout of text files.
 
-    ``is_it`` tells it from the cells of the first lines or the text, ``read`` makes arrays of all lines.
+    ``is_it`` tells it from the cells of the first lines, ``read`` makes arrays of those of all lines.
     """
 
     name: str
-    is_it: Callable[[str, Sequence[Sequence[str]]], bool]
-    read: Callable[[str, Sequence[Sequence[str]], str], list[NamedArray]]
+    is_it: Callable[[_Rows], bool]
+    read: Callable[[_Rows, str], list[NamedArray]]
 
 
 def arrays_of_layout(content: bytes, source: str) -> list[NamedArray] | None:
@@ -48,11 +51,15 @@ def arrays_of_layout(content: bytes, source: str) -> list[NamedArray] | None:
     if len(content) > _MOST_BYTES:
         return None
     text = decoded_text(content, source)
+    if is_twin_builder(text):
+        return twin_builder_arrays(text, source)
+    if is_femag(text):
+        return femag_arrays(text, source)
     lines = text.split("\n")
     head = _cells(lines[:_HEAD])
     for layout in LAYOUTS:
-        if layout.is_it(text, head):
-            return layout.read(text, _cells(lines), source)
+        if layout.is_it(head):
+            return layout.read(_cells(lines), source)
     return None
 
 
@@ -68,10 +75,7 @@ def _cells(lines: Sequence[str]) -> list[list[str]]:
     rows = [_split(line, best) for line in lines]
     if best == ",":
         return rows
-    return [
-        [cell.replace(",", ".") if re.fullmatch(r"[+-]?\d+,\d+(?:[eE].*)?", cell) else cell for cell in row]
-        for row in rows
-    ]
+    return [[_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row] for row in rows]
 
 
 def _split(line: str, mark: str) -> list[str]:
@@ -105,16 +109,16 @@ def _quantity(title: str) -> tuple[str, ...]:
 # One row per quantity, one column per case, as JMAG exports case tables.
 
 
-def _is_case_table(text: str, head: Sequence[Sequence[str]]) -> bool:
+def _is_case_table(head: _Rows) -> bool:
     """Whether the first cells of rows name quantities whose numbers stand beside them."""
     titles = [row[0] for row in head if len(row) > _LEAST and _numeric(row[-_LEAST:]) and not _numeric(row[:1])]
     found = {quantity for title in titles for quantity in _quantity(title)}
     return len(found & {"i_d", "i_q", "i", "beta", "psi_d", "psi_q", "l_d", "l_q"}) >= _LEAST
 
 
-def _case_arrays(text: str, rows: Sequence[Sequence[str]], source: str) -> list[NamedArray]:
+def _case_arrays(rows: _Rows, source: str) -> list[NamedArray]:
     """Rows of a case table as arrays; a unit may stand in the cell behind the title."""
-    found = []
+    found: list[NamedArray] = []
     for number, row in enumerate(rows, 1):
         if len(row) <= _LEAST or not row[0] or _numeric(row[:1]):
             continue
@@ -124,6 +128,9 @@ def _case_arrays(text: str, rows: Sequence[Sequence[str]], source: str) -> list[
         name, unit = split_name(row[0])
         unit = unit or next((re.sub(r"[\[\]()]", "", cell) for cell in row[1:beside] if cell), "")
         values = np.array(_numbers(row[beside:]))
+        if found and values.size != found[0].values.size:
+            message = f"this row has {values.size} cases, the first one {found[0].values.size}"
+            raise InputError(f"{message}; complete it", source=source, line=number)
         found.append(NamedArray(row[0], name, values, unit, np.full(values.size, number)))
     return found
 
@@ -137,7 +144,7 @@ def _titled_blocks(rows: Sequence[Sequence[str]]) -> list[tuple[str, int, list[S
     title, body, begin = "", list[Sequence[str]](), 0
     for number, row in enumerate([*rows, ["end"]], 1):
         alone = [cell for cell in row if cell]
-        if len(row) > 1 and _numeric(row) or len(row) > 2 and _numeric(row[1:]) and not row[0].isdigit():
+        if (len(row) > 1 and _numeric(row)) or (len(row) > 2 and _numeric(row[1:])):
             body, begin = [*body, row], begin or number
         elif alone:
             if title and len(body) >= 2:
@@ -146,21 +153,21 @@ def _titled_blocks(rows: Sequence[Sequence[str]]) -> list[tuple[str, int, list[S
     return blocks
 
 
-def _is_blocks(text: str, head: Sequence[Sequence[str]]) -> bool:
+def _is_blocks(head: _Rows) -> bool:
     titles = [row[0] for row in head if len([cell for cell in row if cell]) == 1 and not _numeric(row)]
     found = {quantity for title in titles for quantity in _quantity(title)}
     return {"psi_d", "psi_q"} <= found
 
 
-def _block_arrays(text: str, rows: Sequence[Sequence[str]], source: str) -> list[NamedArray]:
+def _block_arrays(rows: _Rows, source: str) -> list[NamedArray]:
     """Blocks as arrays; where no block holds the currents, they stand above and beside the flux linkages."""
     blocks = [(title, begin, body) for title, begin, body in _titled_blocks(rows) if _quantity(title)]
     known = {quantity for title, *_ in blocks for quantity in _quantity(title)}
     if "i_d" not in known:
-        return [array for title, begin, body in blocks for array in matrix_arrays(title, body, begin, source)]
+        return oriented([a for title, begin, body in blocks for a in matrix_arrays(title, body, begin, source)])
     found = []
     for title, begin, body in blocks:
-        name, unit = split_name(title)
+        unit = split_name(title)[1]
         quantity = _quantity(title)[0]
         found.append(NamedArray(title, quantity, _rectangle(body, begin, source), unit))
     return found
@@ -179,7 +186,7 @@ def _rectangle(body: Sequence[Sequence[str]], begin: int, source: str) -> FloatA
 # One matrix: i_d across, i_q down. Which of the two is which, the flux linkages tell later.
 
 
-def _is_matrix(text: str, head: Sequence[Sequence[str]]) -> bool:
+def _is_matrix(head: _Rows) -> bool:
     """Whether a single matrix with its axes stands in a file: one more cell than numbers in its first row."""
     rows = [row for row in head if any(row) and not row[0].startswith(("#", "%"))]
     if len(rows) <= _LEAST or len(rows[0]) <= _LEAST or _is_number(rows[0][0]):
@@ -187,7 +194,7 @@ def _is_matrix(text: str, head: Sequence[Sequence[str]]) -> bool:
     return _numeric(rows[0][1:]) and all(len(row) == len(rows[0]) and _numeric(row) for row in rows[1:_LEAST])
 
 
-def _matrix_file(text: str, rows: Sequence[Sequence[str]], source: str) -> list[NamedArray]:
+def _matrix_file(rows: _Rows, source: str) -> list[NamedArray]:
     """A matrix of a file of its own; its quantity is what the file is given for."""
     content = [(number, row) for number, row in enumerate(rows, 1) if any(row) and not row[0].startswith(("#", "%"))]
     return matrix_arrays("matrix", [row for _, row in content], content[0][0], source)
@@ -210,18 +217,32 @@ def matrix_arrays(title: str, body: Sequence[Sequence[str]], begin: int, source:
     ]
 
 
-def _first(test: Callable[[str], bool]) -> Callable[[str, Sequence[Sequence[str]]], bool]:
-    """A test of the text as one of text and cells."""
-    return lambda text, head: test(text)
+def oriented(arrays: list[NamedArray]) -> list[NamedArray]:
+    """Arrays of matrices whose axes are exchanged where the flux linkages tell that i_q stands across."""
+    found: dict[str, NamedArray] = {}
+    for array in arrays:
+        for quantity in recognised(array):
+            found.setdefault(quantity, array)
+    if not {"i_d", "i_q", "psi_d", "psi_q"} <= set(found):
+        return arrays
+    across, down, psi_d, psi_q = (found[name].values for name in ("i_d", "i_q", "psi_d", "psi_q"))
+    if not psi_d.shape == psi_q.shape == (down.size, across.size) or min(psi_d.shape) < 2:
+        return arrays
+    steps = np.outer(np.sign(np.diff(down)), np.sign(np.diff(across)))
+    if not np.nansum(turning(psi_d, psi_q) * steps) > 0.0:
+        return arrays
+    other = {"i_d": "i_q", "i_q": "i_d"}
+    return [
+        replace(array, name=other[array.name], path=array.path.removesuffix(array.name) + other[array.name])
+        if array.name in other
+        else array
+        for array in arrays
+    ]
 
 
 LAYOUTS = (
-    TextLayout(
-        "Twin Builder ECE", _first(is_twin_builder), lambda text, rows, source: twin_builder_arrays(text, source)
-    ),
-    TextLayout("FEMAG BATCH or BCH", _first(is_femag), lambda text, rows, source: femag_arrays(text, source)),
     TextLayout("case table", _is_case_table, _case_arrays),
     TextLayout("blocks", _is_blocks, _block_arrays),
     TextLayout("matrix", _is_matrix, _matrix_file),
 )
-"""Layouts in the order in which they are tried."""
+"""Layouts of cells in the order in which they are tried, after those of Twin Builder and FEMAG."""

@@ -1,4 +1,4 @@
-"""Flux maps over a third coordinate: the rotor angle is averaged over, one temperature or speed is asked for by name."""
+"""Flux maps over a third coordinate: the rotor angle is averaged over, a temperature or speed is asked for by name."""
 
 from __future__ import annotations
 
@@ -83,9 +83,10 @@ def _selected(name: str, parts: Parts, wanted: float | None, source: str) -> tup
         if known.size < 2 or float(np.max(np.abs(values - means[labels]))) <= 0.5 * step:
             return everything, ()  # one value, or one for each pair of currents: no coordinate of its own
         shown = ", ".join(format_quantity(float(value), _UNITS[name]) for value in known[:_MOST_LISTED])
+        more = ", ..." if known.size > _MOST_LISTED else ""
         raise InputError(
-            f"the points are given at {known.size} values of the {name} ({shown}{', ...' * (known.size > _MOST_LISTED)})"
-            f"; say which: at: {{{name}: {_EXAMPLES[name]}}}",
+            f"the points are given at {known.size} values of the {name} ({shown}{more}); say which: "
+            f"at: {{{name}: {_EXAMPLES[name]}}}",
             source=source,
         )
     kept = np.abs(values - wanted) <= 0.5 * step

@@ -152,21 +152,25 @@ def _factors(found: TorqueCheck, pole_pairs: int, scaling: FluxScaling) -> Itera
     for name, squared in SQUARED.items():
         if name != scaling and _near(slope * SQUARED[scaling], squared):
             yield f"another scaling: write scaling: {name}"
-    pairs = slope * pole_pairs
-    count = round(pairs)
-    if 1 <= count <= _MOST_PAIRS and count != pole_pairs and abs(pairs - count) <= min(_NEAR * pairs, _NEAR_COUNT):
-        yield f"another number of pole pairs: write pole_pairs: {count}"
-    per_pair = found.declared == "per-pole-pair"
-    if pole_pairs > 1 and not per_pair and _near(slope * pole_pairs, 1.0):
-        yield "a torque per pole pair: write torque: per-pole-pair"
-    if pole_pairs > 1 and per_pair and _near(slope, pole_pairs):
-        yield "a torque of the whole machine: write torque: air-gap"
+    yield from _of_pole_pairs(slope, pole_pairs, per_pair=found.declared == "per-pole-pair")
     for power in (1e3, 1e-3, 1e6, 1e-6):
         if _near(slope, power):
             yield f"a unit {power:g} times off: check current_unit, flux_unit and the unit of the torque"
     for root, what in ((2.0, "r.m.s. and peak"), (1.5, "power-invariant and peak"), (3.0, "line-to-line and phase")):
         if _near(slope, math.sqrt(root)) or _near(slope, math.sqrt(1.0 / root)):
             yield f"currents and flux linkages of different scaling ({what} values): convert one of them in the file"
+
+
+def _of_pole_pairs(slope: float, pole_pairs: int, *, per_pair: bool) -> Iterator[str]:
+    """Likely causes of a ratio of whole numbers."""
+    pairs = slope * pole_pairs
+    count = round(pairs)
+    if 1 <= count <= _MOST_PAIRS and count != pole_pairs and abs(pairs - count) <= min(_NEAR * pairs, _NEAR_COUNT):
+        yield f"another number of pole pairs: write pole_pairs: {count}"
+    if pole_pairs > 1 and not per_pair and _near(slope * pole_pairs, 1.0):
+        yield "a torque per pole pair: write torque: per-pole-pair"
+    if pole_pairs > 1 and per_pair and _near(slope, pole_pairs):
+        yield "a torque of the whole machine: write torque: air-gap"
     for parts in range(2, _MOST_PARTS + 1):
         if _near(slope * parts, 1.0) and parts != pole_pairs:
             yield f"the torque of one {parts}th of the machine, as modelled: multiply it by {parts}"

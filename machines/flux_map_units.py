@@ -57,7 +57,7 @@ EXPECTED = {
     "speed": "rpm or rad/s",
 }
 
-_UNIT_IN_NAME = re.compile(r".+?[\s_/\[(-]+(?:in\s+)?([A-Za-zµμ°][A-Za-zµμ°·*./^1 ]*?)\s*[])]?")
+_BEFORE_UNIT = re.compile(r"[\s_/\[(-]+(?:in\s+)?")
 _CLAIM = re.compile(r"(?:[\W_]|(?<=[A-Za-z]))(rms|peak|pk)\W*$", re.IGNORECASE)
 _PER_POLE_PAIR = re.compile(r"per\W*_*pole\W*_*pair|/\s*pp\b|per\W*_*pp\b|je\W*_*polpaar", re.IGNORECASE)
 
@@ -79,9 +79,10 @@ def factor(kind: str, unit: str) -> float:
 
 def split_name(name: str) -> tuple[str, str]:
     """Stem and unit of a name such as psi_d_mVs or 'i_d [A]', '' where it has no unit of these."""
-    found = _UNIT_IN_NAME.fullmatch(name)
-    if found and any(is_unit(kind, found[1]) for kind in ("i", "psi", "l", "torque", "angle", "temperature", "speed")):
-        return name[: found.start(1)].rstrip(" _/[(-"), found[1]
+    for found in _BEFORE_UNIT.finditer(name, 1):
+        unit = name[found.end() :].rstrip(" ])")
+        if any(is_unit(kind, unit) for kind in UNITS):
+            return name[: found.start()].rstrip(" _/[(-"), unit
     return name, ""
 
 

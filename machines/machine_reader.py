@@ -11,7 +11,7 @@ from dqforge.machines.checks import si_of
 from dqforge.machines.datasheet import FluxStatement
 from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
-from dqforge.machines.errors import DqforgeError, InputError
+from dqforge.machines.errors import DqforgeError
 from dqforge.machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.flux_map_reader import read_flux_map
 from dqforge.machines.phase_machine import PhaseMachine

@@ -22,6 +22,27 @@ _MARKS = (";", "\t", ",", None)
 
 def read_numeric_table(content: bytes, source: str) -> TextTable | None:
     """Table of a large text whose rows are plain numbers with decimal points; None where it is not that plain."""
+    head = _head(content, source)
+    if head is None:
+        return None
+    first = int(head.lines[0])
+    start = _start_of_line(content, first)
+    body = memoryview(content)[start:]
+    if not _PLAIN.fullmatch(body):
+        return None
+    rows = content.count(b"\n", start) + (not content.endswith(b"\n"))
+    for mark in _MARKS:
+        values = _parsed(body, mark)
+        if values is None or values.shape != (rows, head.values.shape[1]):  # an empty line would shift all numbers
+            continue
+        if np.array_equal(values[: head.lines.size], head.values, equal_nan=True):
+            lines = np.arange(first, first + rows, dtype=np.intp)
+            return TextTable(source, head.names, head.units, values, lines, head.preamble)
+    return None
+
+
+def _head(content: bytes, source: str) -> TextTable | None:
+    """Table of the first whole lines of a large text, None where other lines stand among its rows."""
     end = content.rfind(b"\n", 0, _HEAD) + 1
     if end == 0 or len(content) <= _HEAD:
         return None
@@ -29,25 +50,7 @@ def read_numeric_table(content: bytes, source: str) -> TextTable | None:
         head = read_table(content[:end], source)
     except InputError:
         return None
-    first = int(head.lines[0])
-    # A row has as many columns as the header names, each of its lines is one row, and nothing else stands among them.
-    if head.lines[-1] - first + 1 != head.lines.size:
-        return None
-    start = _start_of_line(content, first)
-    body = memoryview(content)[start:]
-    if not _PLAIN.fullmatch(body):
-        return None
-    for mark in _MARKS:
-        values = _parsed(body, mark)
-        if values is None or values.shape[1] != head.values.shape[1]:
-            continue
-        if np.array_equal(values[: head.lines.size], head.values, equal_nan=True):
-            rows = content.count(b"\n", start) + (not content.endswith(b"\n"))
-            if rows != len(values):  # an empty line among the rows: line numbers would be wrong
-                return None
-            lines = np.arange(first, first + len(values), dtype=np.intp)
-            return TextTable(source, head.names, head.units, values, lines, head.preamble)
-    return None
+    return head if head.lines[-1] - head.lines[0] + 1 == head.lines.size else None
 
 
 def _start_of_line(content: bytes, line: int) -> int:

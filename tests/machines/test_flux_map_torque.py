@@ -1,4 +1,4 @@
-"""The torque in flux-map files: real maps load with it as proof, and every wrong declaration is refused by its cause."""
+"""Torque in flux-map files: real maps load with it as proof, and every wrong declaration is refused by its cause."""
 
 from __future__ import annotations
 
@@ -65,8 +65,11 @@ inverter:
 
 @pytest.mark.parametrize(
     ("file", "slope", "misfit"),
-    [(THOR, 1.00004, 0.0003), (PM270, 0.999996, 0.00012), (BALDOR, None, None), (BALDOR_NPZ, None, None)]
-    + [(FEMAG11, None, None)],
+    [
+        (THOR, 1.00004, 0.0003),
+        (PM270, 0.999996, 0.00012),
+        *((file, None, None) for file in (BALDOR, BALDOR_NPZ, FEMAG11)),
+    ],
 )
 def test_real_maps_load_and_their_torque_is_the_proof(
     shared_data: Path, tmp_path: Path, file: str, slope: float | None, misfit: float | None
@@ -220,7 +223,7 @@ def test_every_spelling_of_the_torque_is_compared(heading: str, right: bool) -> 
     )
     read = read_flux_points(text.encode(), "map.csv")
     if not right:
-        with pytest.raises(InputError, match="likely another scaling: write scaling: rms, or .*pole_pairs: 6"):
+        with pytest.raises(InputError, match=r"likely another scaling: write scaling: rms, or .*pole_pairs: 6"):
             build_flux_map(read, pole_pairs=3)
         return
     found = build_flux_map(read, pole_pairs=3).torque
@@ -259,7 +262,7 @@ def test_a_misfit_of_more_than_three_percent_is_refused_and_told() -> None:
     found = compared(torque + 0.029 * noise)
     assert found is not None
     assert found.misfit == pytest.approx(0.029, rel=1e-3)
-    with pytest.raises(InputError, match="misfit 3.1 %"):
+    with pytest.raises(InputError, match=r"misfit 3\.1 %"):
         compared(torque + 0.031 * noise)
 
 
