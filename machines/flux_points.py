@@ -27,6 +27,9 @@ _TO_PEAK: dict[FluxScaling, float] = {"peak": 1.0, "rms": math.sqrt(2.0), "power
 _SAME = 1e-6
 """Difference over the largest value below which two currents, or two flux linkages, are the same."""
 
+MOST_NODES = 500_000
+"""Points of a map, a half plane with its mirror image."""
+
 _FEWEST_SCATTERED = 16
 _GRID_SIZES = (9, 81)
 _FULL_PLANE = 0.95
@@ -144,6 +147,7 @@ def build_flux_map(
         The points do not make a map, or not that of a machine; see also `check_points` and `check_map`.
     """
     source = points.source
+    _check_size(points.i_d.size, source)
     check_holes(points)
     check_outliers(points)
     merged = merge_repeats(points)
@@ -161,6 +165,7 @@ def build_flux_map(
             "from their mean; psi_d must be even and psi_q odd in i_q (d along the magnets), check the signs",
             source=source,
         )
+    _check_size(plane.psi[0].size, source)
     zero = _zero_current(plane.i_d, source)
     try:
         flux_map = FluxMap(plane.i_d, plane.i_q, plane.psi[0], plane.psi[1], extrapolate)
@@ -175,6 +180,13 @@ def build_flux_map(
         merged.scatter,
         compared,
     )
+
+
+def _check_size(nodes: int, source: str) -> None:
+    """Refuse maps whose splines would take more than a gigabyte: 256 bytes a node, twice while they are made."""
+    if nodes > MOST_NODES:
+        message = f"the map has {nodes} points over both halves of i_q, at most {MOST_NODES} can be used"
+        raise InputError(f"{message}; save a coarser one", source=source)
 
 
 def _scaling(points: FluxPoints, given: FluxScaling | None) -> tuple[FluxScaling, tuple[str, ...]]:

@@ -46,18 +46,20 @@ def read_regular_file(place: str | Path, most_bytes: int, shown: str | None = No
         descriptor = os.open(place, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except (OSError, ValueError) as error:
         raise InputError(_reason(error), source=name) from None
-    with os.fdopen(descriptor, "rb") as file:
-        found = os.fstat(file.fileno())
+    try:
+        found = os.fstat(descriptor)
         if not stat.S_ISREG(found.st_mode):
             kind = next((word for is_kind, word in _KINDS if is_kind(found.st_mode)), "no regular file")
             raise InputError(f"this is {kind}; name a regular file", source=name)
         limit = f"at most {most_bytes / MEGABYTE:g} MB can be read"
         if found.st_size > most_bytes:
-            raise InputError(f"the file has {found.st_size / MEGABYTE:.0f} MB, {limit}", source=name)
-        try:
+            raise InputError(f"the file has {found.st_size / MEGABYTE:.4g} MB, {limit}", source=name)
+        with os.fdopen(descriptor, "rb", closefd=False) as file:
             content = file.read(most_bytes + 1)
-        except OSError as error:
-            raise InputError(_reason(error), source=name) from None
+    except OSError as error:
+        raise InputError(_reason(error), source=name) from None
+    finally:
+        os.close(descriptor)
     if len(content) > most_bytes:  # it grew while it was read, or belongs to /proc and states no size
         raise InputError(f"the file has more than {most_bytes / MEGABYTE:g} MB, {limit}", source=name)
     return content
