@@ -214,11 +214,14 @@ def turning(psi_d: FloatArray, psi_q: FloatArray) -> FloatArray:
     return np.asarray(d_down * q_right - d_right * q_down)
 
 
-_CONVENTIONS = {
-    "counted from the d axis": lambda i, angle: (i * np.cos(angle), i * np.sin(angle)),
-    "an advance from the q axis (i_d = -I sin, i_q = I cos)": lambda i, angle: (-i * np.sin(angle), i * np.cos(angle)),
-    "negative for negative i_d (i_d = I sin, i_q = I cos)": lambda i, angle: (i * np.sin(angle), i * np.cos(angle)),
-}
+def _conventions(size: FloatArray, angle: FloatArray) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Currents (i_d, i_q) by each meaning that tools give the angle of the current."""
+    along, across = size * np.cos(angle), size * np.sin(angle)
+    return {
+        "counted from the d axis": (along, across),
+        "an advance from the q axis (i_d = -I sin, i_q = I cos)": (-across, along),
+        "negative for negative i_d (i_d = I sin, i_q = I cos)": (across, along),
+    }
 
 
 def cartesian(parts: Parts, source: str) -> tuple[Parts, tuple[str, ...]]:
@@ -229,12 +232,10 @@ def cartesian(parts: Parts, source: str) -> tuple[Parts, tuple[str, ...]]:
     """
     if "i" not in parts:
         return parts, ()
-    passed = {}
+    fluxes = np.stack([parts["psi_d"], parts["psi_q"]], axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
-        for name, rule in _CONVENTIONS.items():
-            currents = rule(parts["i"], parts["beta"])
-            if _passive(np.stack(currents, axis=1), np.stack([parts["psi_d"], parts["psi_q"]], axis=1)):
-                passed[name] = currents
+        every = _conventions(parts["i"], parts["beta"])
+        passed = {name: part for name, part in every.items() if _passive(np.stack(part, axis=1), fluxes)}
     if len(passed) != 1:
         message = "what the angle of the current counts from cannot be told from the flux linkages"
         raise InputError(f"{message}; save i_d and i_q instead of amplitude and angle", source=source)

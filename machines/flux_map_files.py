@@ -90,9 +90,13 @@ def read_flux_points(
         parts, lines, found = without_third(parts, lines, at or {}, source)
     if "l_d" in chosen:
         turned = (*turned, "flux linkages are psi_m + l_d i_d and l_q i_q: the inductances are taken as apparent")
+    i_d, i_q, psi_d, psi_q = (np.ascontiguousarray(parts[quantity]) for quantity in names.WANTED)
     return FluxPoints(
         source,
-        *(np.ascontiguousarray(parts[quantity]) for quantity in names.WANTED),
+        i_d,
+        i_q,
+        psi_d,
+        psi_q,
         torque=_torque(chosen, parts),
         lines=lines,
         claimed=claims(chosen, source),

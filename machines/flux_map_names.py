@@ -157,12 +157,9 @@ def _form(chosen: Mapping[str, NamedArray], found: Iterable[str]) -> tuple[str, 
 
 def _best(quantity: str, found: Sequence[NamedArray], source: str) -> NamedArray:
     """The one array among several, if it is plain which: means before angle-resolved, peak before r.m.s. values."""
-    for better in (
-        lambda a: not np.iscomplexobj(a.values),
-        lambda a: not a.name.casefold().startswith("angular"),
-        lambda a: claimed(a.name, a.unit) != "rms",
-    ):
-        found = [array for array in found if better(array)] or found
+    found = [array for array in found if not np.iscomplexobj(array.values)] or found
+    found = [array for array in found if not array.name.casefold().startswith("angular")] or found
+    found = [array for array in found if claimed(array.name, array.unit) != "rms"] or found
     if all(_equal(found[0], other) for other in found[1:]):
         return found[0]
     message = f"{len(found)} arrays may be {quantity}: {listed(found)}"

@@ -103,7 +103,7 @@ def _selected(name: str, parts: Parts, wanted: float | None, source: str) -> tup
 def _distinct(values: FloatArray, step: float) -> FloatArray:
     """Ascending values of which two neighbours are more than a step apart."""
     ascending = np.sort(values)
-    return ascending[np.append(True, np.diff(ascending) > step)]
+    return np.asarray(ascending[np.append(True, np.diff(ascending) > step)])
 
 
 def _averaged(

@@ -7,7 +7,7 @@ measurement errors, grids with gaps and points without any order.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -65,11 +65,11 @@ class FluxPoints:
     i_q: FloatArray
     psi_d: FloatArray
     psi_q: FloatArray
-    torque: FileTorque | None = None
-    lines: NDArray[np.intp] | None = None
-    claimed: Literal["", "peak", "rms"] = ""
-    findings: tuple[str, ...] = ()
-    others: tuple[str, ...] = ()
+    torque: FileTorque | None = field(default=None, kw_only=True)
+    lines: NDArray[np.intp] | None = field(default=None, kw_only=True)
+    claimed: Literal["", "peak", "rms"] = field(default="", kw_only=True)
+    findings: tuple[str, ...] = field(default=(), kw_only=True)
+    others: tuple[str, ...] = field(default=(), kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)

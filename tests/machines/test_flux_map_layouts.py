@@ -12,13 +12,13 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 import pytest
+from saturated import ArctanMachine
 from scipy.io import savemat
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_map_files import read_flux_points
 from dqforge.machines.flux_points import FluxMapReading, FluxPoints, build_flux_map
 from dqforge.machines.synchronous import FloatArray
-from tests.saturated import ArctanMachine
 
 MACHINE = ArctanMachine()
 PAIRS = MACHINE.pole_pairs
@@ -284,7 +284,7 @@ def test_names_of_tools_are_recognised(names: str) -> None:
 
 def test_a_report_of_maxwell_gives_units_and_averages() -> None:
     titles = ["Id [A]", "Iq [A]", "avg(FluxD) [mWb]", "avg(FluxQ) [mWb]", "avg(Moving1.Torque) [NewtonMeter]"]
-    rows = [[f'"{title}"' for title in titles], *columns_of(MESH_D, MESH_Q, 1e3 * PSI_D, 1e3 * PSI_Q, TORQUE)]
+    rows: Cells = [[f'"{title}"' for title in titles], *columns_of(MESH_D, MESH_Q, 1e3 * PSI_D, 1e3 * PSI_Q, TORQUE)]
     found = built(text_of(rows), "report.csv")
     assert found.torque is not None
     assert found.torque.slope == pytest.approx(1.0)
@@ -341,7 +341,7 @@ def test_apparent_inductances_with_undefined_values_at_zero_current() -> None:
         points = read_flux_points(mat({**axes, "Ld_mH": 1e3 * l_d, "Lq_mH": 1e3 * l_q, "psi_m": magnets}), "map.mat")
         is_the_machine(points)
         assert any("taken as apparent" in finding for finding in points.findings)
-    rows = [["id", "iq", "Ld [H]", "Lq [H]", "psi_m [Wb]"], *columns_of(MESH_D, MESH_Q, l_d, l_q, psi_m)]
+    rows: Cells = [["id", "iq", "Ld [H]", "Lq [H]", "psi_m [Wb]"], *columns_of(MESH_D, MESH_Q, l_d, l_q, psi_m)]
     is_the_machine(read_flux_points(text_of(rows), "map.csv"))
 
 
@@ -504,7 +504,7 @@ def at_several(name: str, values: Sequence[float]) -> bytes:
     rows: list[list[object]] = [["id", "iq", "psi_d", "psi_q", name]]
     for k, value in enumerate(values):
         psi_d, psi_q = PSI_D + 0.005 * k, PSI_Q
-        rows += columns_of(MESH_D, MESH_Q, psi_d, psi_q, np.full(MESH_D.shape, value))
+        rows.extend(list(row) for row in columns_of(MESH_D, MESH_Q, psi_d, psi_q, np.full(MESH_D.shape, value)))
     return text_of(rows)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from saturated import ArctanMachine
 
 from dqforge.machines import flux_map_files, flux_points
 from dqforge.machines.errors import InputError
@@ -19,7 +20,6 @@ from dqforge.machines.flux_map_files import read_flux_points
 from dqforge.machines.flux_points import FluxPoints, build_flux_map
 from dqforge.machines.numeric_table import read_numeric_table
 from dqforge.machines.text_table import read_table
-from tests.saturated import ArctanMachine
 
 MACHINE = ArctanMachine()
 GIBIBYTE = 2**30

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from saturated import ArctanMachine
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
@@ -20,7 +21,6 @@ from dqforge.machines.flux_map_torque import TorqueCheck, check_torque
 from dqforge.machines.flux_points import FileTorque, FluxPoints, build_flux_map
 from dqforge.machines.loader import load_text
 from dqforge.machines.settings import FluxTorque
-from tests.saturated import ArctanMachine
 
 MACHINE = ArctanMachine()
 THOR, PM270 = "thor_dq_256.npz", "femag_pm270l8_psidq_losses_50rps.csv"
@@ -153,8 +153,8 @@ def spoilt(content: bytes, wrong: Wrong) -> bytes:
     for name, factor in wrong.times.items():
         table[:, places[name]] *= factor
     if wrong.swap:
-        one, other = (places[name] for name in wrong.swap)
-        table[:, [one, other]] = table[:, [other, one]]
+        pair = [places[name] for name in wrong.swap]
+        table[:, pair] = table[:, pair[::-1]]
     return "\n".join([header, *(",".join(repr(float(cell)) for cell in row) for row in table)]).encode()
 
 
@@ -228,7 +228,8 @@ def test_every_spelling_of_the_torque_is_compared(heading: str, right: bool) -> 
         return
     found = build_flux_map(read, pole_pairs=3).torque
     assert found is not None
-    assert (found.slope, found.misfit) == (pytest.approx(1.0, rel=1e-9), pytest.approx(0.0, abs=1e-7))
+    assert found.slope == pytest.approx(1.0, rel=1e-9)
+    assert found.misfit == pytest.approx(0.0, abs=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -273,7 +274,8 @@ def test_a_shaft_torque_may_lie_below_by_friction_and_iron_loss() -> None:
         compared(shaft)
     found = compared(shaft, "shaft")
     assert found is not None
-    assert (found.slope, found.offset) == (pytest.approx(0.94), pytest.approx(-2.0))
+    assert found.slope == pytest.approx(0.94)
+    assert found.offset == pytest.approx(-2.0)
     assert "-2 N m at zero" in found.sentence
     for wrong in (0.5 * shaft, 1.5 * shaft, -shaft, 0.85 * torque, torque - 60.0):
         with pytest.raises(InputError):
