@@ -16,10 +16,10 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.flux_map_arrays import NamedArray
 from dqforge.machines.synchronous import FloatArray
 
-_LENGTH = re.compile(r"Armature Length\s*\[mm\]\s*:\s*([\d.+-Ee]+)", re.IGNORECASE)
+_LENGTH = re.compile(r"Armature Length\s*\[mm\]\s*:\s*([\d.eE+-]+)", re.IGNORECASE)
 _TITLES = (
-    ("i_d", r"curr\.?\s*id"),
-    ("i_q", r"curr\.?\s*iq"),
+    ("i_d", r"(?:curr\.?\s*)?id"),
+    ("i_q", r"(?:curr\.?\s*)?iq"),
     ("i", r"wdg\.?-curr\.?"),
     ("beta", r"angle\s*beta"),
     ("psi_d", r"psi_d"),
@@ -90,9 +90,9 @@ def _tables(lines: Sequence[str]) -> list[_Table]:
     """All tables below titles that name a flux linkage or torque."""
     found, rms = [], False
     for number, line in enumerate(lines[:-1]):
-        if line.startswith("Function:"):
+        if line.startswith(("Function:", "I, Psi")):
             rms = "rms" in line.lower()
-        titles = _columns(line) if "Curr" in line else {}
+        titles = _columns(line) if "Psi_" in line or "Torque" in line else {}
         if titles and "[" in lines[number + 1]:
             table = _table(lines, number, titles, rms)
             if table is not None:
@@ -107,7 +107,9 @@ def _columns(line: str) -> dict[str, int]:
         for quantity, pattern in _TITLES:
             if quantity not in places and re.fullmatch(pattern, title.strip(), re.IGNORECASE):
                 places[quantity] = place
-    return places if {"i_d", "i_q"} <= set(places) or {"i", "beta"} <= set(places) else {}
+    if {"i_d", "i_q"} <= set(places):
+        return {name: place for name, place in places.items() if name not in ("i", "beta")}
+    return places if {"i", "beta"} <= set(places) else {}
 
 
 def _table(lines: Sequence[str], number: int, titles: dict[str, int], rms: bool) -> _Table | None:

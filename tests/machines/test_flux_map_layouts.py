@@ -440,18 +440,25 @@ def number(value: float) -> str:
     return f"\t {value:.8E}"
 
 
-def psid_psiq() -> bytes:
-    head = "Function: Psid-Psiq-Identification\n\n Curr Id    \t Curr Iq    \t   Psi_d    \t   Psi_q    \n"
-    text = BANNER + head + "     [A]    \t     [A]    \t    [Vs/mm] \t    [Vs/mm] \n\n"
+def psid_psiq(*, with_torque: bool) -> bytes:
+    """The table of the fast Psid-Psiq identification, or one without torques, which then stand in a further table."""
+    head = "Function: PSID-Psiq-Identification\nI, Psi : Peak values\n\n    Id      \t    Iq      \t Angle Beta \t"
+    head += "   Psi_d    \t   Psi_q    \t" + (" Torque FE  \t Torque Sim \t" if with_torque else "")
+    units = (
+        "\n   [A]      \t   [A]      \t    [Degr]  \t [Vs/mm]    \t [Vs/mm]    \t" + " [Nm/mm]    \t" * 2 * with_torque
+    )
+    text = f"{BANNER}{head}{units}\n\n"
     tail = "[*******\nFunction: Ld-Lq-Identifikation aus PSID-Psiq-Identification\n\n Curr Id    \t Curr Iq    \t"
     tail += "      Ld    \t  Torque FE \t  Torque Sim\t\n     [A]    \t     [A]    \t    [H/mm]  \t"
     tail += " [Nm/mm]    \t [Nm/mm]\t\n\n"
     for k in range(AXIS_D.size):
         for n in range(AXIS_Q.size):
             currents = f" {AXIS_D[k]:.8f} \t {AXIS_Q[n]:.8f} "
-            text += currents + number(PSI_D[k, n] / LENGTH) + number(PSI_Q[k, n] / LENGTH) + "\n"
-            torque = number(TORQUE[k, n] / LENGTH)
-            tail += currents + number(1e-5) + torque + torque + "\n"
+            angle = math.degrees(math.atan2(AXIS_D[k], AXIS_Q[n]))
+            torque = number(TORQUE[k, n] / LENGTH) * 2
+            fluxes = number(PSI_D[k, n] / LENGTH) + number(PSI_Q[k, n] / LENGTH)
+            text += f"{currents}\t {angle:.2f} {fluxes}{torque if with_torque else ''}\t\n"
+            tail += currents + number(1e-5) + torque + "\n"
         text, tail = text + "\n", tail + "\n"
     return (text + tail + "[*******\nLosses for speed [1/min]:\t  3000.000\n").encode()
 
@@ -472,9 +479,10 @@ def ld_lq() -> bytes:
     return (text + "\n[*******\nFemag-Values:\n").encode()
 
 
+@pytest.mark.parametrize("with_torque", [True, False])
 @pytest.mark.parametrize("suffix", ["BATCH", "bch", "txt"])
-def test_results_of_femag(suffix: str) -> None:
-    points = read_flux_points(psid_psiq(), f"PM_270_L8_001.{suffix}")
+def test_results_of_femag(suffix: str, with_torque: bool) -> None:
+    points = read_flux_points(psid_psiq(with_torque=with_torque), f"PM_270_L8_001.{suffix}")
     is_the_machine(points, digits=1e-7)
     found = build_flux_map(points, pole_pairs=PAIRS).torque
     assert found is not None
