@@ -16,7 +16,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.flux_map_arrays import NamedArray
 from dqforge.machines.synchronous import FloatArray
 
-_LENGTH = re.compile(r"Armature Length\s*\[mm\]\s*:\s*([\d.eE+-]+)", re.IGNORECASE)
+_LENGTH = re.compile(r"Armature Length\s*\[mm\]\s*:\s*(\d+\.?\d*(?:[eE][+-]?\d{1,2})?)", re.IGNORECASE)
 _TITLES = (
     ("i_d", r"(?:curr\.?\s*)?id"),
     ("i_q", r"(?:curr\.?\s*)?iq"),

@@ -228,8 +228,10 @@ def oriented(arrays: list[NamedArray]) -> list[NamedArray]:
     across, down, psi_d, psi_q = (found[name].values for name in ("i_d", "i_q", "psi_d", "psi_q"))
     if not psi_d.shape == psi_q.shape == (down.size, across.size) or min(psi_d.shape) < 2:
         return arrays
-    steps = np.outer(np.sign(np.diff(down)), np.sign(np.diff(across)))
-    if not np.nansum(turning(psi_d, psi_q) * steps) > 0.0:
+    with np.errstate(over="ignore", invalid="ignore"):  # infinities are for others to judge, as NaN are
+        steps = np.outer(np.sign(np.diff(down)), np.sign(np.diff(across)))
+        exchanged = np.nansum(turning(psi_d, psi_q) * steps) > 0.0
+    if not exchanged:
         return arrays
     other = {"i_d": "i_q", "i_q": "i_d"}
     return [

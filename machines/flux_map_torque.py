@@ -89,7 +89,8 @@ def check_torque(
     known = np.isfinite(file) & np.isfinite(of_map)
     if np.count_nonzero(known) < _FEWEST or not np.any(of_map[known]) or not np.any(file[known]):
         return None
-    slope, offset, misfit = _line(of_map[known], file[known], through_zero=declared != "shaft")
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is no torque and agrees with none
+        slope, offset, misfit = _line(of_map[known], file[known], through_zero=declared != "shaft")
     found = TorqueCheck(points.torque.name, declared, slope, offset, misfit, int(np.count_nonzero(known)))
     if not _agree(found, file[known]):
         raise InputError(_refusal(found, points, file, pole_pairs, scaling), source=points.source)
@@ -116,7 +117,8 @@ def _agree(found: TorqueCheck, file: FloatArray) -> bool:
     if found.declared != "shaft":
         return abs(found.slope - 1.0) <= _LARGEST and found.misfit <= _LARGEST
     low, high = _SHAFT_SLOPES
-    small = abs(found.offset) <= _SHAFT_OFFSET * math.sqrt(float(np.mean(file * file)))
+    largest = float(np.max(np.abs(file)))
+    small = abs(found.offset) <= _SHAFT_OFFSET * largest * math.sqrt(float(np.mean((file / largest) ** 2)))
     return low <= found.slope <= high and found.misfit <= _SHAFT_MISFIT and small
 
 
@@ -191,7 +193,8 @@ def _exchanges(points: FluxPoints, file: FloatArray, factor: float) -> Iterator[
         of_map = 1.5 * factor * cross
         known = np.isfinite(file) & np.isfinite(of_map)
         if np.any(of_map[known]):
-            slope, _, misfit = _line(of_map[known], file[known])
+            with np.errstate(over="ignore", invalid="ignore"):
+                slope, _, misfit = _line(of_map[known], file[known])
             if misfit <= _LARGEST and abs(abs(slope) - 1.0) <= _LARGEST:
                 yield cause
 

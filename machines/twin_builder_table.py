@@ -28,7 +28,10 @@ def twin_builder_arrays(text: str, source: str) -> list[NamedArray]:
     sweeps = _between(text, "Sweepings", source)
     axes = []
     for count, numbers in _AXIS.findall(sweeps):
-        axis = np.array([float(part) for part in numbers.split()])
+        try:
+            axis = np.array([float(part) for part in numbers.split()])
+        except ValueError:
+            raise InputError("an axis holds text among its numbers; export the table again", source=source) from None
         if axis.size != int(count):
             raise InputError(f"an axis of {count} values has {axis.size}; export the table again", source=source)
         axes.append(axis)

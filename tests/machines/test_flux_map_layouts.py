@@ -607,3 +607,40 @@ def test_the_measured_map_of_the_bench_that_holds_no_currents_is_refused(shared_
         with pytest.raises(InputError) as caught:
             read_flux_points(path.read_bytes(), path.name)
         assert "\n" not in str(caught.value)
+
+
+# Damage
+
+FILES: dict[str, tuple[bytes, str]] = {
+    "twin builder": (twin_builder(), "ece.txt"),
+    "femag": (psid_psiq(with_torque=True), "a.BATCH"),
+    "femag polar": (ld_lq(), "a.BATCH"),
+    "ultrazohm": (ultrazohm(), "FluxMapData.csv"),
+    "blocks": (text_of([["psi_d [mWb]"], *matrix(PSI_D), [], ["psi_q [mWb]"], *matrix(PSI_Q)], ";"), "map.csv"),
+    "angles": (mat(motor_cad()), "map.mat"),
+    "speeds": (at_several("speed [rpm]", (1000.0, 2000.0)), "map.csv"),
+    "workbook": (workbook({"Sheet1": MATHWORKS}), "map.xlsx"),
+}
+
+
+def complaint(content: bytes, source: str) -> str:
+    """What is said of a file, '' where its damage is harmless."""
+    try:
+        built(content, source)
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_damaged_files_are_refused_in_one_line_or_read(name: str) -> None:
+    content, source = FILES[name]
+    generator = np.random.default_rng(11)
+    texts = (b"x", b"nan", b"-", b";", b"1e999", b"\n\n", b"(", b"", b"1.2.3", b"\t\t")
+    for trial in range(25):
+        damaged = bytearray(content)
+        for _ in range(1 + trial % 3):
+            place = int(generator.integers(0, len(damaged)))
+            length = int(generator.choice([1, 3, 40, len(damaged) // 3]))
+            damaged[place : place + length] = texts[int(generator.integers(0, len(texts)))]
+        assert "\n" not in complaint(bytes(damaged), source)
