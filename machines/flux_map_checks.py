@@ -69,7 +69,7 @@ def check_points(points: FluxPoints, axes: FluxAxes = "magnet-d") -> None:
         Holes, too few different currents, implausible units, exchanged columns, a wrong sign, or a magnet that does
         not lie where ``axes`` says.
     """
-    _check_holes(points)
+    check_holes(points)
     _check_spread(points)
     _check_units(points)
     _check_signs(points, axes)
@@ -110,7 +110,10 @@ def energy_misfit(flux_map: FluxMap) -> float:
     return float(np.sqrt(np.mean((jet.l_dq - jet.l_qd) ** 2) / np.mean(0.5 * (jet.l_dd**2 + jet.l_qq**2))))
 
 
-def _check_holes(points: FluxPoints) -> None:
+def check_holes(points: FluxPoints) -> None:
+    """Refuse points without a finite number, and no points at all; raises `InputError`."""
+    if points.i_d.size == 0:
+        raise InputError("the flux map has no points", source=points.source)
     for name in ("i_d", "i_q", "psi_d", "psi_q"):
         holes = np.flatnonzero(~np.isfinite(getattr(points, name)))
         if holes.size:
@@ -119,13 +122,12 @@ def _check_holes(points: FluxPoints) -> None:
                 f"{name} has {holes.size} holes (no finite number), the first at {where}; measure them, or remove "
                 "these points from the file: gaps of a grid are interpolated",
                 source=points.source,
+                line=None if points.lines is None else int(points.lines[holes[0]]),
             )
 
 
 def _check_spread(points: FluxPoints) -> None:
     """Refuse currents with less than four different values; i_q and i_d may be those of a half plane."""
-    if points.i_d.size == 0:
-        raise InputError("the flux map has no points", source=points.source)
     for name, values in (("i_d", points.i_d), ("i_q", points.i_q)):
         step = _SAME * max(float(np.max(np.abs(values))), 1e-300)
         count = np.unique(np.round(values / step)).size
@@ -156,7 +158,11 @@ def _check_units(points: FluxPoints) -> None:
         found = f"the flux linkages reach only {flux:g} Wb; they look 1000 times too small: check flux_unit"
     elif not _LEAST_INDUCTANCE <= inductance <= _MOST_INDUCTANCE:
         found = f"{flux:g} Wb at {current:g} A would be {inductance:.3g} H; one of them looks 1000 times off: write "
-        found += "flux_unit: mWb or current_unit: kA" if inductance > 1.0 else "current_unit: mA, or check flux_unit"
+        found += (
+            "flux_unit: mWb or current_unit: kA (A for mA)"
+            if inductance > 1.0
+            else "current_unit: mA, or check flux_unit"
+        )
     if found:
         raise InputError(found, source=points.source)
 
@@ -164,6 +170,7 @@ def _check_units(points: FluxPoints) -> None:
 def _plane(currents: FloatArray, fluxes: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Weighted plane through points (n, 2): flux linkages at zero current (2,), slopes (flux, current)."""
     scale = np.max(np.abs(currents), axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)  # points may all lie on one axis, or all at zero current
     terms = np.column_stack([np.ones(weights.size), currents / scale]) * weights[:, np.newaxis]
     solution = np.linalg.lstsq(terms, fluxes * weights[:, np.newaxis], rcond=None)[0]
     return solution[0], solution[1:].T / scale

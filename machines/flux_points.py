@@ -7,21 +7,28 @@ measurement errors, grids with gaps and points without any order.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_map import FluxMap, complete_by_symmetry
-from dqforge.machines.flux_map_checks import check_map, check_points, energy_misfit
+from dqforge.machines.flux_map_checks import check_holes, check_map, check_points, energy_misfit
+from dqforge.machines.flux_map_torque import TorqueCheck, check_torque
+from dqforge.machines.flux_outliers import check_outliers
+from dqforge.machines.flux_repeats import merge_repeats
 from dqforge.machines.quantities import format_quantity
-from dqforge.machines.settings import FluxAxes, FluxScaling
+from dqforge.machines.settings import FluxAxes, FluxScaling, FluxTorque
 from dqforge.machines.synchronous import FloatArray
 
 _TO_PEAK: dict[FluxScaling, float] = {"peak": 1.0, "rms": math.sqrt(2.0), "power-invariant": math.sqrt(2.0 / 3.0)}
 _SAME = 1e-6
 """Difference over the largest value below which two currents, or two flux linkages, are the same."""
+
+MOST_NODES = 500_000
+"""Points of a map, a half plane with its mirror image."""
 
 _FEWEST_SCATTERED = 16
 _GRID_SIZES = (9, 81)
@@ -37,14 +44,32 @@ _MIRROR = np.array([1.0, -1.0])[:, np.newaxis, np.newaxis]
 
 
 @dataclass(frozen=True, slots=True)
+class FileTorque:
+    """Torque that a file gives beside its flux linkages, in N m, shape (K,), NaN where it is unknown."""
+
+    name: str
+    values: FloatArray
+    per_pole_pair: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class FluxPoints:
-    """Points of a flux map as a file holds them, in its own axes and scaling but in A and Wb, arrays of shape (K,)."""
+    """Points of a flux map as a file holds them, in its own axes and scaling but in A and Wb, arrays of shape (K,).
+
+    ``lines`` are the lines of a text that the points stand in, ``claimed`` is what its names say of the scaling,
+    ``findings`` are sentences on what the reader did, ``others`` names of a few further columns.
+    """
 
     source: str
     i_d: FloatArray
     i_q: FloatArray
     psi_d: FloatArray
     psi_q: FloatArray
+    torque: FileTorque | None = field(default=None, kw_only=True)
+    lines: NDArray[np.intp] | None = field(default=None, kw_only=True)
+    claimed: Literal["", "peak", "rms"] = field(default="", kw_only=True)
+    findings: tuple[str, ...] = field(default=(), kw_only=True)
+    others: tuple[str, ...] = field(default=(), kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,13 +78,16 @@ class FluxMapReading:
 
     ``findings`` are sentences for the user. ``energy_misfit`` is the r.m.s. difference of the two mutual inductances
     over the r.m.s. of the diagonal ones. ``asymmetry`` is the largest distance in Wb between the given flux linkages
-    and their symmetric part, half the difference between mirrored points.
+    and their symmetric part, half the difference between mirrored points. ``scatter`` is the standard deviation in Wb
+    of repeated points, 0 without any. ``torque`` compares the torque that the file gives, None where it gives none.
     """
 
     flux_map: FluxMap
     findings: tuple[str, ...]
     energy_misfit: float
     asymmetry: float
+    scatter: float = 0.0
+    torque: TorqueCheck | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,16 +107,18 @@ def converted(points: FluxPoints, axes: FluxAxes, scaling: FluxScaling) -> FluxP
     i_d, i_q, psi_d, psi_q = (factor * part for part in (points.i_d, points.i_q, points.psi_d, points.psi_q))
     if axes == "reluctance":
         i_d, i_q, psi_d, psi_q = -i_q, i_d, -psi_q, psi_d
-    return FluxPoints(points.source, i_d, i_q, psi_d, psi_q)
+    return replace(points, i_d=i_d, i_q=i_q, psi_d=psi_d, psi_q=psi_q)
 
 
 def build_flux_map(
     points: FluxPoints,
     *,
     axes: FluxAxes = "magnet-d",
-    scaling: FluxScaling = "peak",
+    scaling: FluxScaling | None = None,
     extrapolate: bool = False,
     expected_psi_pm: float | None = None,
+    pole_pairs: int | None = None,
+    torque: FluxTorque = "air-gap",
 ) -> FluxMapReading:
     """Flux map through points in any order, once they are found sound.
 
@@ -101,11 +131,15 @@ def build_flux_map(
     points:
         Points as in the file, shape (K,).
     axes, scaling:
-        Convention of the file.
+        Convention of the file; without a scaling that which the names say, else peak values.
     extrapolate:
         Whether the map may be used beyond its grid.
     expected_psi_pm:
         Flux linkage of the magnets in Wb (peak), if known from elsewhere; the scaling is checked with it.
+    pole_pairs:
+        Of the machine; a torque in the file is held against that of its flux linkages with it.
+    torque:
+        What the torque of the file is: 'air-gap', 'shaft', 'per-pole-pair', or 'ignore'.
 
     Raises
     ------
@@ -113,11 +147,16 @@ def build_flux_map(
         The points do not make a map, or not that of a machine; see also `check_points` and `check_map`.
     """
     source = points.source
-    check_points(points, axes)
-    findings = _conversion(axes, scaling)
-    single, repeated = _merged(converted(points, axes, scaling))
-    if repeated:
-        findings = (*findings, f"{repeated} points are given repeatedly and were merged")
+    _check_size(points.i_d.size, source)
+    check_holes(points)
+    check_outliers(points)
+    merged = merge_repeats(points)
+    check_points(merged.points, axes)
+    known, said = _scaling(points, scaling)
+    compared = None if pole_pairs is None else check_torque(points, pole_pairs, known, torque)
+    findings = (*points.findings, *said, *_conversion(axes, known), *merged.findings)
+    findings = findings if compared is None else (*findings, compared.sentence)
+    single = converted(merged.points, axes, known)
     plane = _filled_grid(single)
     plane = _symmetric(plane, source) if plane is not None else _scattered(single)
     if plane.asymmetry > _WORST_ASYMMETRY * _largest(single.psi_d, single.psi_q):
@@ -126,6 +165,7 @@ def build_flux_map(
             "from their mean; psi_d must be even and psi_q odd in i_q (d along the magnets), check the signs",
             source=source,
         )
+    _check_size(plane.psi[0].size, source)
     zero = _zero_current(plane.i_d, source)
     try:
         flux_map = FluxMap(plane.i_d, plane.i_q, plane.psi[0], plane.psi[1], extrapolate)
@@ -133,8 +173,33 @@ def build_flux_map(
         raise InputError(error.message, source=source) from None
     checked = check_map(flux_map, source, expected_psi_pm)
     return FluxMapReading(
-        flux_map, (*findings, *plane.findings, *zero, *checked), energy_misfit(flux_map), plane.asymmetry
+        flux_map,
+        (*findings, *plane.findings, *zero, *checked),
+        energy_misfit(flux_map),
+        plane.asymmetry,
+        merged.scatter,
+        compared,
     )
+
+
+def _check_size(nodes: int, source: str) -> None:
+    """Refuse maps whose splines would take more than a gigabyte: 256 bytes a node, twice while they are made."""
+    if nodes > MOST_NODES:
+        message = f"the map has {nodes} points over both halves of i_q, at most {MOST_NODES} can be used"
+        raise InputError(f"{message}; save a coarser one", source=source)
+
+
+def _scaling(points: FluxPoints, given: FluxScaling | None) -> tuple[FluxScaling, tuple[str, ...]]:
+    """Scaling of points, by what is given and what their names say, and a sentence where only the names say it."""
+    if not points.claimed or points.claimed == given:
+        return given or "peak", ()
+    if given is not None:
+        raise InputError(
+            f"the names in the file say {points.claimed} values, which is not scaling: {given}; write scaling: "
+            f"{points.claimed}, or correct the names",
+            source=points.source,
+        )
+    return points.claimed, (f"currents and flux linkages are {points.claimed} values, as the names in the file say",)
 
 
 def _conversion(axes: FluxAxes, scaling: FluxScaling) -> tuple[str, ...]:
@@ -146,46 +211,6 @@ def _conversion(axes: FluxAxes, scaling: FluxScaling) -> tuple[str, ...]:
 
 def _largest(*values: FloatArray) -> float:
     return max(float(np.max(np.abs(part))) for part in values)
-
-
-def _labels(values: FloatArray, tolerance: float) -> tuple[NDArray[np.intp], FloatArray]:
-    """Group of equal values that each value belongs to, shape (K,), and the mean of each group, ascending."""
-    order = np.argsort(values, kind="stable")
-    ascending = values[order]
-    new = np.diff(ascending) > tolerance
-    starts, ends = np.flatnonzero(np.append(True, new)), np.flatnonzero(np.append(new, True))
-    groups = np.append(0, np.cumsum(new))
-    if np.max(ascending[ends] - ascending[starts]) > 10.0 * tolerance:
-        # So many values that each touches the next: steps of the tolerance tell them apart.
-        groups = np.unique(np.round((ascending - ascending[0]) / tolerance), return_inverse=True)[1]
-    means = np.bincount(groups, ascending) / np.bincount(groups)
-    labels = np.empty(values.size, dtype=np.intp)
-    labels[order] = groups
-    return labels, np.where(np.abs(means) <= tolerance, 0.0, means)
-
-
-def _merged(points: FluxPoints) -> tuple[FluxPoints, int]:
-    """Points of which no two are the same, equal currents equal to the last digit, and how many were repeated.
-
-    Raises `InputError` where repeated points contradict each other.
-    """
-    tolerance = _SAME * _largest(points.i_d, points.i_q)
-    rows, i_d = _labels(points.i_d, tolerance)
-    columns, i_q = _labels(points.i_q, tolerance)
-    cells, inverse, counts = np.unique(rows * i_q.size + columns, return_inverse=True, return_counts=True)
-    given = np.stack([points.psi_d, points.psi_q])
-    psi = np.stack([np.bincount(inverse, part) / counts for part in given])
-    away = np.max(np.abs(given - psi[:, inverse]), axis=0)
-    worst = int(np.argmax(away))
-    if away[worst] > _SAME * _largest(given):
-        raise InputError(
-            f"the point i_d = {points.i_d[worst]:g} A, i_q = {points.i_q[worst]:g} A (peak, d along the magnets) is "
-            f"given {counts[inverse[worst]]} times, with flux linkages that differ by up to "
-            f"{format_quantity(2.0 * float(away[worst]), 'Wb', 3)}; keep one of them",
-            source=points.source,
-        )
-    single = FluxPoints(points.source, i_d[cells // i_q.size], i_q[cells % i_q.size], psi[0], psi[1])
-    return single, points.i_d.size - cells.size
 
 
 def _filled_grid(points: FluxPoints) -> _Plane | None:

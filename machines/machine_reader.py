@@ -6,25 +6,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from dqforge.machines import datasheet
 from dqforge.machines.checks import si_of
 from dqforge.machines.datasheet import FluxStatement
-from dqforge.machines.delta import at_the_terminals, check_connection
+from dqforge.machines.delta import check_connection
 from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
-from dqforge.machines.errors import DqforgeError, InputError
+from dqforge.machines.errors import DqforgeError
 from dqforge.machines.flux_map import FluxMap, SaturatedMachine
+from dqforge.machines.flux_map_reader import read_flux_map
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machine_reader import read_phase_machine
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.saturation import SaturationModel
-from dqforge.machines.schema_machine import FluxMapSection, MachineSection, SaturationSection
+from dqforge.machines.schema_machine import MachineSection, SaturationSection
 from dqforge.machines.settings import MachineModel
 from dqforge.machines.synchronous import LinearMachine, Machine
-from dqforge.machines.yaml_source import KeyPath
 
 _COPPER = 0.00393
 """Relative change of the resistance of copper per kelvin, at 20 degC (IEC 60034-1 uses 1/(235 + 20) K)."""
@@ -101,7 +99,7 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
     else:
         known = any((section.magnet_flux, section.back_emf_constant, section.torque_constant))
         expected = _magnet_flux(section, pole_pairs, reading) if known else None
-        flux_map = _flux_map(section, reading, expected)
+        flux_map = read_flux_map(section, pole_pairs, reading, expected)
     machine = SaturatedMachine(flux_map=flux_map, **common)
     _check_range(machine, reading)
     return MachineReading(machine)
@@ -215,64 +213,6 @@ def _saturation_map(section: SaturationSection, i_max: float, reading: Reading) 
         return model.flux_map(i_max)
     except DqforgeError as error:
         raise reading.document.error(f"machine.saturation: {error}", ("machine", "saturation"), key=True) from None
-
-
-def _flux_map(section: MachineSection, reading: Reading, expected: float | None) -> FluxMap:
-    """Flux map of the files that the section names, at the temperature of the magnets."""
-    from dqforge.machines.flux_map_checks import flux_map_of_maps
-
-    given = section.flux_map
-    path: KeyPath = ("machine", "flux_map")
-    if given is None or (given.file is None) == (given.files is None):
-        raise reading.document.error("machine.flux_map: write either file or files", path, key=True)
-    if given.file is not None:
-        return _one_map(given, given.file, (*path, "file"), reading, expected)
-    files = given.files or ()
-    magnet = section.temperature.magnet
-    if magnet is None:
-        raise reading.document.error(
-            "machine.flux_map.files needs machine.temperature.magnet, the temperature at which the machine runs; write "
-            "temperature: {magnet: 80 degC}",
-            (*path, "files"),
-            key=True,
-        )
-    maps = [_one_map(given, part.file, (*path, "files", index, "file"), reading) for index, part in enumerate(files)]
-    temperatures = np.array([part.magnet_temperature.si for part in files])
-    with reading.document.at(("machine", "temperature", "magnet")):
-        return flux_map_of_maps(temperatures, maps, magnet.si)
-
-
-def _one_map(
-    given: FluxMapSection, name: str, path: KeyPath, reading: Reading, expected: float | None = None
-) -> FluxMap:
-    """Flux map of one file, its findings among the remarks; ``expected`` is the known magnet flux in Wb."""
-    # The readers are needed for maps only; a design with constants starts faster without them.
-    from dqforge.machines.flux_map_files import read_flux_points
-    from dqforge.machines.flux_points import build_flux_map
-
-    columns = {key: value for key, value in given.columns if value is not None}
-    try:
-        points = read_flux_points(
-            reading.read_beside(name, path),
-            name,
-            current_unit=given.current_unit,
-            flux_unit=given.flux_unit,
-            columns=columns or None,
-        )
-        found = build_flux_map(
-            at_the_terminals(points, given),
-            axes=given.axes,
-            scaling=given.scaling,
-            extrapolate=given.extrapolate,
-            expected_psi_pm=expected,
-        )
-    except InputError as error:
-        if error.line is not None:
-            raise
-        about = error.message if name in error.message else f"{name}: {error.message}"
-        raise reading.document.error(f"machine.flux_map: {about}", path) from None
-    reading.remarks.extend(f"{name}: {finding}" for finding in found.findings)
-    return found.flux_map
 
 
 def _check_range(machine: SaturatedMachine, reading: Reading) -> None:

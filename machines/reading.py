@@ -10,6 +10,8 @@ from dqforge.machines import datasheet
 from dqforge.machines.datasheet import Connection
 from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
+from dqforge.machines.errors import InputError
+from dqforge.machines.input_files import read_regular_file
 from dqforge.machines.yaml_source import KeyPath, YamlDocument, dotted
 
 MAX_FILE_BYTES = 200_000_000
@@ -117,18 +119,23 @@ class Reading:
         if self.folder is None:
             raise self.document.error("a design of the library cannot name files", path)
         home = self.folder.resolve()
-        place = (home / name).resolve()
+        try:
+            place = (home / name).resolve()
+        except (OSError, RuntimeError):  # links that lead in a circle
+            raise self.document.error(f"the links of '{name}' lead in a circle; name the file itself", path) from None
         if not place.is_relative_to(home) or Path(name).is_absolute():
             raise self.document.error(
                 f"the file '{name}' lies outside the folder of the design; copy it beside the design file", path
             )
         try:
-            if not place.is_file():
+            if not place.exists():
                 raise self.document.error(f"there is no file '{name}' beside the design file; check the name", path)
-            if place.stat().st_size > MAX_FILE_BYTES:
-                raise self.document.error(f"the file '{name}' has more than {MAX_FILE_BYTES // 1_000_000} MB", path)
-            content = place.read_bytes()
+            content = read_regular_file(place, MAX_FILE_BYTES, name)
         except OSError as error:
             raise self.document.error(f"the file '{name}' cannot be read: {error.strerror}", path) from None
+        except InputError as error:
+            if error.source != name:
+                raise
+            raise self.document.error(f"the file '{name}': {error.message}", path) from None
         self.files.append(content)
         return content

@@ -23,6 +23,7 @@ from dqforge.machines.schema_entries import (
     MachineCurrent,
     MutualInductance,
     Nonnegative,
+    PointSpeed,
     PolePairs,
     Poles,
     Positive,
@@ -36,7 +37,7 @@ from dqforge.machines.schema_entries import (
     Torque,
     TorqueConstant,
 )
-from dqforge.machines.settings import FluxAxes, FluxScaling, MachineModel
+from dqforge.machines.settings import FluxAxes, FluxScaling, FluxTorque, MachineModel
 
 
 class RatedSection(Section):
@@ -58,6 +59,22 @@ class ColumnsSection(Section):
     i_q: ColumnName | None = Field(default=None, description="name of the q current")
     psi_d: ColumnName | None = Field(default=None, description="name of the d flux linkage")
     psi_q: ColumnName | None = Field(default=None, description="name of the q flux linkage")
+    i: ColumnName | None = Field(default=None, description="name of the current's amplitude, in place of i_d and i_q")
+    beta: ColumnName | None = Field(default=None, description="name of the current's angle, with i")
+    l_d: ColumnName | None = Field(default=None, description="name of the apparent d inductance, in place of psi_d")
+    l_q: ColumnName | None = Field(default=None, description="name of the apparent q inductance, in place of psi_q")
+    psi_m: ColumnName | None = Field(default=None, description="name of the magnets' flux linkage, with l_d and l_q")
+    torque: ColumnName | None = Field(default=None, description="name of the torque")
+    angle: ColumnName | None = Field(default=None, description="name of the rotor angle; it is averaged over")
+    temperature: ColumnName | None = Field(default=None, description="name of the temperature; see at")
+    speed: ColumnName | None = Field(default=None, description="name of the speed; see at")
+
+
+class FluxMapPointsSection(Section):
+    """Which points of a file are wanted that holds several temperatures or speeds."""
+
+    temperature: Temperature | None = Field(default=None, description="their temperature (degC)")
+    speed: PointSpeed | None = Field(default=None, description="their speed (rad/s; write rpm)")
 
 
 class FluxMapFileSection(Section):
@@ -68,12 +85,16 @@ class FluxMapFileSection(Section):
 
 
 class FluxMapSection(Section):
-    """Flux linkages over the currents, in a file: CSV, NPZ, MAT or HDF5."""
+    """Flux linkages over the currents, in a file: CSV, xlsx, NPZ, MAT, HDF5, FEMAG or Twin Builder."""
 
     file: FileName | None = Field(default=None, description="file beside the design file, or in a folder below it")
     files: Annotated[Listing[FluxMapFileSection], Field(min_length=2, max_length=20)] | None = Field(
         default=None, description="several maps over the magnet temperature, in place of file"
     )
+    psi_q_file: FileName | None = Field(
+        default=None, description="matrix of psi_q (i_d across, i_q down), where file holds that of psi_d alone"
+    )
+    torque_file: FileName | None = Field(default=None, description="matrix of the torque, likewise")
     axes: FluxAxes = Field(
         default="magnet-d",
         description="magnet-d: d along the magnets; reluctance: the magnets lie on the negative q axis",
@@ -89,6 +110,14 @@ class FluxMapSection(Section):
         default=None, description="where the file does not say it"
     )
     columns: ColumnsSection = Field(default=ColumnsSection(), description="names in the file, where they are unusual")
+    at: FluxMapPointsSection = Field(
+        default=FluxMapPointsSection(), description="which temperature or speed, where the file holds several"
+    )
+    torque: FluxTorque = Field(
+        default="air-gap",
+        description="what the torque in the file is: air-gap; shaft: measured behind friction and iron loss; "
+        "per-pole-pair; ignore",
+    )
     extrapolate: bool = Field(
         default=False, description="permit currents beyond the map; results that use them are marked"
     )

@@ -107,7 +107,7 @@ def read_table(content: bytes, source: str) -> TextTable:
         The file is empty, too large or no text, has fewer than two rows of numbers, a row with another number of
         columns, or text where numbers belong; thousands separators are refused.
     """
-    lines = _decoded(content, source).split("\n")
+    lines = decoded_text(content, source).split("\n")
     layout = _layout(lines, source)
     first = _first_row(layout, source)
     values, kinds = _parsed(layout, layout.rows_from(first))
@@ -204,7 +204,7 @@ class _Layout:
         return [self.form.number(cell) for cell in self.form.split(self.lines[line])]
 
 
-def _decoded(content: bytes, source: str) -> str:
+def decoded_text(content: bytes, source: str) -> str:
     """Text of a file with line feeds at the ends of lines, without quotes."""
     if len(content) > _MOST_BYTES:
         message = f"the file has {len(content) / 1e6:.0f} MB, at most {_MOST_BYTES / 1e6:.0f} MB can be read"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.io import loadmat, savemat
 from scipy.sparse import eye_array
 
-from dqforge.machines import flux_map_files
+from dqforge.machines import flux_map_arrays
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_map_files import read_flux_points
 from dqforge.machines.flux_points import FluxPoints
@@ -362,7 +362,7 @@ def test_columns_name_what_is_not_recognised(write: Callable[[Arrays], bytes], s
         assert part in message
     assert_is_the_map(read_flux_points(content, source, columns={"i_d": "x1", "psi_d": "Y1"}))
     assert "no 'z' found among" in refused(content, source, columns={"i_d": "z"})
-    assert "unknown key 'torque'" in refused(content, source, columns={"torque": "x1"})
+    assert "unknown key 'flux'" in refused(content, source, columns={"flux": "x1"})
 
 
 def test_units_in_named_columns_scale_too() -> None:
@@ -461,7 +461,8 @@ def test_damaged_files_are_refused_in_one_line(write: Callable[[Arrays], bytes],
         (csv(rows_of_d()), "map.npz", "the content is something else"),
         (csv(rows_of_d()), "map.mat", "this is no MATLAB 4, 5 or 7.3 file"),
         (bytes(100), "map.mat", "cannot read this MATLAB file"),
-        (csv(rows_of_d()), "map.xlsx", "a file with the suffix '.xlsx'; write .csv"),
+        (csv(rows_of_d()), "map.xlsx", "the suffix .xlsx stands for a ZIP archive"),
+        (csv(rows_of_d()), "map.xls", "a file with the suffix '.xls'; write .csv"),
         (csv(rows_of_d()), "map", "a file with the suffix ''"),
         (b"", "map.npz", "the content is something else"),
     ],
@@ -470,20 +471,20 @@ def test_content_that_belies_its_suffix_is_refused(content: bytes, source: str, 
     assert expected in refused(content, source)
 
 
-def test_an_archive_that_declares_more_than_a_gigabyte_is_not_unpacked() -> None:
+def test_an_archive_that_declares_more_than_the_limit_is_not_unpacked() -> None:
     stream = io.BytesIO(npz(rows_of_d()))
     with zipfile.ZipFile(stream, "a") as archive:
         archive.writestr("more.npy", b"")
-        archive.getinfo("psi_d.npy").file_size = 10**9 + 1
-    assert refused(stream.getvalue(), "map.npz").startswith("the arrays take more than 1 GB")
+        archive.getinfo("psi_d.npy").file_size = 256 * 10**6 + 1
+    assert refused(stream.getvalue(), "map.npz").startswith("the arrays take more than 256 MB")
 
 
 def test_compressed_variables_are_counted_before_they_are_inflated(monkeypatch: pytest.MonkeyPatch) -> None:
     content = mat5({**rows_of_d(), "big": np.zeros(100_000)})
     assert len(content) < 10_000
     assert_is_the_map(read_flux_points(content, "map.mat"))
-    monkeypatch.setattr(flux_map_files, "_MOST_BYTES", 700_000)
-    assert "GB" in refused(content, "map.mat")
+    monkeypatch.setattr(flux_map_arrays, "MOST_BYTES", 700_000)
+    assert "MB" in refused(content, "map.mat")
 
 
 def test_more_than_four_million_points_are_refused() -> None:

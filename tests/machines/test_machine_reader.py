@@ -136,7 +136,7 @@ def test_current_limit_beyond_the_map_is_refused_or_marked(tmp_path: Path) -> No
         ("/etc/passwd", "lies outside the folder"),
         ("missing.csv", "there is no file 'missing.csv' beside the design file"),
         ("link.csv", "lies outside the folder"),
-        (".", "there is no file"),
+        (".", "this is a folder"),
     ],
 )
 def test_files_are_read_only_from_the_folder_of_the_design(tmp_path: Path, name: str, message: str) -> None:
@@ -159,11 +159,19 @@ def test_text_without_a_folder_names_no_files() -> None:
 def test_faults_of_a_map_stand_at_the_key_of_its_file(tmp_path: Path) -> None:
     path = written(tmp_path, MAPPED, {"map.csv": TRUTH})
     rows = (tmp_path / "map.csv").read_text(encoding="ascii").splitlines()
-    rows[40] = rows[40].rsplit(",", 1)[0] + ",nan"
-    (tmp_path / "map.csv").write_text("\n".join(rows), encoding="ascii")
+    (tmp_path / "map.csv").write_text("\n".join(rows[:5]), encoding="ascii")
     with pytest.raises(InputError, match=r"map\.csv") as caught:
         load_design(path)
     assert str(caught.value).startswith(f"{path}:8:11: machine.flux_map: ")
+
+
+def test_faults_of_a_row_stand_at_its_line(tmp_path: Path) -> None:
+    path = written(tmp_path, MAPPED, {"map.csv": TRUTH})
+    rows = (tmp_path / "map.csv").read_text(encoding="ascii").splitlines()
+    rows[40] = rows[40].rsplit(",", 1)[0] + ",nan"
+    (tmp_path / "map.csv").write_text("\n".join(rows), encoding="ascii")
+    with pytest.raises(InputError, match=r"^map\.csv:41: psi_q has 1 holes"):
+        load_design(path)
 
 
 @pytest.mark.parametrize(

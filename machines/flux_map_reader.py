@@ -1,0 +1,132 @@
+"""The flux map of a design: its files, what the design declares of them, and what the map itself says to that."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dqforge.machines.checks import si_of
+from dqforge.machines.delta import at_the_terminals
+from dqforge.machines.design import InputValue
+from dqforge.machines.errors import InputError
+from dqforge.machines.flux_map import FluxMap
+from dqforge.machines.reading import Reading
+from dqforge.machines.schema_machine import FluxMapSection, MachineSection
+from dqforge.machines.yaml_source import KeyPath
+
+if TYPE_CHECKING:  # the readers are needed for maps only
+    from dqforge.machines.flux_map_torque import TorqueCheck
+
+_PATH: KeyPath = ("machine", "flux_map")
+
+
+def read_flux_map(section: MachineSection, pole_pairs: int, reading: Reading, expected: float | None) -> FluxMap:
+    """Flux map of the files that the section names, at the temperature of the magnets.
+
+    Parameters
+    ----------
+    section:
+        With the key flux_map.
+    pole_pairs:
+        Of the machine; the torque in a file is held against them.
+    reading:
+        Takes the findings, and slope and misfit of the torque.
+    expected:
+        Known flux linkage of the magnets in Wb, or None.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or is no map of a machine as it is declared.
+    """
+    from dqforge.machines.flux_map_checks import flux_map_of_maps
+
+    given = section.flux_map
+    if given is None or (given.file is None) == (given.files is None):
+        raise reading.document.error("machine.flux_map: write either file or files", _PATH, key=True)
+    if given.file is not None:
+        return _one_map(given, given.file, (*_PATH, "file"), pole_pairs, reading, expected)
+    files = given.files or ()
+    for key in ("psi_q_file", "torque_file"):
+        if getattr(given, key) is not None:
+            message = f"machine.flux_map.{key} goes with file, not with files; write maps of one file each"
+            raise reading.document.error(message, (*_PATH, key), key=True)
+    magnet = section.temperature.magnet
+    if magnet is None:
+        raise reading.document.error(
+            "machine.flux_map.files needs machine.temperature.magnet, the temperature at which the machine runs; write "
+            "temperature: {magnet: 80 degC}",
+            (*_PATH, "files"),
+            key=True,
+        )
+    maps = [
+        _one_map(given, part.file, (*_PATH, "files", index, "file"), pole_pairs, reading)
+        for index, part in enumerate(files)
+    ]
+    temperatures = np.array([part.magnet_temperature.si for part in files])
+    with reading.document.at(("machine", "temperature", "magnet")):
+        return flux_map_of_maps(temperatures, maps, magnet.si)
+
+
+def _one_map(
+    given: FluxMapSection,
+    name: str,
+    path: KeyPath,
+    pole_pairs: int,
+    reading: Reading,
+    expected: float | None = None,
+) -> FluxMap:
+    """Flux map of one file, its findings among the remarks; ``expected`` is the known magnet flux in Wb."""
+    # A design with constants starts faster without the readers.
+    from dqforge.machines.flux_map_files import read_flux_points
+    from dqforge.machines.flux_points import build_flux_map
+
+    columns = {key: value for key, value in given.columns if value is not None}
+    content = reading.read_beside(name, path)
+    beside = {"psi_q": given.psi_q_file, "torque": given.torque_file}
+    companions = {
+        quantity: (reading.read_beside(file, (*_PATH, f"{quantity}_file")), file)
+        for quantity, file in beside.items()
+        if file is not None
+    }
+    at = {key: si for key in ("temperature", "speed") if (si := si_of(getattr(given.at, key))) is not None}
+    try:
+        points = read_flux_points(
+            content,
+            name,
+            current_unit=given.current_unit,
+            flux_unit=given.flux_unit,
+            columns=columns or None,
+            at=at,
+            companions=companions,
+        )
+        found = build_flux_map(
+            at_the_terminals(points, given),
+            axes=given.axes,
+            scaling=given.scaling if "scaling" in given.model_fields_set else None,
+            extrapolate=given.extrapolate,
+            expected_psi_pm=expected,
+            pole_pairs=pole_pairs,
+            torque=given.torque,
+        )
+    except InputError as error:
+        if error.line is not None:
+            raise
+        file = error.source or name
+        about = error.message if file in error.message else f"{file}: {error.message}"
+        raise reading.document.error(f"machine.flux_map: {about}", path) from None
+    reading.remarks.extend(f"{name}: {finding}" for finding in found.findings)
+    if found.torque is not None:
+        reading.derived.extend(_torque_values(".".join(map(str, path[:-1])), found.torque))
+    return found.flux_map
+
+
+def _torque_values(path: str, found: TorqueCheck) -> list[InputValue]:
+    """Slope, offset and misfit of the torque in a file as values of the design."""
+    over = f"torque of the file ({found.name}) over 3/2 p (psi_d i_q - psi_q i_d), {found.points} points"
+    rows = [("torque_slope", found.slope, "", f"{over}: slope of the least-squares line")]
+    if found.declared == "shaft":
+        rows.append(("torque_offset", found.offset, "N m", f"{over}: that line at zero"))
+    rows.append(("torque_misfit", found.misfit, "", f"{over}: r.m.s. distance from that line over the r.m.s. torque"))
+    return [InputValue(f"{path}.{name}", "", value, unit, note=note) for name, value, unit, note in rows]
