@@ -151,14 +151,14 @@ def check(design: DesignArgument, json: JsonOption = False) -> None:
 def run(design: DesignArgument, out: OutOption = Path("out"), no_verify: NoVerifyOption = False) -> None:
     """Do everything the design asks for: header, test vectors, verification, report.html and result.json."""
     from dqforge.reports.console import status
-    from dqforge.reports.files import write_all
+    from dqforge.reports.output_folder import RUN, write_output
     from dqforge.reports.run import run_design
     from dqforge.reports.tables import run_tables
 
     loaded = _load(design)
     with status("solving, emitting, compiling and comparing"):
         output = run_design(loaded, verify=not no_verify)
-    paths = write_all(out, output.files)
+    paths = write_output(out, RUN, output.files, loaded)
     _show(run_tables(output.solution, output.verification))
     typer.echo("written: " + " ".join(str(path) for path in paths))
 
@@ -166,12 +166,13 @@ def run(design: DesignArgument, out: OutOption = Path("out"), no_verify: NoVerif
 @app.command()
 def export(design: DesignArgument, out: OutOption = Path("out"), no_verify: NoVerifyOption = False) -> None:
     """Write the header and its test vectors, and verify them."""
-    from dqforge.reports.files import write_all
+    from dqforge.reports.output_folder import RUN, write_output
     from dqforge.reports.run import export_design
     from dqforge.reports.tables import verification_text
 
-    output = export_design(_load(design), verify=not no_verify)
-    paths = write_all(out, output.files)
+    loaded = _load(design)
+    output = export_design(loaded, verify=not no_verify)
+    paths = write_output(out, RUN, output.files, loaded)
     typer.echo(verification_text(output.verification))
     typer.echo("written: " + " ".join(str(path) for path in paths))
 
@@ -184,19 +185,27 @@ def verify(
         typer.Option("--target", metavar="CORE", help="Emulated core, too: cortex-m0plus, -m3, -m4, -m7 or -m33."),
     ] = None,
 ) -> None:
-    """Compile the emitted C as C99 and C++11, run it, and compare every bit with the float32 model."""
-    from dqforge.reports.tables import target_text, verification_text
-    from dqforge.reports.verify import read_folder, verify_folder
-
-    if target is None:
-        typer.echo(verification_text(verify_folder(folder)))
-        return
+    """Compute a folder again from its design and compare every value; compile the C, run it, compare every bit."""
+    from dqforge.reports.console import status
     from dqforge.reports.cross import target_of, verify_on_target
+    from dqforge.reports.recomputation import recompute
+    from dqforge.reports.recomputation_text import recomputation_text
+    from dqforge.reports.tables import target_text, verification_text
+    from dqforge.reports.verify import read_folder, verify_written
 
-    target_of(target)
+    if target is not None:
+        target_of(target)
+    with status("computing again"):
+        recomputed = recompute(folder)
+    typer.echo(recomputation_text(recomputed))
     found = read_folder(folder)
-    typer.echo(verification_text(verify_folder(folder)))
-    typer.echo(target_text(verify_on_target(found.files, found.prefix, target)))
+    with status("compiling and comparing"):
+        verified = verify_written(found)
+    typer.echo(verification_text(verified))
+    if target is not None:
+        with status(f"running on {target}"):
+            outcome = verify_on_target(found.files, found.prefix, target, found.programmes)
+        typer.echo(target_text(outcome))
 
 
 @app.command()
@@ -445,14 +454,15 @@ def simulate(
     """Simulate the drive in the time domain, with the emitted controller compiled and in the loop."""
     from dqforge.reports.console import progress
     from dqforge.reports.drive_simulation import require_scenario, simulate_design, simulation_files
-    from dqforge.reports.files import write_all
+    from dqforge.reports.output_folder import SIMULATION, refuse_other_design, write_output
     from dqforge.reports.simulation_tables import plain_simulation, simulation_tables
 
     loaded = _load_for(design, plot, out)
     require_scenario(loaded, switched=switched)
+    refuse_other_design(out, loaded.digest, loaded.export.prefix)
     with progress("simulating") as report:
         found = simulate_design(loaded, switched=switched, progress=report)
-    paths = write_all(out, simulation_files(found))
+    paths = write_output(out, SIMULATION, simulation_files(found), loaded)
     if plot is not None:
         from dqforge.reports.figures_simulation import plot_simulation
 
@@ -517,9 +527,9 @@ def reproduce(
         found = reproduction.reproduce(paper, figures=figures is not None)
     if figures is not None:
         from dqforge.reports.figures import to_svg
-        from dqforge.reports.files import write_all
+        from dqforge.reports.output_folder import FIGURES, write_output
 
-        write_all(figures, {name: to_svg(draw()).encode("utf-8") for name, draw in found.figures.items()})
+        write_output(figures, FIGURES, {name: to_svg(draw()).encode("utf-8") for name, draw in found.figures.items()})
     if json:
         _print_json("reproduce", f"paper {paper}", found.plain)
     else:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from dqforge.machines import datasheet
-from dqforge.machines.design import InputValue
+from dqforge.machines.design import DesignFiles, InputValue
 from dqforge.machines.entries import Quantity
 from dqforge.machines.yaml_source import KeyPath, YamlDocument
 
@@ -28,7 +28,8 @@ class Reading:
         Where the files lie that it names, or None where it may name none.
 
     ``converted`` holds for paths of converted values what is used and what was done, ``derived`` values that follow
-    from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names.
+    from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names,
+    ``names`` the names of these.
     """
 
     document: YamlDocument
@@ -38,6 +39,11 @@ class Reading:
     derived: list[InputValue] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     files: list[bytes] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+
+    def given(self) -> DesignFiles:
+        """Everything that was read, from which the same design can be read again."""
+        return DesignFiles(self.text, tuple(dict(zip(self.names, self.files, strict=True)).items()))
 
     def digest(self) -> str:
         """SHA-256 of the design file, or of its bytes and the digests of the files that it names, in their order."""
@@ -85,4 +91,5 @@ class Reading:
         except OSError as error:
             raise self.document.error(f"the file '{name}' cannot be read: {error.strerror}", path) from None
         self.files.append(content)
+        self.names.append(name)
         return content
