@@ -5,8 +5,10 @@ Everything heavy is imported inside the command that needs it, so that ``dqforge
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -195,17 +197,15 @@ def verify(
 
     if target is not None:
         target_of(target)
-    with status("computing again"):
-        recomputed = recompute(folder)
-    typer.echo(recomputation_text(recomputed))
-    found = read_folder(folder)
-    with status("compiling and comparing"):
-        verified = verify_written(found)
-    typer.echo(verification_text(verified))
+    with status("computing again, compiling and comparing"):
+        lines = [recomputation_text(recompute(folder))]
+        found = read_folder(folder)
+        lines.append(verification_text(verify_written(found)))
     if target is not None:
         with status(f"running on {target}"):
             outcome = verify_on_target(found.files, found.prefix, target, found.programmes)
-        typer.echo(target_text(outcome))
+        lines.append(target_text(outcome))
+    typer.echo("\n".join(lines))
 
 
 @app.command()
@@ -573,29 +573,69 @@ def _usage_line(error: Exception) -> str:
     return f"{message.rstrip('.')}; see '{path} --help'"
 
 
+def _open_streams() -> None:
+    """Give closed standard streams somewhere to write, so that no file that is opened later takes their place."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8"))
+
+
+def _drop_output() -> None:
+    """Send what is left in the buffer of stdout nowhere: the interpreter would try, and fail, once more at its end."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+
+
+def _system_line(error: OSError) -> str:
+    """One line for what the system refused; a stdout that is to blame refuses one character more as well."""
+    reason = error.strerror or str(error)
+    try:
+        sys.stdout.write("\n")
+        sys.stdout.flush()
+    except OSError:
+        return f"standard output cannot be written: {reason}"
+    named = f" {error.filename!r}" if error.filename is not None else ""
+    return f"the system refuses a file{named}: {reason}; is the disk, or the folder that TMPDIR names, full?"
+
+
+def _tell(message: str) -> None:
+    """One line on stderr, if that can still be written."""
+    with suppress(OSError):
+        typer.echo(f"dqforge: {message}", err=True)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; errors become one line on stderr and an exit code, never a traceback."""
     from typer.exceptions import TyperException
 
     from dqforge.machines.errors import DqforgeError
 
+    _open_streams()
     command = typer.main.get_command(app)
     given = None if arguments is None else list(arguments)
     try:
         code = command.main(args=given, prog_name="dqforge", standalone_mode=False)
+        sys.stdout.flush()
     except DqforgeError as error:
-        typer.echo(f"dqforge: {error}", err=True)
+        _tell(str(error))
         code = error.exit_code
     except TyperException as error:
-        typer.echo(f"dqforge: {_usage_line(error)}", err=True)
+        _tell(_usage_line(error))
         code = 2
     except (typer.Abort, KeyboardInterrupt):
-        typer.echo("dqforge: interrupted", err=True)
+        _tell("interrupted")
         code = 130
-    except BrokenPipeError:
-        # The reader of a pipe has left; there is nobody to tell. Closing stderr hushes the interpreter's own remark.
-        sys.stderr.close()
-        code = 0
+    except (BrokenPipeError, SystemExit) as error:
+        if not isinstance(error, BrokenPipeError) and not isinstance(error.__context__, BrokenPipeError):
+            raise
+        code = 0  # the reader of a pipe has left; there is nobody to tell
+        _drop_output()
+    except OSError as error:
+        _tell(_system_line(error))
+        code = 1
+        _drop_output()
     sys.exit(code if isinstance(code, int) else 0)
 
 

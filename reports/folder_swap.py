@@ -67,13 +67,12 @@ def files_below(folder: Path) -> Iterator[str]:
 
 def _holds_only_files(folder: Path, own: Collection[str]) -> bool:
     """Whether all that a folder holds beside dqforge's own files can be carried over by links."""
-    for entry in os.scandir(folder):
-        mode = entry.stat(follow_symlinks=False).st_mode
+    for entry in folder.iterdir():
+        mode = entry.lstat().st_mode
         if stat.S_ISDIR(mode):
             if not any(name.startswith(f"{entry.name}/") for name in own):
                 return False
-            inside = Path(entry.path)
-            if any(f"{entry.name}/{name}" not in own for name in files_below(inside)):
+            if any(f"{entry.name}/{name}" not in own for name in files_below(entry)):
                 return False
         elif not stat.S_ISREG(mode) and not stat.S_ISLNK(mode):
             return False

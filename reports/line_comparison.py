@@ -11,7 +11,9 @@ from typing import Any
 
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _CHECKSUM = re.compile(r"\b[0-9a-f]{64}\b")
-_NUMBER = re.compile(r"(?<![A-Za-z0-9_.])[-+]?(?:0x[0-9A-Fa-f]+|(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)[FfUuLl]*\b")
+_NUMBER = re.compile(
+    r"(?<![A-Za-z0-9_.])(?<![A-Za-z]-)[-+]?(?:0x[0-9A-Fa-f]+|(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)[FfUuLl]*\b"
+)
 _MACRO = re.compile(r"^#define ([A-Za-z_]\w*)[ \t]+(\S.*)$", re.MULTILINE)
 _ROW = re.compile(r"^\s*\{.*\},?\s*$", re.MULTILINE)
 _KEY = re.compile(r'^\s*"([^"]+)": ')

@@ -6,7 +6,9 @@ import hashlib
 import json
 import platform
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import metadata
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -48,15 +50,18 @@ class Manifest:
         return {name: digest for part in self.parts.values() for name, digest in part.files.items()}
 
 
+@cache
+def _library_versions() -> dict[str, str]:
+    found = {}
+    for name in _COMPUTED_WITH:
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
 def computed_with() -> dict[str, str]:
     """Processor and versions of the libraries on which the last digits of a result may depend."""
-    found = {"processor": platform.machine()}
-    for name in _COMPUTED_WITH:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
+    return {"processor": platform.machine()} | _library_versions()
 
 
 def sha256(content: bytes) -> str:
@@ -130,7 +135,10 @@ def from_bytes(content: bytes) -> Manifest:
     parts = loaded.get("parts")
     if not isinstance(parts, dict) or seal != _sealed(loaded):
         raise ValueError("no manifest, or changed")
-    return Manifest({name: _read_part(part) for name, part in parts.items()})
+    found = Manifest({name: _read_part(part) for name, part in parts.items()})
+    if to_bytes(found) != content.replace(b"\r\n", b"\n"):
+        raise ValueError("not as it was written")
+    return found
 
 
 def read_manifest(folder: Path) -> Manifest:
