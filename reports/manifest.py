@@ -85,9 +85,9 @@ def to_bytes(manifest: Manifest) -> bytes:
     parts = {
         name: {
             "dqforge": part.version,
-            "computed_with": part.computed_with,
+            "computed_with": dict(sorted(part.computed_with.items())),
             "design_sha256": part.digest,
-            "files": part.files,
+            "files": dict(sorted(part.files.items())),
         }
         for name, part in sorted(manifest.parts.items())
     }
