@@ -156,7 +156,7 @@ def test_every_position_observer_runs_on_the_core(method: ObserverMethodName, ta
     ("kind", "pattern", "by"),
     [
         ("observer", r"_wrap\(observer->theta_e \+ ", "_wrap(observer->theta_e - "),
-        pytest.param("control", r"(?<=[ (])0\.5F", "0.51F", marks=pytest.mark.slow),
+        pytest.param("control", r"zero = 0\.5F", "zero = 0.51F", marks=pytest.mark.slow),
     ],
 )
 def test_a_changed_header_differs_on_the_core(kind: str, pattern: str, by: str) -> None:
