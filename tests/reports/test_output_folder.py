@@ -9,6 +9,7 @@ import signal
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -205,7 +206,7 @@ def test_a_folder_that_may_not_be_written_is_not_replaced(tmp_path: Path, monkey
     assert whole(out) == "one"
 
 
-def in_a_child(task: Callable[[], None]) -> int:
+def in_a_child(task: Callable[[], object]) -> int:
     """Process of a task that ends with 0, or with 1 where it was refused."""
     child = os.fork()
     if child == 0:
@@ -255,7 +256,7 @@ def kill_at_random(out: Path, count: int, seed: int) -> tuple[int, int]:
     now = "start"
     for k in range(count):
         new = f"run{k}"
-        child = in_a_child(lambda name=new: write_output(out, RUN, contents(name), design(name)))  # type: ignore[misc]
+        child = in_a_child(partial(write_output, out, RUN, contents(new), design(new)))
         time.sleep(chance.uniform(0.0, 1.6 * longest))
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
@@ -317,10 +318,7 @@ def test_two_runs_at_once_leave_one_of_them(tmp_path: Path) -> None:
     out = tmp_path / "out"
     for turn in range(3):
         names = [f"a{turn}", f"b{turn}", f"c{turn}"]
-        children = [
-            in_a_child(lambda name=name: write_output(out, RUN, contents(name), design(name)))  # type: ignore[misc]
-            for name in names
-        ]
+        children = [in_a_child(partial(write_output, out, RUN, contents(name), design(name))) for name in names]
         codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
         assert codes == [0, 0, 0]
         assert whole(out) in names
