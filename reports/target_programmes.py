@@ -65,7 +65,8 @@ def _differing(made: NDArray[np.generic], part: Programme) -> NDArray[np.bool_]:
     differs = made.view(bits) != model.view(bits)
     if model.dtype.kind == "f":
         differs &= ~(np.isnan(made) & np.isnan(model))
-    return np.any(differs, axis=1)
+    found: NDArray[np.bool_] = np.any(differs, axis=1)
+    return found
 
 
 def _run(files: Mapping[str, bytes], prefix: str, part: Programme, target: str, folder: Path) -> TargetRun:

@@ -52,12 +52,12 @@ def quick_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
-def bench(method: ObserverMethodName = "flux", control: tuple[str, ...] = ("float32", "q15", "q31")) -> Design:
+def bench() -> Design:
     design = catalogue.load(BENCH)
     return replace(
         design,
-        control=replace(design.control, observer=ObserverSettings(method=method)),
-        export=replace(design.export, control=control),
+        control=replace(design.control, observer=ObserverSettings(method="flux")),
+        export=replace(design.export, control=("float32", "q15", "q31")),
     )
 
 
@@ -143,7 +143,7 @@ def test_every_header_gives_the_bits_of_its_model_on_the_core(name: str, target:
 @pytest.mark.parametrize("target", ["cortex-m0plus", "cortex-m7"])
 @pytest.mark.parametrize("method", METHODS)
 def test_every_position_observer_runs_on_the_core(method: ObserverMethodName, target: str) -> None:
-    drive = catalogue.load("paper002-pmsm-nonsinusoidal" if method == "third-harmonic" else BENCH)
+    drive = catalogue.load(BENCH)
     control = replace(drive.control, observer=ObserverSettings(method=method))
     output = export_design(replace(drive, control=control), verify=False)
     kinds, parts = parts_of(output)
