@@ -41,6 +41,14 @@ class InputValue:
 
 
 @dataclass(frozen=True, slots=True)
+class DesignFiles:
+    """What a design was read from: the bytes of its file, and those of each file that it names, by that name."""
+
+    text: bytes
+    named: tuple[tuple[str, bytes], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Design:
     """Everything one design file says, in SI units.
 
@@ -50,7 +58,7 @@ class Design:
     ``digest`` is the SHA-256 of the file's bytes in hexadecimal. ``weakening`` asks for two-dimensional references,
     ``modulation_choice`` for a choice of modulator and switching frequency.
     ``winding`` says how warm the losses make the winding, None where its temperature is given. ``simulation`` asks for
-    a simulation in the time domain.
+    a simulation in the time domain. ``given`` is what it was read from, None where it was made in Python.
     """
 
     name: str
@@ -72,6 +80,7 @@ class Design:
     winding: WindingHeat | None = None
     simulation: Scenario | None = None
     modulation_choice: ChoiceSettings | None = None
+    given: DesignFiles | None = None
 
     @property
     def strategy(self) -> Strategy:

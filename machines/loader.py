@@ -133,6 +133,7 @@ class _Build:
             values=(*input_values(sections, self.reading.converted), *self.reading.derived),
             assumptions=(*kind_assumptions(sections), *self.remarks),
             digest=self.reading.digest(),
+            given=self.reading.given(),
             weakening=weakening,
             winding=read_winding_heat(sections.machine, inverter.coolant_temperature),
             simulation=read_scenario(sections, machine, inverter, control, self.reading),

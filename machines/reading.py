@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dqforge.machines import datasheet
 from dqforge.machines.datasheet import Connection
-from dqforge.machines.design import InputValue
+from dqforge.machines.design import DesignFiles, InputValue
 from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import InputError
 from dqforge.machines.input_files import read_regular_file
@@ -31,8 +31,8 @@ class Reading:
         Where the files lie that it names, or None where it may name none.
 
     ``converted`` holds for paths of converted values what is used and what was done, ``derived`` values that follow
-    from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names.
-    ``connection`` is that of the machine's windings.
+    from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names,
+    ``names`` the names of these. ``connection`` is that of the machine's windings.
     """
 
     document: YamlDocument
@@ -43,6 +43,11 @@ class Reading:
     remarks: list[str] = field(default_factory=list)
     files: list[bytes] = field(default_factory=list)
     connection: Connection = "star"
+    names: list[str] = field(default_factory=list)
+
+    def given(self) -> DesignFiles:
+        """Everything that was read, from which the same design can be read again."""
+        return DesignFiles(self.text, tuple(dict(zip(self.names, self.files, strict=True)).items()))
 
     def digest(self) -> str:
         """SHA-256 of the design file, or of its bytes and the digests of the files that it names, in their order."""
@@ -138,4 +143,5 @@ class Reading:
                 raise
             raise self.document.error(f"the file '{name}': {error.message}", path) from None
         self.files.append(content)
+        self.names.append(name)
         return content

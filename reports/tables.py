@@ -306,11 +306,14 @@ def verification_text(verification: Verification | None) -> str:
 
 
 def target_text(outcome: TargetVerification) -> str:
-    """One line on a run on an emulated core."""
+    """One line on a run on an emulated core: what ran there, what did not, and what the reference costs."""
     low, high = outcome.cycles
     most = outcome.cycles_largest
+    ran = "".join(f", {run.compared} of the {run.name}" for run in outcome.runs)
+    left = f"; not run there: {', '.join(outcome.not_run)}" if outcome.not_run else ""
     return (
-        f"all test vectors hold bit for bit on an emulated {outcome.target}; both currents of the reference take "
+        f"on an emulated {outcome.target} all test vectors hold bit for bit{' and these results' if ran else ''}"
+        f"{ran.replace(',', ':', 1)}{left}; both currents of the reference take "
         f"{outcome.instructions:.1f} instructions (mean of {outcome.costed} vectors), an estimated {low:.0f}-{high:.0f}"
         f" cycles (at most {most[0]}-{most[1]}; zero wait states) and {outcome.flash} bytes"
     )

@@ -252,6 +252,11 @@ class WrittenHeaders:
     vectors: int
     further: tuple[Programme, ...] = ()
 
+    @property
+    def programmes(self) -> tuple[Programme, ...]:
+        """Harnesses of all headers."""
+        return (_reference_programme(self.reference, self.vectors)[0], *self.further)
+
 
 def read_folder(folder: Path) -> WrittenHeaders:
     """Headers and models of an earlier run, by what its ``result.json`` describes.
@@ -281,8 +286,13 @@ def read_folder(folder: Path) -> WrittenHeaders:
     return WrittenHeaders({name: _read(folder / name) for name in names}, prefix, reference, vectors, tuple(further))
 
 
+def verify_written(found: WrittenHeaders) -> Verification:
+    """Compile and run what an earlier run wrote; raises VerificationError as `verify_files`."""
+    return verify_files(found.files, found.prefix, found.reference, found.vectors, found.further)
+
+
 def verify_folder(folder: Path) -> Verification:
-    """Verify what an earlier run wrote into a folder.
+    """Compile and run what an earlier run wrote into a folder.
 
     Raises
     ------
@@ -291,5 +301,4 @@ def verify_folder(folder: Path) -> Verification:
     VerificationError
         As `verify_files`.
     """
-    found = read_folder(folder)
-    return verify_files(found.files, found.prefix, found.reference, found.vectors, found.further)
+    return verify_written(read_folder(folder))
