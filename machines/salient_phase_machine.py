@@ -12,6 +12,7 @@ from dqforge.machines.phase_machine import SHIFT_SIXTH, SHIFT_THIRD, PhaseMachin
 from dqforge.machines.synchronous import FloatArray
 
 _SAME = 1e-9
+_TURN = 2.0 * np.pi / 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +61,61 @@ class SalientPhaseMachine:
         lag = 2.0 * np.pi / 3.0 * np.add.outer(np.arange(3), np.arange(3))
         return cls(phases, phases.inductances + l_2 * np.cos(2.0 * theta[:, np.newaxis, np.newaxis] - lag))
 
+    @classmethod
+    def from_harmonics(
+        cls, phases: PhaseMachine, orders: ArrayLike, own: ArrayLike, mutual: ArrayLike
+    ) -> SalientPhaseMachine:
+        """The machine whose inductances vary with even harmonics about the d axis.
+
+        L_aa = L_s + sum own_h cos(h theta) and L_bc = M_s + sum mutual_h cos(h theta), those of the other phases 120
+        and 240 degrees behind; ``own`` and ``mutual`` in H, ``orders`` even, all of shape (H,). With order 2 alone and
+        own = mutual this is `with_second_harmonic`.
+        """
+        theta = 2.0 * np.pi * np.arange(phases.angles) / phases.angles
+        order = np.atleast_1d(np.asarray(orders, dtype=np.float64))
+        varying = np.zeros((phases.angles, 3, 3))
+        for size, pairs in ((own, ((0, 0), (1, 1), (2, 2))), (mutual, ((1, 2), (2, 0), (0, 1)))):
+            weights = np.atleast_1d(np.asarray(size, dtype=np.float64))
+            for phase, (j, k) in enumerate(pairs):
+                wave = np.cos(np.multiply.outer(theta - _TURN * phase, order)) @ weights
+                varying[:, j, k] += wave
+                if j != k:
+                    varying[:, k, j] += wave
+        return cls(phases, phases.inductances + varying)
+
+    @property
+    def dq_inductances(self) -> tuple[float, float]:
+        """Means of the inductances along and across the magnets in H, (l_d, l_q), in rotor coordinates."""
+        theta = 2.0 * np.pi * np.arange(self.angles) / self.angles
+        turns = theta[:, np.newaxis] - _TURN * np.arange(3)
+        axes = np.sqrt(2.0 / 3.0) * np.stack([np.cos(turns), -np.sin(turns)])
+        l_d, l_q = np.mean(np.einsum("xjk,jkl,xjl->xj", axes, self.inductance, axes), axis=1)
+        return float(l_d), float(l_q)
+
+    @property
+    def pole_pairs(self) -> int:
+        """Number of pole pairs p."""
+        return self.phases.pole_pairs
+
+    @property
+    def r_s(self) -> float:
+        """Phase resistance in Ohm."""
+        return self.phases.r_s
+
+    @property
+    def flux(self) -> FloatArray:
+        """Back-EMF over electrical speed in V s/rad, shape (3, N)."""
+        return self.phases.flux
+
+    @property
+    def angles(self) -> int:
+        """Number N of angles in the period."""
+        return self.phases.angles
+
+    def copper_loss(self, currents: FloatArray) -> FloatArray:
+        """Mean copper loss R sum i_k^2 in W, shape (...)."""
+        return self.phases.copper_loss(currents)
+
     @property
     def slope(self) -> FloatArray:
         """Derivative of the inductances by the angle in H/rad, shape (N, 3, 3)."""
@@ -93,3 +149,7 @@ class SalientPhaseMachine:
         linked = np.einsum("jkl,...lj->...kj", self.inductance, currents)
         flux = between(self.phases.flux)[0]
         return np.asarray(self.phases.r_s * between(currents)[0] + omega * (between(linked)[1] + flux))
+
+
+AnyPhaseMachine = PhaseMachine | SalientPhaseMachine
+"""A machine in phase quantities, with constant inductances or with such that vary over the angle."""

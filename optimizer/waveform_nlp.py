@@ -1,7 +1,8 @@
 """Least-loss phase currents of salient machines at one operating point, by a nonlinear programme (CasADi and IPOPT).
 
-With inductances that vary with the angle the torque is quadratic in the currents, so that the programme is not convex:
-what is found is a local optimum, reached from the currents of the machine without saliency.
+With inductances that vary with the angle the torque is quadratic in the currents, so that the programme is not convex.
+Where the currents that are best angle by angle keep every limit, they are the global optimum and nothing is searched;
+else they are where IPOPT starts, what it finds is a local optimum, and their loss bounds how much better any could be.
 """
 
 from __future__ import annotations
@@ -14,15 +15,17 @@ import numpy as np
 
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.inverter import Topology
-from dqforge.machines.phase_machine import MIDDLE, OFFSETS, SHIFT_SIXTH, SHIFT_THIRD, SLOPE, PhaseMachine, between
+from dqforge.machines.phase_machine import MIDDLE, OFFSETS, SHIFT_SIXTH, SHIFT_THIRD, SLOPE, between
 from dqforge.machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.phase_currents import unit_currents
-from dqforge.optimizer.waveform_problem import WaveformLimits
+from dqforge.optimizer.pointwise_currents import pointwise_currents
+from dqforge.optimizer.waveform_problem import LIMITS, WaveformLimits
 
 _REACH = max(OFFSETS)
 _TOLERANCE = 1e-10
 _MOST_ITERATIONS = 500
+_BINDING = 1e-6
 # Share of v_dc that each phase voltage, and each difference between two, may reach.
 _BUS: dict[Topology, tuple[float | None, float | None]] = {
     "three-wire": (None, 1.0),
@@ -38,6 +41,9 @@ class SalientWaveforms:
 
     ``currents`` in A and ``voltages`` in V, shape (3, N); ``torque`` in N m, shape (N,); ``copper`` in W. ``violation``
     is the largest violation of a constraint of the programme, relative to torque, dc link or current limit.
+    ``binding`` names the limits that hold the currents. ``floor`` in W is a loss below which no currents of constant
+    torque exist: it equals ``copper`` where the optimum is proven to be global; NaN where a ripple is permitted.
+    ``iterations`` of IPOPT, 0 where nothing had to be searched.
     """
 
     currents: FloatArray
@@ -46,19 +52,23 @@ class SalientWaveforms:
     copper: float
     violation: float
     iterations: int
+    binding: tuple[str, ...]
+    floor: float
 
 
 class _Rows:
-    """Constraints lower <= expression <= upper, collected kind by kind."""
+    """Constraints lower <= expression <= upper, collected kind by kind; ``None`` are equations."""
 
     def __init__(self, casadi: Any) -> None:
         self._casadi = casadi
         self._expressions: list[Any] = []
         self._bounds: list[FloatArray] = []
+        self.kinds: list[str | None] = []
 
-    def add(self, expression: Any, lower: float, upper: float) -> None:
+    def add(self, kind: str | None, expression: Any, lower: float, upper: float) -> None:
         """Bound every entry of a matrix."""
         flat = self._casadi.vec(expression)
+        self.kinds += [kind] * flat.numel()
         self._expressions.append(flat)
         self._bounds.append(np.tile([lower, upper], (flat.numel(), 1)))
 
@@ -92,33 +102,71 @@ def solve_salient(
     part, shift = _part_and_shift(machine, limits)
     currents = casadi.SX.sym("i", 3, part)
     rows = _constraints(casadi, machine, currents * limits.i_max, torque, omega_m, limits, shift)
-    programme = {"x": casadi.vec(currents), "f": casadi.sumsqr(currents) / part, "g": rows.expression}
-    quiet = {"print_level": 0, "sb": "yes", "tol": _TOLERANCE, "constr_viol_tol": _TOLERANCE}
-    exact = {"bound_relax_factor": 0.0, "max_iter": _MOST_ITERATIONS}
-    solver = casadi.nlpsol("waveform", "ipopt", programme, {"ipopt": quiet | exact, "print_time": False})
     least, most = _current_bounds(limits, part)
-    bounds = rows.bounds
-    start = np.clip(_start(machine.phases, torque, limits)[:, :part] / limits.i_max, least, most)
-    found = solver(x0=_flat(start), lbx=_flat(least), ubx=_flat(most), lbg=bounds[:, 0], ubg=bounds[:, 1])
-    statistics = solver.stats()
-    if not statistics["success"]:
-        raise NoSolutionError(
-            f"no phase currents found for {torque:.4g} N m at {omega_m * 30.0 / np.pi:.4g} rpm within"
-            f" {limits.v_dc:.4g} V ({limits.topology}) and {limits.i_max:.4g} A:"
-            f" IPOPT says {statistics['return_status']}"
-        )
-    value = np.asarray(found["g"]).ravel()
-    over = np.maximum(value - bounds[:, 1], bounds[:, 0] - value)
-    first = limits.i_max * np.asarray(found["x"]).reshape((3, part), order="F")
-    waveform = _whole(first, shift, machine.phases.angles // part)
+    best, start = _start(machine, torque, limits)
+    floor = np.nan if best is None or limits.ripple > 0.0 else float(machine.copper_loss(best))
+    first, iterations = start[:, :part] / limits.i_max, 0
+    values = casadi.Function("rows", [casadi.vec(currents)], [rows.expression])
+    if not np.isfinite(floor) or _over(rows, values, first, (least, most)) > _TOLERANCE:
+        x = np.clip(first, least, most)
+        first, iterations = _search(casadi, currents, rows, x, (least, most), _where(torque, omega_m, limits))
+    waveform = _whole(limits.i_max * first, shift, machine.phases.angles // part)
     return SalientWaveforms(
         currents=waveform,
         voltages=machine.voltage(waveform, machine.phases.pole_pairs * omega_m),
         torque=machine.torque(waveform),
-        copper=float(machine.phases.copper_loss(waveform)),
-        violation=float(max(np.max(over), 0.0)),
-        iterations=int(statistics["iter_count"]),
+        copper=float(machine.copper_loss(waveform)),
+        violation=max(_over(rows, values, first, (least, most)), 0.0),
+        iterations=iterations,
+        binding=_binding(rows, values, first, most),
+        floor=floor,
     )
+
+
+def _where(torque: float, omega_m: float, limits: WaveformLimits) -> str:
+    """The operating point and its limits, as a part of a sentence."""
+    return (
+        f"{torque:.4g} N m at {omega_m * 30.0 / np.pi:.4g} rpm within {limits.v_dc:.4g} V ({limits.topology}) and"
+        f" {limits.i_max:.4g} A"
+    )
+
+
+def _search(
+    casadi: Any,
+    currents: Any,
+    rows: _Rows,
+    start: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    where: str,
+) -> tuple[FloatArray, int]:
+    """Currents over the current limit, shape (3, part), and iterations of IPOPT."""
+    programme = {"x": casadi.vec(currents), "f": casadi.sumsqr(currents) / start.shape[1], "g": rows.expression}
+    quiet = {"print_level": 0, "sb": "yes", "tol": _TOLERANCE, "constr_viol_tol": _TOLERANCE}
+    exact = {"bound_relax_factor": 0.0, "max_iter": _MOST_ITERATIONS}
+    solver = casadi.nlpsol("waveform", "ipopt", programme, {"ipopt": quiet | exact, "print_time": False})
+    bounds = rows.bounds
+    found = solver(x0=_flat(start), lbx=_flat(box[0]), ubx=_flat(box[1]), lbg=bounds[:, 0], ubg=bounds[:, 1])
+    statistics = solver.stats()
+    if not statistics["success"]:
+        raise NoSolutionError(f"no phase currents found for {where}: IPOPT says {statistics['return_status']}")
+    return np.asarray(found["x"]).reshape(start.shape, order="F"), int(statistics["iter_count"])
+
+
+def _over(rows: _Rows, values: Any, first: FloatArray, box: tuple[FloatArray, FloatArray]) -> float:
+    """Largest excess over a bound; negative where all are kept with room."""
+    value, bounds = np.asarray(values(_flat(first))).ravel(), rows.bounds
+    beyond = np.maximum(value - bounds[:, 1], bounds[:, 0] - value)
+    return float(max(np.max(beyond), np.max(first - box[1]), np.max(box[0] - first)))
+
+
+def _binding(rows: _Rows, values: Any, first: FloatArray, most: FloatArray) -> tuple[str, ...]:
+    """Kinds of limits of which some row is at its bound."""
+    value, bounds = np.asarray(values(_flat(first))).ravel(), rows.bounds
+    at_bound = np.maximum(value - bounds[:, 1], bounds[:, 0] - value) >= -_BINDING
+    held = {kind for kind, at in zip(rows.kinds, at_bound, strict=True) if at}
+    if np.any((np.abs(first) >= most - _BINDING) & (most > 0.0)):
+        held.add("current")
+    return tuple(kind for kind in LIMITS if kind in held)
 
 
 def _casadi() -> Any:
@@ -126,7 +174,7 @@ def _casadi() -> Any:
         return importlib.import_module("casadi")
     except ImportError as error:
         raise InputError(
-            "phase currents of salient machines need CasADi; install it with: pip install dqforge[nlp]"
+            "phase currents of salient machines need casadi; install it with: pip install casadi"
         ) from error
 
 
@@ -158,12 +206,15 @@ def _current_bounds(limits: WaveformLimits, part: int) -> tuple[FloatArray, Floa
     return -most, most
 
 
-def _start(phases: PhaseMachine, torque: float, limits: WaveformLimits) -> FloatArray:
-    """Currents in A to start from, shape (3, N): those of constant torque, or dq currents where there are none."""
+def _start(
+    machine: SalientPhaseMachine, torque: float, limits: WaveformLimits
+) -> tuple[FloatArray | None, FloatArray]:
+    """Best currents in A of constant torque angle by angle, None without any, and those to start from; (3, N)."""
     try:
-        return torque * unit_currents(phases, "dqx" if limits.topology == "three-wire" else "dqy")
+        best = pointwise_currents(machine, np.array([torque]), limits.topology, limits.open_phase)[0]
     except NoSolutionError:
-        return torque * unit_currents(phases, "dq")
+        return None, torque * unit_currents(machine.phases, "dq")
+    return best, best
 
 
 def _between(casadi: Any, waveform: Any, shift: FloatArray, angles: int) -> tuple[Any, Any]:
@@ -203,34 +254,34 @@ def _constraints(
     _add_bus(rows, casadi, volts / limits.v_dc, limits.topology)
     _add_neutral(rows, casadi, casadi.sum1(currents) / limits.i_max, limits, phases.angles // part)
     if limits.slew is not None:
-        rows.add(omega_e * slope / limits.slew, -1.0, 1.0)
+        rows.add("slew", omega_e * slope / limits.slew, -1.0, 1.0)
     return rows
 
 
 def _add_torque(rows: _Rows, casadi: Any, made: Any, torque: float, ripple: float, scale: float) -> None:
     if ripple == 0.0:
-        rows.add((made - torque) / scale, 0.0, 0.0)
+        rows.add(None, (made - torque) / scale, 0.0, 0.0)
         return
-    rows.add((made - torque) / ripple, -1.0, 1.0)
-    rows.add((casadi.sum2(made) / made.numel() - torque) / scale, 0.0, 0.0)
+    rows.add("ripple", (made - torque) / ripple, -1.0, 1.0)
+    rows.add(None, (casadi.sum2(made) / made.numel() - torque) / scale, 0.0, 0.0)
 
 
 def _add_bus(rows: _Rows, casadi: Any, volts: Any, topology: Topology) -> None:
     single, between = _BUS[topology]
     if single is not None:
-        rows.add(volts, -single, single)
+        rows.add("voltage", volts, -single, single)
     if between is not None:
         pairs = casadi.vertcat(volts[0, :] - volts[1, :], volts[1, :] - volts[2, :], volts[2, :] - volts[0, :])
-        rows.add(pairs, -between, between)
+        rows.add("voltage", pairs, -between, between)
 
 
 def _add_neutral(rows: _Rows, casadi: Any, neutral: Any, limits: WaveformLimits, parts: int) -> None:
     if limits.topology == "three-wire":
-        rows.add(neutral, 0.0, 0.0)
+        rows.add(None, neutral, 0.0, 0.0)
         return
     # With mirrored half waves the neutral current has no mean anyway, though it has one over the sixth.
     if limits.topology == "split-capacitor" and parts < 6:
-        rows.add(casadi.sum2(neutral) / neutral.numel(), 0.0, 0.0)
+        rows.add(None, casadi.sum2(neutral) / neutral.numel(), 0.0, 0.0)
     if limits.neutral is not None:
         most = limits.neutral / limits.i_max
-        rows.add(neutral, -most, most)
+        rows.add("neutral", neutral, -most, most)

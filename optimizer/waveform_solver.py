@@ -41,8 +41,9 @@ class WaveformSolutions:
     ``torque`` in N m and ``omega_m`` in rad/s, shape (K,); ``currents`` in A, shape (K, 3, N), NaN where infeasible;
     ``copper`` in W, shape (K,). ``status`` says how each was found; ``binding`` tells for each of `LIMITS` whether it
     binds, shape (K, 5). ``violation`` is the largest violation of a limit in its own scale (dc link, current limit, the
-    torque of the current limit, slew rate), and ``stationarity`` the largest component of the Lagrangian's gradient
-    over the current limit; both shape (K,).
+    torque of the current limit, slew rate), ``stationarity`` the largest component of the Lagrangian's gradient
+    over the current limit, and ``complementarity`` the largest product of a multiplier and the room that its row
+    leaves; all shape (K,).
     """
 
     torque: FloatArray
@@ -53,6 +54,7 @@ class WaveformSolutions:
     binding: BoolArray
     violation: FloatArray
     stationarity: FloatArray
+    complementarity: FloatArray
 
     @property
     def feasible(self) -> BoolArray:
@@ -117,12 +119,12 @@ def solve_waveforms(
     z = np.zeros((torque.size, problem.unknowns))
     free = _keeps_all(problem, torque, omega_e) & (limits.ripple == 0.0)
     status: list[Status] = ["closed form" if found else "infeasible" for found in free]
-    stationarity = np.zeros(torque.size)
+    stationarity, products = np.zeros(torque.size), np.zeros(torque.size)
     solver = _Dense(problem) if problem.unknowns <= DENSE_UNKNOWNS else _Sparse(problem)
     for k in np.flatnonzero(~free):
         found = solver.solve(problem.point(float(torque[k]), float(omega_e[k])))
         if found is not None:
-            z[k], stationarity[k] = found
+            z[k], stationarity[k], products[k] = found
             status[k] = "solved"
     currents = problem.currents(torque, z)
     rows = _rows(problem, z, torque, omega_e)
@@ -139,6 +141,7 @@ def solve_waveforms(
         binding=_binding(problem, over) & ~infeasible[:, np.newaxis],
         violation=np.where(infeasible, np.nan, np.maximum(np.max(over, axis=1), 0.0)),
         stationarity=np.where(infeasible, np.nan, stationarity),
+        complementarity=np.where(infeasible, np.nan, products),
     )
 
 
@@ -163,6 +166,19 @@ def _binding(problem: WaveformProblem, over: FloatArray) -> BoolArray:
     return np.stack([np.any(at_bound & (problem.kinds == kind), axis=1) for kind in range(len(LIMITS))], axis=1)
 
 
+def complementarity(point: PointProblem, rows: FloatArray, multipliers: FloatArray) -> float:
+    """Largest product of a multiplier and the room that its row leaves, shape (m,) both; upper bounds count positive."""
+    at_upper, at_lower = multipliers > 0.0, multipliers < 0.0
+    room = np.where(at_upper, point.upper - rows, np.where(at_lower, rows - point.lower, 0.0))
+    return float(np.max(np.abs(multipliers * room)))
+
+
+def _optimality(point: PointProblem, z: FloatArray, multipliers: FloatArray) -> tuple[float, float]:
+    """Stationarity and complementarity of a primal and dual pair."""
+    gradient = z + point.gradient + np.asarray(point.matrix.T @ multipliers)
+    return float(np.max(np.abs(gradient))), complementarity(point, np.asarray(point.matrix @ z), multipliers)
+
+
 class _Dense:
     """DAQP: a dual active-set method, exact to rounding, fastest for few unknowns."""
 
@@ -170,8 +186,8 @@ class _Dense:
         self.hessian = np.eye(problem.unknowns)
         self.sense = np.where(problem.kinds < 0, _EQUALITY, 0).astype(np.int32)
 
-    def solve(self, point: PointProblem) -> tuple[FloatArray, float] | None:
-        """Unknowns and stationarity, or None where there is no solution."""
+    def solve(self, point: PointProblem) -> tuple[FloatArray, float, float] | None:
+        """Unknowns, stationarity and complementarity, or None where there is no solution."""
         import daqp
 
         z, _, code, info = daqp.solve(
@@ -186,7 +202,7 @@ class _Dense:
         )
         if code <= 0:
             return None
-        return z, float(np.max(np.abs(z + point.gradient + point.matrix.T @ info["lam"])))
+        return z, *_optimality(point, z, info["lam"])
 
 
 class _Sparse:
@@ -197,13 +213,13 @@ class _Sparse:
 
         self.hessian = identity(problem.unknowns, format="csc")
 
-    def solve(self, point: PointProblem) -> tuple[FloatArray, float] | None:
-        """Unknowns and stationarity, or None where there is no solution."""
+    def solve(self, point: PointProblem) -> tuple[FloatArray, float, float] | None:
+        """Unknowns, stationarity and complementarity, or None where there is no solution."""
         result = _interior_point(self.hessian, point.gradient, point.matrix, point.lower, point.upper)
         if result is None:
             return None
         z, multipliers = result
-        return z, float(np.max(np.abs(z + point.gradient + point.matrix.T @ multipliers)))
+        return z, *_optimality(point, z, multipliers)
 
 
 def _interior_point(

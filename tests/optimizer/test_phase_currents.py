@@ -285,5 +285,5 @@ def test_what_makes_no_salient_machine_or_no_currents_is_refused(monkeypatch: py
         raise ImportError(name)
 
     monkeypatch.setattr(importlib, "import_module", missing)
-    with pytest.raises(InputError, match="pip install dqforge"):
+    with pytest.raises(InputError, match="need casadi; install it with: pip install casadi"):
         solve_salient(machine, 1.0, 1.0, STAR)
