@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
-from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.scenario import Scenario
 from dqforge.machines.settings import (
     ChoiceSettings,
@@ -53,7 +53,7 @@ class Design:
     """Everything one design file says, in SI units.
 
     ``machine`` is the drive in dq coordinates, of a machine with another than sinusoidal back-EMF its fundamental;
-    ``phase_machine`` holds that back-EMF, None for all others. ``values`` lists each quantity with its origin,
+    ``phase_machine`` holds that back-EMF and any saliency, None for all others. ``values`` lists each quantity with its origin,
     ``assumptions`` the sentences on what the file leaves open,
     ``digest`` is the SHA-256 of the file's bytes in hexadecimal. ``weakening`` asks for two-dimensional references,
     ``modulation_choice`` for a choice of modulator and switching frequency.
@@ -65,7 +65,7 @@ class Design:
     about: str
     machine: Machine
     machine_loss: MachineLoss
-    phase_machine: PhaseMachine | None
+    phase_machine: AnyPhaseMachine | None
     inverter: Inverter
     control: ControlSettings
     operation: OperationSettings

@@ -15,10 +15,10 @@ from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import DqforgeError
 from dqforge.machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.flux_map_reader import read_flux_map
-from dqforge.machines.phase_machine import PhaseMachine
-from dqforge.machines.phase_machine_reader import read_phase_machine
+from dqforge.machines.phase_machine_reader import read_phase_machine, read_saliency
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
+from dqforge.machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.saturation import SaturationModel
 from dqforge.machines.schema_machine import MachineSection, SaturationSection
 from dqforge.machines.settings import MachineModel
@@ -42,16 +42,17 @@ _OWN: dict[str, MachineModel] = {
     "saturation": "saturation",
     "self_inductance": "waveform",
     "mutual_inductance": "waveform",
+    "inductance_harmonics": "waveform",
     "back_emf": "waveform",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class MachineReading:
-    """The machine in dq coordinates; ``phases`` holds its back-EMF where that is not sinusoidal."""
+    """The machine in dq coordinates; ``phases`` holds it in phase quantities where its back-EMF is not sinusoidal."""
 
     machine: Machine
-    phases: PhaseMachine | None = None
+    phases: AnyPhaseMachine | None = None
 
 
 def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
@@ -82,8 +83,9 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
         reading.machine_peak(section.rated.current, ("machine", "rated", "current"))
     if section.back_emf is not None:
         phases = read_phase_machine(section, common, reading)
-        inductance = phases.l_s - phases.m_s
-        return MachineReading(LinearMachine(l_d=inductance, l_q=inductance, psi_pm=phases.psi_pm, **common), phases)
+        salient = read_saliency(section, phases, reading)
+        l_d, l_q = (phases.l_s - phases.m_s,) * 2 if salient is None else salient.dq_inductances
+        return MachineReading(LinearMachine(l_d=l_d, l_q=l_q, psi_pm=phases.psi_pm, **common), salient or phases)
     if section.inductance_d is not None and section.inductance_q is not None:
         linear = LinearMachine(
             l_d=reading.per_phase(section.inductance_d, "machine.inductance_d"),

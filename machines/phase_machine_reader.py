@@ -1,4 +1,4 @@
-"""The back-EMF of a design file: harmonics as written, or those of a capture beside the design."""
+"""The back-EMF of a design file, as harmonics or from a capture beside the design, and its saliency."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
+from dqforge.machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.schema_machine import BackEmfSection, HarmonicSection, MachineSection
 from dqforge.machines.synchronous import FloatArray
 from dqforge.machines.yaml_source import KeyPath
 
 _PATH: KeyPath = ("machine", "back_emf")
+_SALIENCY: KeyPath = ("machine", "inductance_harmonics")
+_MOST_LAG = np.deg2rad(0.5)
 
 
 def read_phase_machine(section: MachineSection, common: Mapping[str, Any], reading: Reading) -> PhaseMachine:
@@ -54,9 +57,49 @@ def read_phase_machine(section: MachineSection, common: Mapping[str, Any], readi
         if given.file is not None and given.symmetric:
             machine = machine.symmetrised()
             reading.remarks.append("machine.back_emf is the mean of the three phases and of both half waves")
+    if section.inductance_harmonics is None:
+        reading.remarks.append(
+            f"the dq values of the machine are those of the fundamental: psi_pm "
+            f"{format_quantity(machine.psi_pm, 'Wb')}, l_d = l_q = {format_quantity(l_s - m_s, 'H')}"
+        )
+    return machine
+
+
+def read_saliency(section: MachineSection, phases: PhaseMachine, reading: Reading) -> SalientPhaseMachine | None:
+    """The machine with the harmonics of its inductances, None where they are constant.
+
+    Raises
+    ------
+    InputError
+        An order is listed twice, the inductances store no energy in some current, or the d axis that they are written
+        about is not that of the back-EMF.
+    """
+    given = section.inductance_harmonics
+    if given is None:
+        return None
+    orders = [harmonic.order for harmonic in given]
+    for index, order in enumerate(orders):
+        if order in orders[:index]:
+            message = f"machine.inductance_harmonics: order {order} is listed twice; remove one"
+            raise reading.document.error(message, (*_SALIENCY, index, "order"))
+    theta = 2.0 * np.pi * np.arange(phases.angles) / phases.angles
+    turns = theta - 2.0 * np.pi / 3.0 * np.arange(3)[:, np.newaxis]
+    lag = float(np.angle(np.mean(phases.flux * np.exp(-1j * turns)) / 1j))
+    if abs(lag) > _MOST_LAG:
+        raise reading.document.error(
+            f"machine.inductance_harmonics are about the d axis, but order 1 of back_emf lies {np.rad2deg(-lag):.3g}"
+            " degrees behind it; write order 1 with phase: 0 deg",
+            _SALIENCY,
+            key=True,
+        )
+    own = [harmonic.amplitude.si for harmonic in given]
+    mutual = [harmonic.amplitude.si if harmonic.mutual is None else harmonic.mutual.si for harmonic in given]
+    with reading.document.at(_SALIENCY, key=True):
+        machine = SalientPhaseMachine.from_harmonics(phases, orders, own, mutual)
+    l_d, l_q = (format_quantity(value, "H") for value in machine.dq_inductances)
     reading.remarks.append(
-        f"the dq values of the machine are those of the fundamental: psi_pm {format_quantity(machine.psi_pm, 'Wb')}, "
-        f"l_d = l_q = {format_quantity(l_s - m_s, 'H')}"
+        "the dq values of the machine are means over the angle: psi_pm of the fundamental "
+        f"{format_quantity(phases.psi_pm, 'Wb')}, l_d {l_d}, l_q {l_q}"
     )
     return machine
 

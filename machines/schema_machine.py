@@ -206,6 +206,18 @@ class HarmonicSection(Section):
     phase: Angle | None = Field(default=None, description="phase (rad; write deg); default 0")
 
 
+class InductanceHarmonicSection(Section):
+    """One even harmonic of the inductances: L_aa = L_s + sum A cos(h theta), M_bc = M_s + sum B cos(h theta)."""
+
+    order: int = Field(ge=2, le=100, multiple_of=2, description="order h, even")
+    amplitude: MutualInductance = Field(
+        description="A of the self inductance (H); order 2 is negative where l_d is smaller than l_q"
+    )
+    mutual: MutualInductance | None = Field(
+        default=None, description="B of the mutual inductance (H); default as amplitude"
+    )
+
+
 class BackEmfSection(Section):
     """Back-EMF of the three phases: harmonics, or a capture in a text file."""
 
@@ -264,6 +276,12 @@ class MachineSection(Section):
     self_inductance: Inductance | None = Field(default=None, description="for model waveform: L_s of a phase (H)")
     mutual_inductance: MutualInductance | None = Field(
         default=None, description="for model waveform: M_s between two phases, usually negative (H); default 0"
+    )
+    inductance_harmonics: Annotated[Listing[InductanceHarmonicSection], Field(min_length=1, max_length=20)] | None = (
+        Field(
+            default=None,
+            description="for model waveform: saliency, list of {order: 2, amplitude: -1 mH}",
+        )
     )
     back_emf: BackEmfSection | None = Field(default=None, description="for model waveform: its shape")
     flux_map: FluxMapSection | None = Field(default=None, description="for model flux-map: the data")

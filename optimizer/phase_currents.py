@@ -16,6 +16,7 @@ import numpy as np
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.inverter import Topology
 from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.synchronous import FloatArray
 
 CurrentRule = Literal["dq", "dqx", "dqy"]
@@ -87,7 +88,15 @@ def bus_demand(voltages: FloatArray, topology: Topology) -> FloatArray:
             return np.asarray(size)
 
 
-def figures(machine: PhaseMachine, currents: FloatArray, omega_m: FloatArray, topology: Topology) -> WaveformFigures:
+def dq_waveform(i_d: float, i_q: float, angles: int) -> FloatArray:
+    """Phase currents in A, shape (3, N), of constant dq currents in A."""
+    turns = 2.0 * np.pi * (np.arange(angles) / angles - np.arange(3)[:, np.newaxis] / 3.0)
+    return np.asarray(i_d * np.cos(turns) - i_q * np.sin(turns))
+
+
+def figures(
+    machine: AnyPhaseMachine, currents: FloatArray, omega_m: FloatArray, topology: Topology
+) -> WaveformFigures:
     """Figures of phase currents in A, shape (K, 3, N), at mechanical speeds in rad/s, shape (K,)."""
     torque = machine.torque(currents)
     neutral = np.sum(currents, axis=-2)

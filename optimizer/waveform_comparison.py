@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
@@ -12,12 +13,17 @@ from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.inverter import Topology
 from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.salient_phase_machine import AnyPhaseMachine, SalientPhaseMachine
 from dqforge.machines.settings import WaveformSettings
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.characteristics import limit_speed
-from dqforge.optimizer.phase_currents import CurrentRule, WaveformFigures, figures, unit_currents
+from dqforge.optimizer.current_choice import CurrentChoice
+from dqforge.optimizer.phase_currents import CurrentRule, WaveformFigures, dq_waveform, figures, unit_currents
+from dqforge.optimizer.pointwise_currents import pointwise_currents
+from dqforge.optimizer.waveform_confirmation import Confirmation, confirm_waveforms
+from dqforge.optimizer.waveform_nlp import SalientWaveforms, solve_salient
 from dqforge.optimizer.waveform_problem import LIMITS, WaveformLimits
-from dqforge.optimizer.waveform_solver import require_solution, ripple_front, solve_waveforms
+from dqforge.optimizer.waveform_solver import WaveformSolutions, require_solution, solve_waveforms
 
 Rule = Literal["dq", "dqx", "dqy", "limited"]
 
@@ -48,10 +54,13 @@ class WaveformComparison:
 
     ``binding`` names the limits that hold it; ``impossible`` lists rules without currents, each with the reason.
     ``front`` are pairs of a permitted deviation of the torque, relative, and the least copper loss with it in W, NaN
-    where there is none.
+    where there is none. ``confirmations`` are the quadratic programmes behind ``limited`` and the front, solved again
+    by OSQP; salient machines have none, since their programmes are not quadratic: of those ``floor`` is a loss in W
+    that no currents of constant torque undercut (NaN where a ripple is permitted), and ``iterations`` those of IPOPT
+    for ``limited``, 0 where it is proven to be the global optimum.
     """
 
-    machine: PhaseMachine
+    machine: AnyPhaseMachine
     torque: float
     omega_m: float
     limits: WaveformLimits
@@ -59,9 +68,24 @@ class WaveformComparison:
     binding: tuple[str, ...]
     impossible: tuple[tuple[CurrentRule, str], ...]
     front: tuple[tuple[float, float], ...]
+    confirmations: tuple[Confirmation, ...] = ()
+    floor: float = math.nan
+    iterations: int = 0
 
 
-def require_phases(design: Design) -> PhaseMachine:
+@dataclass(frozen=True, slots=True)
+class _Limited:
+    """The currents within all limits, and what is known of them."""
+
+    currents: FloatArray
+    binding: tuple[str, ...]
+    front: FloatArray
+    confirmations: tuple[Confirmation, ...] = ()
+    floor: float = math.nan
+    iterations: int = 0
+
+
+def require_phases(design: Design) -> AnyPhaseMachine:
     """The machine in phase quantities.
 
     Raises
@@ -94,12 +118,24 @@ def operating_point(design: Design, settings: WaveformSettings) -> tuple[float, 
     """Torque in N m and mechanical speed in rad/s: as set, or that of dq at the current limit, and the base speed."""
     torque, omega_m = settings.torque, settings.omega_m
     if torque is None:
-        torque = design.machine.torque_per_ampere * design.i_max
+        is_salient = isinstance(design.phase_machine, SalientPhaseMachine)
+        torque = _mtpa(design).largest_torque() if is_salient else design.machine.torque_per_ampere * design.i_max
     if omega_m is None:
-        current = torque / design.machine.torque_per_ampere
-        speed = limit_speed(design.machine, np.zeros(1), np.array([current]), design.inverter.v_dc / math.sqrt(3.0))
-        omega_m = float(speed[0])
+        i_d, i_q = (np.array([current]) for current in _dq_currents(design, torque))
+        omega_m = float(limit_speed(design.machine, i_d, i_q, design.inverter.v_dc / math.sqrt(3.0))[0])
     return torque, omega_m
+
+
+def _mtpa(design: Design) -> CurrentChoice:
+    return CurrentChoice(design.machine, "mtpa", design.i_max)
+
+
+def _dq_currents(design: Design, torque: float) -> tuple[float, float]:
+    """Least-loss currents (i_d, i_q) in A of the machine in dq coordinates."""
+    if not isinstance(design.phase_machine, SalientPhaseMachine):
+        return 0.0, torque / design.machine.torque_per_ampere
+    i_d, i_q = _mtpa(design).currents(np.array([abs(torque)]))
+    return float(i_d[0]), math.copysign(float(i_q[0]), torque)
 
 
 def compare_waveforms(design: Design, settings: WaveformSettings | None = None) -> WaveformComparison:
@@ -119,33 +155,83 @@ def compare_waveforms(design: Design, settings: WaveformSettings | None = None) 
     rules, impossible = [], []
     for rule in get_args(CurrentRule):
         try:
-            currents = torque * unit_currents(machine, rule)
+            currents = _by_rule(design, machine, rule, torque)
         except NoSolutionError as error:
             impossible.append((rule, str(error)))
             continue
         rules.append(_judged(machine, rule, currents, omega_m, limits))
+    if isinstance(machine, SalientPhaseMachine):
+        found = _salient(machine, torque, omega_m, limits)
+    else:
+        found = _quadratic(machine, torque, omega_m, limits)
+    rules.append(_judged(machine, "limited", found.currents, omega_m, limits))
+    front = tuple(zip(FRONT_RIPPLES, found.front.tolist(), strict=True))
+    return WaveformComparison(
+        machine=machine,
+        torque=torque,
+        omega_m=omega_m,
+        limits=limits,
+        rules=tuple(rules),
+        binding=found.binding,
+        impossible=tuple(impossible),
+        front=front,
+        confirmations=found.confirmations,
+        floor=found.floor,
+        iterations=found.iterations,
+    )
+
+
+def _by_rule(design: Design, machine: AnyPhaseMachine, rule: CurrentRule, torque: float) -> FloatArray:
+    """Phase currents in A, shape (3, N), of a rule that knows no limit.
+
+    A salient machine's dq currents are those of MTPA, its dqx and dqy the least loss angle by angle without and with
+    zero sequence, as those of others.
+    """
+    if isinstance(machine, PhaseMachine):
+        return torque * unit_currents(machine, rule)
+    if rule != "dq":
+        return pointwise_currents(machine, np.array([torque]), "three-wire" if rule == "dqx" else "six-leg")[0]
+    return dq_waveform(*_dq_currents(design, torque), machine.angles)
+
+
+def _quadratic(machine: PhaseMachine, torque: float, omega_m: float, limits: WaveformLimits) -> _Limited:
+    """Quadratic programmes, each solved a second time by OSQP."""
     found = solve_waveforms(machine, torque, omega_m, limits)
     require_solution(machine, found, limits)
-    rules.append(_judged(machine, "limited", found.currents[0], omega_m, limits))
     binding = tuple(name for name, binds in zip(LIMITS, found.binding[0], strict=True) if binds)
-    losses = _front(machine, torque, omega_m, limits)
-    front = tuple(zip(FRONT_RIPPLES, losses.tolist(), strict=True))
-    return WaveformComparison(machine, torque, omega_m, limits, tuple(rules), binding, tuple(impossible), front)
+    confirmed, losses = [*confirm_waveforms(machine, found, limits)], []
+    for within in _front_limits(torque, limits):
+        point: WaveformSolutions | None = None
+        # Where some angle makes no torque, there is no programme for constant torque.
+        with contextlib.suppress(NoSolutionError):
+            point = solve_waveforms(machine, torque, omega_m, within)
+        losses.append(math.nan if point is None else float(point.copper[0]))
+        if point is not None:
+            confirmed += confirm_waveforms(machine, point, within)
+    return _Limited(found.currents[0], binding, np.array(losses), tuple(confirmed))
 
 
-def _front(machine: PhaseMachine, torque: float, omega_m: float, limits: WaveformLimits) -> FloatArray:
-    """Least copper loss in W over `FRONT_RIPPLES`; NaN where no currents keep the limits, or none make it constant."""
-    ripples = np.array(FRONT_RIPPLES) * abs(torque)
-    constant = ripples == 0.0
-    try:
-        first = ripple_front(machine, torque, omega_m, limits, ripples[constant])
-    except NoSolutionError:
-        first = np.full(np.count_nonzero(constant), np.nan)
-    return np.concatenate([first, ripple_front(machine, torque, omega_m, limits, ripples[~constant])])
+def _salient(machine: SalientPhaseMachine, torque: float, omega_m: float, limits: WaveformLimits) -> _Limited:
+    """The optimum angle by angle where it keeps all limits, else nonlinear programmes."""
+    found = solve_salient(machine, torque, omega_m, limits)
+    losses = []
+    for within in _front_limits(torque, limits):
+        point: SalientWaveforms | None = None
+        with contextlib.suppress(NoSolutionError):
+            point = solve_salient(machine, torque, omega_m, within)
+        losses.append(math.nan if point is None else point.copper)
+    return _Limited(
+        found.currents, found.binding, np.array(losses), floor=found.floor, iterations=found.iterations
+    )
+
+
+def _front_limits(torque: float, limits: WaveformLimits) -> list[WaveformLimits]:
+    """The limits with each of `FRONT_RIPPLES`."""
+    return [replace(limits, ripple=ripple * abs(torque)) for ripple in FRONT_RIPPLES]
 
 
 def _judged(
-    machine: PhaseMachine, rule: Rule, currents: FloatArray, omega_m: float, limits: WaveformLimits
+    machine: AnyPhaseMachine, rule: Rule, currents: FloatArray, omega_m: float, limits: WaveformLimits
 ) -> RuleCurrents:
     """Currents with their figures and what they break."""
     found = figures(machine, currents[np.newaxis], np.array([omega_m]), limits.topology)
