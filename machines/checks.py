@@ -295,11 +295,34 @@ def check_waveform(sections: DesignFile, document: YamlDocument) -> None:
             "waveform: phase currents are shaped for a machine of model: waveform; write it, or remove the section"
         )
         raise document.error(message, ("waveform",), key=True)
+    if sections.machine.inductance_harmonics is not None:
+        _check_saliency(sections, document)
     if sections.inverter.topology != "three-wire" and not is_waveform:
         raise document.error(
             f"inverter.topology: {sections.inverter.topology} serves machines of model: waveform; write three-wire",
             ("inverter", "topology"),
         )
+
+
+def _check_saliency(sections: DesignFile, document: YamlDocument) -> None:
+    """Check that nothing is asked for that needs constant inductances."""
+    if sections.waveform.form == "table":
+        message = (
+            "waveform.form: a table over the angle needs currents in proportion to the torque, which those of a machine"
+            " with inductance_harmonics are not; write harmonics"
+        )
+        raise document.error(message, ("waveform", "form"))
+    if sections.inverter.topology == "diode-neutral":
+        message = (
+            "inverter.topology: diode-neutral is not offered for a machine with inductance_harmonics; write three-wire"
+        )
+        raise document.error(message, ("inverter", "topology"))
+    if sections.simulation is not None:
+        message = (
+            "simulation: a machine with inductance_harmonics is not simulated, the simulated phases have constant"
+            " inductances; remove the section"
+        )
+        raise document.error(message, ("simulation",), key=True)
 
 
 def check_comparison(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:

@@ -53,12 +53,12 @@ class Design:
     """Everything one design file says, in SI units.
 
     ``machine`` is the drive in dq coordinates, of a machine with another than sinusoidal back-EMF its fundamental;
-    ``phase_machine`` holds that back-EMF and any saliency, None for all others. ``values`` lists each quantity with its origin,
-    ``assumptions`` the sentences on what the file leaves open,
-    ``digest`` is the SHA-256 of the file's bytes in hexadecimal. ``weakening`` asks for two-dimensional references,
-    ``modulation_choice`` for a choice of modulator and switching frequency.
-    ``winding`` says how warm the losses make the winding, None where its temperature is given. ``simulation`` asks for
-    a simulation in the time domain. ``given`` is what it was read from, None where it was made in Python.
+    ``phase_machine`` holds that back-EMF and any saliency, None for all others. ``values`` lists each quantity with its
+    origin, ``assumptions`` the sentences on what the file leaves open, ``digest`` is the SHA-256 of the file's bytes in
+    hexadecimal. ``weakening`` asks for two-dimensional references, ``modulation_choice`` for a choice of modulator and
+    switching frequency. ``winding`` says how warm the losses make the winding, None where its temperature is given.
+    ``simulation`` asks for a simulation in the time domain. ``given`` is what it was read from, None where it was made
+    in Python.
     """
 
     name: str

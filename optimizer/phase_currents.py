@@ -94,9 +94,7 @@ def dq_waveform(i_d: float, i_q: float, angles: int) -> FloatArray:
     return np.asarray(i_d * np.cos(turns) - i_q * np.sin(turns))
 
 
-def figures(
-    machine: AnyPhaseMachine, currents: FloatArray, omega_m: FloatArray, topology: Topology
-) -> WaveformFigures:
+def figures(machine: AnyPhaseMachine, currents: FloatArray, omega_m: FloatArray, topology: Topology) -> WaveformFigures:
     """Figures of phase currents in A, shape (K, 3, N), at mechanical speeds in rad/s, shape (K,)."""
     torque = machine.torque(currents)
     neutral = np.sum(currents, axis=-2)

@@ -1,4 +1,4 @@
-"""Phase currents per torque as the firmware evaluates them: a table over the angle, or harmonics of it.
+"""Phase currents per torque as the firmware evaluates them: a table over the angle, harmonics, or such over torque.
 
 As for the current references, each form is the list of float32 operations that the header spells out.
 """
@@ -113,7 +113,127 @@ class PhaseHarmonics:
         return np.stack([np.zeros_like(cosine) if part is None else part for part in total])
 
 
-PhaseForm = PhaseTable | PhaseHarmonics
+Weights = tuple[tuple[tuple[float, ...], ...], ...]
+"""Ascending coefficients of polynomials, float32 values, by row and harmonic; empty where there is none."""
+
+HALF_ROOT_3 = np.float32(0.5 * np.sqrt(3.0))
+
+
+@dataclass(frozen=True, slots=True)
+class PhasePolynomials:
+    """Harmonics of orders 1, 1 + stride, ... whose weights are polynomials in x = ``inverse`` times the torque.
+
+    ``cosine`` and ``sine`` in A/(N m) have one row for three equal phases, of which b and c lag by 120 and 240 degrees,
+    else three: i_k / torque = sum cosine_kh(x) cos(h theta) + sine_kh(x) sin(h theta). ``inverse`` in 1/(N m).
+    """
+
+    cosine: Weights
+    sine: Weights
+    stride: int
+    inverse: np.float32
+
+    @property
+    def size(self) -> int:
+        """Number H of harmonics."""
+        return len(self.cosine[0])
+
+    @property
+    def degree(self) -> int:
+        """Largest degree in the torque."""
+        return max(len(weight) for weight in self._weights) - 1
+
+    @property
+    def _weights(self) -> list[tuple[float, ...]]:
+        return [weight for part in (self.cosine, self.sine) for row in part for weight in row]
+
+    @property
+    def flash(self) -> int:
+        """Bytes of constants."""
+        return _FLOAT_BYTES * (1 + sum(int(np.count_nonzero(weight)) for weight in self._weights))
+
+    @property
+    def operations(self) -> int:
+        """Arithmetic operations and loads of one evaluation of three currents."""
+        steps = sum(3 * len(polynomial_steps(weight)[0]) for weight in self._weights if weight)
+        used = sum(1 for weight in self._weights if weight)
+        return 7 + 6 * (self.size - 1) + steps + (4 * used + 6 if len(self.cosine) == 1 else 2 * used)
+
+    def unit_currents(
+        self, torque: SingleArray, sine: SingleArray, cosine: SingleArray, muladd: MultiplyAdd
+    ) -> SingleArray:
+        """Currents per torque in A/(N m), shape (3, M), at torques, sines and cosines of the angle, shapes (M,)."""
+        x = torque * self.inverse
+        square = x * x
+        equal = len(self.cosine) == 1
+        # Equal phases: what all share, what turns with phase a, and what stands at right angles to that.
+        sums: list[SingleArray | None] = [None] * 3
+        step_c, step_s = cosine, sine
+        if self.stride == 2:
+            step_c, step_s = muladd(cosine, cosine, -(sine * sine)), (cosine + cosine) * sine
+        c, s = cosine, sine
+        for harmonic in range(self.size):
+            if harmonic:
+                c, s = muladd(c, step_c, -(s * step_s)), muladd(c, step_s, s * step_c)
+            for row, weights in enumerate(zip(self.cosine, self.sine, strict=True)):
+                parts = [polynomial(weight[harmonic], x, square, muladd) for weight in weights]
+                along, across = _turned(parts[0], parts[1], c, s, muladd)
+                if along is None or across is None:
+                    continue
+                kind = (1 + harmonic * self.stride) % 3
+                _add(sums, (0 if kind == 0 else 1) if equal else row, along)
+                if equal and kind:
+                    _add(sums, 2, across if kind == 1 else -across)
+        rows = [np.zeros_like(cosine) if part is None else part for part in sums]
+        if not equal:
+            return np.stack(rows)
+        common, along, across = rows
+        half, side = muladd(np.full_like(along, -0.5), along, common), HALF_ROOT_3 * across
+        return np.stack([common + along, half + side, half - side])
+
+
+def polynomial_steps(weight: tuple[float, ...]) -> tuple[tuple[float, ...], str, bool]:
+    """Coefficients for Horner's rule, ascending, its variable (``x`` or ``square``), and whether x multiplies the end.
+
+    Where every other coefficient is zero, half the steps remain.
+    """
+    if not any(weight[1::2]):
+        return weight[0::2], "square", False
+    if not any(weight[0::2]):
+        return weight[1::2], "square", True
+    return weight, "x", False
+
+
+def polynomial(
+    weight: tuple[float, ...], x: SingleArray, square: SingleArray, muladd: MultiplyAdd
+) -> SingleArray | None:
+    """Value of a polynomial in float32, shape (M,); None where there is none."""
+    if not weight:
+        return None
+    coefficients, variable, odd = polynomial_steps(weight)
+    by = square if variable == "square" else x
+    value = np.full_like(x, np.float32(coefficients[-1]))
+    for coefficient in coefficients[-2::-1]:
+        value = muladd(value, by, np.broadcast_to(np.float32(coefficient), by.shape))
+    return value * x if odd else value
+
+
+def _turned(
+    a: SingleArray | None, b: SingleArray | None, c: SingleArray, s: SingleArray, muladd: MultiplyAdd
+) -> tuple[SingleArray | None, SingleArray | None]:
+    """A c + b s, and a s - b c; terms without a weight are left out."""
+    if a is None:
+        return (None, None) if b is None else (b * s, -(b * c))
+    if b is None:
+        return a * c, a * s
+    return muladd(a, c, b * s), muladd(a, s, -(b * c))
+
+
+def _add(sums: list[SingleArray | None], place: int, term: SingleArray) -> None:
+    before = sums[place]
+    sums[place] = term if before is None else before + term
+
+
+PhaseForm = PhaseTable | PhaseHarmonics | PhasePolynomials
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +246,7 @@ class PhaseReference:
     def currents(self, torque: SingleArray, angle: tuple[SingleArray, ...], *, fused: bool = False) -> SingleArray:
         """Phase currents in A, shape (3, M), as the emitted C returns them, for float32 torques in N m, shape (M,).
 
-        ``angle`` is (turn,) for a table, (sine, cosine) for harmonics. A turn outside 0 to 1, and NaN, count as 0.
+        ``angle`` is (turn,) for a table, else (sine, cosine). A turn outside 0 to 1, and NaN, count as 0.
         """
         muladd = fused_multiply_add if fused else multiply_add
         with np.errstate(invalid="ignore", under="ignore", over="ignore"):
@@ -139,7 +259,10 @@ class PhaseReference:
                 unit = self.form.unit_currents(np.where(inside, turn, np.float32(0.0)).astype(np.float32), muladd)
             else:
                 sine, cosine = angle
-                unit = self.form.unit_currents(sine, cosine, muladd)
+                if isinstance(self.form, PhasePolynomials):
+                    unit = self.form.unit_currents(limited, sine, cosine, muladd)
+                else:
+                    unit = self.form.unit_currents(sine, cosine, muladd)
             return np.asarray(limited * unit, dtype=np.float32)
 
 
@@ -180,13 +303,13 @@ class PhaseFit:
         return self.candidates[0]
 
 
-def _resampled(waveform: FloatArray, count: int) -> FloatArray:
-    """Trigonometric interpolation of periodic rows, shape (3, N), at ``count`` even angles."""
+def resampled(waveform: FloatArray, count: int) -> FloatArray:
+    """Trigonometric interpolation of periodic rows, shape (..., N), at ``count`` even angles."""
     lines = np.fft.rfft(waveform, axis=-1)
     return np.asarray(np.fft.irfft(lines, n=count, axis=-1) * (count / waveform.shape[-1]))
 
 
-def _are_equal(waveform: FloatArray) -> bool:
+def are_equal(waveform: FloatArray) -> bool:
     """Whether phases b and c are phase a a third of a turn later and earlier."""
     third = waveform.shape[1] // 3
     scale = _SYMMETRIC * float(np.max(np.abs(waveform)))
@@ -196,8 +319,8 @@ def _are_equal(waveform: FloatArray) -> bool:
 
 def make_table(unit: FloatArray, size: int) -> PhaseTable:
     """Table of currents per torque, shape (3, N), with ``size`` intervals, a multiple of 3."""
-    values = _resampled(unit, max(_DENSE, size))[:, :: max(_DENSE, size) // size]
-    rows = _without_rounding(values[:1] if _are_equal(unit) else values)
+    values = resampled(unit, max(_DENSE, size))[:, :: max(_DENSE, size) // size]
+    rows = _without_rounding(values[:1] if are_equal(unit) else values)
     return PhaseTable(np.concatenate([rows, rows[:, :1]], axis=1).astype(np.float32))
 
 
@@ -213,9 +336,9 @@ def _without_rounding(values: FloatArray) -> FloatArray:
     return np.where(np.abs(values) > _ROUNDING * np.max(np.abs(values)), values, 0.0)
 
 
-def phase_errors(machine: PhaseMachine, unit: FloatArray, form: PhaseForm) -> PhaseErrors:
+def phase_errors(machine: PhaseMachine, unit: FloatArray, form: PhaseTable | PhaseHarmonics) -> PhaseErrors:
     """Errors of a form against currents per torque, shape (3, N), over a dense grid of angles."""
-    exact, flux = _resampled(unit, _DENSE), _resampled(machine.flux, _DENSE)
+    exact, flux = resampled(unit, _DENSE), resampled(machine.flux, _DENSE)
     theta = 2.0 * np.pi * np.arange(_DENSE) / _DENSE
     current, torque = 0.0, 0.0
     for muladd in (multiply_add, fused_multiply_add):
@@ -229,7 +352,7 @@ def phase_errors(machine: PhaseMachine, unit: FloatArray, form: PhaseForm) -> Ph
     return PhaseErrors(current, torque, 2 * _DENSE)
 
 
-def _candidate(machine: PhaseMachine, unit: FloatArray, name: str, form: PhaseForm) -> PhaseCandidate:
+def _candidate(machine: PhaseMachine, unit: FloatArray, name: str, form: PhaseTable | PhaseHarmonics) -> PhaseCandidate:
     return PhaseCandidate(name, form, phase_errors(machine, unit, form), form.flash, form.operations)
 
 

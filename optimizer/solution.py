@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqforge.machines.design import Design
+from dqforge.machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.settings import Strategy
 from dqforge.machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.optimizer.certificate import Certificate, certify
@@ -31,6 +32,7 @@ from dqforge.optimizer.observer_tuning import PositionObserver, tune_position_ob
 from dqforge.optimizer.phase_reference import PhaseFit, fit_phases
 from dqforge.optimizer.reference_fit import ReferenceFit, domain_end, fit_reference
 from dqforge.optimizer.robustness import RobustSet, current_robustness, speed_robustness, turning_robustness
+from dqforge.optimizer.salient_reference import fit_salient_phases
 from dqforge.optimizer.surface_fit import WeakeningFit, fit_weakening
 from dqforge.optimizer.tolerance_box import Axis, drive_box
 from dqforge.optimizer.waveform_comparison import WaveformComparison, compare_waveforms, limits_of, require_phases
@@ -242,8 +244,10 @@ def solve_mission(design: Design) -> MissionComparison | None:
 
 def solve_phases(design: Design) -> PhaseFit:
     """Phase currents per torque of a design whose machine has a non-sinusoidal back-EMF."""
-    machine = require_phases(design)
-    return fit_phases(machine, limits_of(design, design.waveform, 0.0), design.waveform)
+    machine, limits = require_phases(design), limits_of(design, design.waveform, 0.0)
+    if isinstance(machine, SalientPhaseMachine):
+        return fit_salient_phases(machine, limits, design.waveform)
+    return fit_phases(machine, limits, design.waveform)
 
 
 def solve_weakening(design: Design) -> WeakeningFit | None:

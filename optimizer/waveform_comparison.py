@@ -220,9 +220,7 @@ def _salient(machine: SalientPhaseMachine, torque: float, omega_m: float, limits
         with contextlib.suppress(NoSolutionError):
             point = solve_salient(machine, torque, omega_m, within)
         losses.append(math.nan if point is None else point.copper)
-    return _Limited(
-        found.currents, found.binding, np.array(losses), floor=found.floor, iterations=found.iterations
-    )
+    return _Limited(found.currents, found.binding, np.array(losses), floor=found.floor, iterations=found.iterations)
 
 
 def _front_limits(torque: float, limits: WaveformLimits) -> list[WaveformLimits]:

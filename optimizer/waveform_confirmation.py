@@ -1,4 +1,4 @@
-"""A second opinion on every quadratic programme of phase currents: OSQP on the same problem, judged by its own KKT pair.
+"""A second opinion on quadratic programmes of phase currents: OSQP on the same problem, judged by its own KKT pair.
 
 OSQP is an operator-splitting method with its own scaling; nothing is shared with DAQP and PIQP but the problem's data.
 Residuals are computed here from the primal and dual values that it returns, not taken from its report.
@@ -119,9 +119,7 @@ def confirm_waveforms(
         else:
             theirs = Residuals(np.nan, np.nan, np.nan)
             verdict = "confirmed infeasible" if proof is not None and _proves(point, proof) else "differs"
-        found.append(
-            Confirmation(torque, omega_m, limits.ripple, ours, theirs, loss, current, iterations, verdict)
-        )
+        found.append(Confirmation(torque, omega_m, limits.ripple, ours, theirs, loss, current, iterations, verdict))
     return tuple(found)
 
 

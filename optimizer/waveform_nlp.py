@@ -206,9 +206,7 @@ def _current_bounds(limits: WaveformLimits, part: int) -> tuple[FloatArray, Floa
     return -most, most
 
 
-def _start(
-    machine: SalientPhaseMachine, torque: float, limits: WaveformLimits
-) -> tuple[FloatArray | None, FloatArray]:
+def _start(machine: SalientPhaseMachine, torque: float, limits: WaveformLimits) -> tuple[FloatArray | None, FloatArray]:
     """Best currents in A of constant torque angle by angle, None without any, and those to start from; (3, N)."""
     try:
         best = pointwise_currents(machine, np.array([torque]), limits.topology, limits.open_phase)[0]

@@ -167,7 +167,7 @@ def _binding(problem: WaveformProblem, over: FloatArray) -> BoolArray:
 
 
 def complementarity(point: PointProblem, rows: FloatArray, multipliers: FloatArray) -> float:
-    """Largest product of a multiplier and the room that its row leaves, shape (m,) both; upper bounds count positive."""
+    """Largest product of a multiplier, positive at an upper bound, and the room that its row leaves; shapes (m,)."""
     at_upper, at_lower = multipliers > 0.0, multipliers < 0.0
     room = np.where(at_upper, point.upper - rows, np.where(at_lower, rows - point.lower, 0.0))
     return float(np.max(np.abs(multipliers * room)))

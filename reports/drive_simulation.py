@@ -11,6 +11,7 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.scenario import Profile, Scenario
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.solution import Solution, solve
@@ -79,10 +80,22 @@ class DriveSimulation:
 
 
 def drive_of(design: Design) -> Drive:
-    """What is simulated of a design."""
+    """What is simulated of a design.
+
+    Raises
+    ------
+    InputError
+        The inductances of its phases vary with the angle, which the simulated machine has no equations for.
+    """
+    phases = design.phase_machine
+    if isinstance(phases, SalientPhaseMachine):
+        raise InputError(
+            "simulation: a machine with inductance_harmonics is not simulated, the simulated phases have constant"
+            " inductances; leave machine.inductance_harmonics out, or the simulation"
+        )
     speed = design.control.speed_loop
     ratio = 1 if speed is None else speed.ratio
-    return Drive(design.machine, design.inverter, design.control.t_s, ratio, design.phase_machine)
+    return Drive(design.machine, design.inverter, design.control.t_s, ratio, phases)
 
 
 def controller_files(solution: Solution) -> dict[str, bytes]:

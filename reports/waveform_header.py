@@ -9,7 +9,17 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.phase_reference import PhaseFit, PhaseHarmonics, PhaseReference, PhaseTable, sample_angles
+from dqforge.optimizer.phase_reference import (
+    HALF_ROOT_3,
+    PhaseFit,
+    PhaseHarmonics,
+    PhasePolynomials,
+    PhaseReference,
+    PhaseTable,
+    Weights,
+    polynomial_steps,
+    sample_angles,
+)
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.header_title import title
@@ -18,6 +28,8 @@ from dqforge.reports.templating import render
 
 _SEED = 20_260_502
 _LONGEST = 4096
+_MOST_HARMONICS = 200
+_MOST_TERMS = 32
 
 
 def plain_phase_reference(reference: PhaseReference) -> PlainData:
@@ -26,6 +38,14 @@ def plain_phase_reference(reference: PhaseReference) -> PlainData:
     plain: PlainData = {"torque_max": shortest(reference.torque_max)}
     if isinstance(form, PhaseTable):
         return plain | {"form": "table", "table": _rows(form.entries)}
+    if isinstance(form, PhasePolynomials):
+        return plain | {
+            "form": "polynomials",
+            "stride": form.stride,
+            "inverse": shortest(form.inverse),
+            "cosine": _weights(form.cosine),
+            "sine": _weights(form.sine),
+        }
     return plain | {
         "form": "harmonics",
         "stride": form.stride,
@@ -36,6 +56,30 @@ def plain_phase_reference(reference: PhaseReference) -> PlainData:
 
 def _rows(values: SingleArray) -> list[list[float]]:
     return [[shortest(value) for value in row] for row in values]
+
+
+def _weights(weights: Weights) -> list[list[list[float]]]:
+    return [[[shortest(np.float32(value)) for value in weight] for weight in row] for row in weights]
+
+
+def _weights_from(rows: Any) -> Weights:
+    """Weights as `_weights` writes them; ValueError where they are not float32 values or not finite."""
+    found = tuple(tuple(tuple(float(np.float32(value)) for value in weight) for weight in row) for row in rows)
+    values = np.array([value for row in found for weight in row for value in weight])
+    if not np.all(np.isfinite(values)) or max(len(weight) for row in found for weight in row) > _MOST_TERMS:
+        raise ValueError
+    return found
+
+
+def _polynomials_from(plain: Mapping[str, Any]) -> PhasePolynomials:
+    cosine, sine = _weights_from(plain["cosine"]), _weights_from(plain["sine"])
+    stride, inverse = int(plain["stride"]), np.float32(plain["inverse"])
+    sizes = {len(row) for row in (*cosine, *sine)}
+    if len(cosine) != len(sine) or len(cosine) not in (1, 3) or len(sizes) != 1 or not np.isfinite(inverse):
+        raise ValueError
+    if stride not in (1, 2) or not 0 < sizes.pop() < _MOST_HARMONICS:
+        raise ValueError
+    return PhasePolynomials(cosine, sine, stride, inverse)
 
 
 def phase_reference_from(plain: Mapping[str, Any]) -> PhaseReference:
@@ -54,9 +98,17 @@ def phase_reference_from(plain: Mapping[str, Any]) -> PhaseReference:
             if entries.shape[0] not in (1, 3) or not 24 < entries.shape[1] <= _LONGEST:
                 raise fault
             return PhaseReference(PhaseTable(entries), torque_max)
+        if plain["form"] == "polynomials":
+            return PhaseReference(_polynomials_from(plain), torque_max)
         cosine, sine = _array(plain["cosine"]), _array(plain["sine"])
         stride = int(plain["stride"])
-        if cosine.shape != sine.shape or cosine.shape[0] != 3 or stride not in (1, 2) or not 0 < cosine.shape[1] < 200:
+        count = cosine.shape[1]
+        if (
+            cosine.shape != sine.shape
+            or cosine.shape[0] != 3
+            or stride not in (1, 2)
+            or not 0 < count < _MOST_HARMONICS
+        ):
             raise fault
         return PhaseReference(PhaseHarmonics(cosine, sine, stride), torque_max)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -103,7 +155,7 @@ def _error_lines(fit: PhaseFit) -> list[str]:
 
 def _terms(plain: PlainData) -> list[list[PlainData]]:
     """Products of each phase in the order in which they are added; none of a table."""
-    if plain["form"] == "table":
+    if plain["form"] != "harmonics":
         return []
     rows = []
     for cosine, sine in zip(plain["cosine"], plain["sine"], strict=True):
@@ -122,6 +174,58 @@ def _terms(plain: PlainData) -> list[list[PlainData]]:
     return rows
 
 
+def _weight_steps(weight: tuple[float, ...]) -> PlainData | None:
+    """How the C evaluates one weight: Horner's rule in x or its square."""
+    if not weight:
+        return None
+    coefficients, variable, odd = polynomial_steps(weight)
+    return {"last": coefficients[-1], "others": coefficients[-2::-1], "variable": variable, "odd": odd}
+
+
+def _polynomial_context(form: PhasePolynomials) -> PlainData:
+    """Harmonics in the order in which the C adds them, each with the weights of its rows."""
+    equal, started = len(form.cosine) == 1, set()
+    harmonics = []
+    for harmonic in range(form.size):
+        order = 1 + form.stride * harmonic
+        rows = []
+        for row, (cosine, sine) in enumerate(zip(form.cosine, form.sine, strict=True)):
+            a, b = _weight_steps(cosine[harmonic]), _weight_steps(sine[harmonic])
+            if a is None and b is None:
+                continue
+            along = ("along" if order % 3 else "common") if equal else f"i_{'abc'[row]}"
+            turns = equal and order % 3 != 0
+            rows.append(
+                {
+                    "cosine": a,
+                    "sine": b,
+                    "along": along,
+                    "first_along": along not in started,
+                    "across": turns,
+                    "first_across": turns and "across" not in started,
+                    "sign": "" if order % 3 == 1 else "-",
+                }
+            )
+            started |= {along, "across"} if turns else {along}
+        harmonics.append({"order": order, "rows": rows})
+    weights = [weight for part in (form.cosine, form.sine) for row in part for weight in row if len(weight) > 1]
+    names = ("common", "along", "across") if equal else ("i_a", "i_b", "i_c")
+    return {
+        "equal": equal,
+        "stride": form.stride,
+        "harmonics": harmonics,
+        "sums": [{"name": name, "used": name in started} for name in names],
+        "uses": {
+            "x": bool(weights),
+            "square": any(polynomial_steps(weight)[1] == "square" for weight in weights),
+            "a": any(any(row) for row in form.cosine),
+            "b": any(any(row) for row in form.sine),
+        },
+        "inverse": shortest(form.inverse),
+        "half_root_3": shortest(HALF_ROOT_3),
+    }
+
+
 def _context(design: Design, fit: PhaseFit) -> PlainData:
     plain = plain_phase_reference(fit.reference)
     rule = "without" if design.inverter.topology == "three-wire" else "with"
@@ -130,8 +234,11 @@ def _context(design: Design, fit: PhaseFit) -> PlainData:
         if plain["form"] == "table"
         else "sine, cosine: of the electrical angle of the d axis from phase a."
     )
+    form = fit.reference.form
+    proportional = "not in proportion to" if isinstance(form, PhasePolynomials) else "proportional to"
     return {
         **title(design),
+        "polynomials": _polynomial_context(form) if isinstance(form, PhasePolynomials) else None,
         "torque_max": plain["torque_max"],
         "form": {"table": None, "size": 0} | plain | ({"size": len(plain["table"][0]) - 1} if "table" in plain else {}),
         "terms": _terms(plain),
@@ -140,7 +247,7 @@ def _context(design: Design, fit: PhaseFit) -> PlainData:
             "Compile with -ffp-contract=off to equal the test vectors bit for bit; the stated errors hold either way.",
         ],
         "comment": [
-            f"Constant torque at least copper loss, {rule} zero-sequence current; proportional to the torque.",
+            f"Constant torque at least copper loss, {rule} zero-sequence current; {proportional} the torque.",
             "torque_Nm: torque in N m, clamped to +-TORQUE_MAX; i_a_A, i_b_A, i_c_A: phase currents in A.",
             angle,
             *_error_lines(fit),
@@ -155,8 +262,9 @@ def waveform_files(design: Design, fit: PhaseFit) -> dict[str, bytes]:
     currents = model_currents(fit.reference, inputs)
     vectors = np.concatenate([inputs, currents], axis=1)
     more = {"vectors": [list(row) for row in vectors], "inputs": inputs.shape[1]}
+    template = "waveform.h.j2" if context["polynomials"] is None else "waveform_salient.h.j2"
     texts = {
-        f"{prefix}_waveform.h": render("waveform.h.j2", context),
+        f"{prefix}_waveform.h": render(template, context),
         f"{prefix}_waveform_vectors.h": render("waveform_vectors.h.j2", context | more),
     }
     return {name: text.encode("ascii") for name, text in texts.items()}
