@@ -154,7 +154,9 @@ def common_lyapunov(matrices: FloatArray, contraction: float) -> FloatArray | No
     try:
         import cvxpy as cp
     except ImportError as error:
-        raise InputError("the certificate needs cvxpy and clarabel; install dqforge[lmi]") from error
+        raise InputError(
+            "the certificate needs cvxpy and clarabel; install with: pip install cvxpy clarabel"
+        ) from error
 
     n = matrices.shape[1]
     p, size = cp.Variable((n, n), symmetric=True), cp.Variable()

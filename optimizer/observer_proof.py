@@ -1,4 +1,4 @@
-"""What is proven of a design's flux observer over its speed range, where the solvers for it are installed."""
+"""What is proven of a design's flux observer over its speed range."""
 
 from __future__ import annotations
 
@@ -31,6 +31,8 @@ class ObserverProof:
         Largest |i_q| in A, at i_d = 0.
     reason:
         Why there is none, empty otherwise.
+    searched:
+        Whether one was searched for: not where a package for it is missing.
     """
 
     contraction: float | None
@@ -38,21 +40,24 @@ class ObserverProof:
     omega_high: float
     i_q: float
     reason: str = ""
+    searched: bool = True
 
 
 def prove(observer: PositionObserver | None) -> ObserverProof | None:
     """Search a proof from the least speed at which the observer holds to the largest of the drive.
 
-    None for other methods, which have none, and where cvxpy or Clarabel (dqforge[lmi]) are not installed.
+    None for other methods, which have none. Where cvxpy or Clarabel is missing, the result says so.
     """
     if observer is None or not isinstance(observer.gains, FluxGains):
-        return None
-    if find_spec("cvxpy") is None or find_spec("clarabel") is None:
         return None
     low, high = observer.judgement.omega_low, observer.omega_max
     if not (np.isfinite(low) and low < high):
         low = _LEAST_SHARE * high
     i_q = observer.disturbances.i_load
+    missing = [name for name in ("cvxpy", "clarabel") if find_spec(name) is None]
+    if missing:
+        reason = f"the search needs {' and '.join(missing)}; install with: pip install {' '.join(missing)}"
+        return ObserverProof(None, low, high, i_q, reason, searched=False)
     try:
         found = certify_flux_observer(
             observer.gains, low, high, (1j * i_q, -1j * i_q), pieces=_PIECES, bisections=_BISECTIONS

@@ -41,7 +41,7 @@ from dqforge.reports.html_tables import (
 )
 from dqforge.reports.html_text import count, degrees, number, quantity, share, symbols
 from dqforge.reports.html_tolerances import tolerance_tables
-from dqforge.reports.html_waveforms import candidates_table, comparison_text, rules_table
+from dqforge.reports.html_waveforms import candidates_table, comparison_text, confirmations_table, rules_table
 from dqforge.reports.labels import FORMAT_TEXT, MODULATION_LABELS, operation_text, point_text, watts
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.simulation_tables import simulation_part
@@ -271,7 +271,11 @@ def _waveform_part(solution: Solution) -> PlainData | None:
         return None
     return {
         "text": comparison_text(solution.waveforms),
-        "tables": [rules_table(solution.waveforms), candidates_table(solution.phases)],
+        "tables": [
+            rules_table(solution.waveforms),
+            candidates_table(solution.phases),
+            *([confirmations_table(solution.waveforms)] if solution.waveforms.confirmations else []),
+        ],
         "file": f"{solution.design.export.prefix}_waveform.h",
     }
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 from dqforge.optimizer.phase_reference import PhaseCandidate, PhaseFit
 from dqforge.optimizer.waveform_comparison import RuleCurrents, WaveformComparison
+from dqforge.optimizer.waveform_confirmation import Confirmation
 from dqforge.reports.html_tables import HtmlTable, Row, ceiling
 from dqforge.reports.html_text import quantity, share, symbols
-from dqforge.reports.waveform_tables import RULE_TEXT
+from dqforge.reports.waveform_tables import RULE_TEXT, optimality_note
 
 _ROUNDING = 1e-9
 
@@ -17,7 +20,8 @@ def comparison_text(comparison: WaveformComparison) -> str:
     where = f"{quantity(comparison.torque, 'N m')} at {quantity(comparison.omega_m, 'rpm')}"
     held = f"held by the limits of {', '.join(comparison.binding)}" if comparison.binding else "held by no limit"
     source = f"{quantity(limits.v_dc, 'V')} ({limits.topology}), at most {quantity(limits.i_max, 'A')} (peak)"
-    return f"{where} from {source}; the last row is {held}."
+    note = optimality_note(comparison)
+    return f"{where} from {source}; the last row is {held}.{f' {note[0].upper()}{note[1:]}.' if note else ''}"
 
 
 def _cells(found: RuleCurrents) -> tuple[str, ...]:
@@ -44,6 +48,36 @@ def rules_table(comparison: WaveformComparison) -> HtmlTable:
     )
     caption = "Phase currents by rule: copper loss, torque ripple, currents, dc link needed"
     return HtmlTable(caption, tuple(symbols(text) for text in columns), rows)
+
+
+def _confirmation_cells(entry: Confirmation) -> tuple[str, ...]:
+    return (
+        share(entry.ripple / abs(entry.torque)) if entry.torque else "0",
+        entry.verdict,
+        *(f"{side.largest:.1e}" if math.isfinite(side.largest) else "none" for side in (entry.ours, entry.theirs)),
+        f"{100.0 * entry.loss_difference:+.0e} %" if math.isfinite(entry.loss_difference) else "none",
+        f"{entry.current_difference:.1e} A" if math.isfinite(entry.current_difference) else "none",
+        f"{entry.iterations}",
+    )
+
+
+def confirmations_table(comparison: WaveformComparison) -> HtmlTable:
+    """Every quadratic programme with the residuals of both solvers."""
+    columns = (
+        "deviation",
+        "by OSQP",
+        "residual here",
+        "residual of OSQP",
+        "loss",
+        "current",
+        "iterations",
+    )
+    rows = tuple(
+        Row(_confirmation_cells(entry), "muted" if entry.verdict == "differs" else "")
+        for entry in comparison.confirmations
+    )
+    caption = "The same programmes solved by OSQP: largest residual of the optimality conditions, differences"
+    return HtmlTable(caption, columns, rows)
 
 
 def _candidate_cells(entry: PhaseCandidate) -> tuple[str, ...]:

@@ -32,6 +32,8 @@ def proof_text(proof: ObserverProof) -> str:
     """What is proven over the speed range, in one line."""
     low, high = (value / (2.0 * math.pi) for value in (proof.omega_low, proof.omega_high))
     span = f"{low:.3g} to {high:.3g} Hz, |i_q| up to {proof.i_q:.3g} A"
+    if not proof.searched:
+        return f"nothing is proven for {span}: {proof.reason}"
     if proof.contraction is None:
         return f"no common Lyapunov function was found for {span}: {proof.reason}"
     return (

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 
 import numpy as np
 
 from dqforge.machines.design import Design
+from dqforge.machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.phase_currents import spectrum
 from dqforge.optimizer.waveform_comparison import RuleCurrents, WaveformComparison
+from dqforge.optimizer.waveform_confirmation import Confirmation
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.tables import Table
 
@@ -64,6 +67,50 @@ def _front_table(comparison: WaveformComparison) -> Table:
     return Table("The price of smooth torque within all limits", columns, rows)
 
 
+def _residual(value: float) -> str:
+    return f"{value:.1e}" if math.isfinite(value) else "none"
+
+
+def _confirmation_table(comparison: WaveformComparison) -> Table:
+    """Every quadratic programme with the residuals of both solvers."""
+    rows = tuple(
+        (
+            f"{100.0 * entry.ripple / abs(entry.torque):g}" if entry.torque else "0",
+            entry.verdict,
+            _residual(entry.ours.largest),
+            _residual(entry.theirs.largest),
+            f"{100.0 * entry.loss_difference:+.0e}" if math.isfinite(entry.loss_difference) else "none",
+            _residual(entry.current_difference),
+            f"{entry.iterations}",
+        )
+        for entry in comparison.confirmations
+    )
+    columns = (
+        "permitted deviation %",
+        "by OSQP",
+        "residual here",
+        "residual of OSQP",
+        "loss difference %",
+        "current difference A",
+        "iterations",
+    )
+    return Table("The same programmes solved by OSQP: largest residual of the optimality conditions", columns, rows)
+
+
+def optimality_note(comparison: WaveformComparison) -> str:
+    """What is known of the optimum of a salient machine; empty for others, whose programmes are convex."""
+    if not isinstance(comparison.machine, SalientPhaseMachine):
+        return ""
+    if comparison.iterations == 0:
+        return "within all limits: the global optimum, since each angle has its own"
+    found = f"within all limits: a local optimum (IPOPT, {comparison.iterations} iterations)"
+    if not math.isfinite(comparison.floor):
+        return found
+    copper = float(comparison.rules[-1].figures.copper[0])
+    above = 100.0 * (copper / comparison.floor - 1.0)
+    return f"{found}; no currents of constant torque lose less than {comparison.floor:.4g} W, {above:.2g} % below"
+
+
 def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Table]:
     """One row per rule: loss, ripple, currents, demand on the bus, and what it breaks; then harmonics of phase a."""
     limits = comparison.limits
@@ -84,6 +131,7 @@ def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Tabl
     notes = [
         f"{where}; dc link {limits.v_dc:.4g} V, {limits.topology}, {limits.i_max:.4g} A (peak)",
         f"within all limits: {held}",
+        *filter(None, [optimality_note(comparison)]),
         *(f"{rule}: {reason}" for rule, reason in comparison.impossible),
     ]
     rows = tuple(_row(found, base) for found in comparison.rules)
@@ -93,7 +141,23 @@ def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Tabl
     if harmonics:
         names = ("order", *(f"{found.rule} %" for found in comparison.rules))
         tables.append(Table("Harmonics of the current of phase a, in % of its fundamental", names, harmonics))
+    if comparison.confirmations:
+        tables.append(_confirmation_table(comparison))
     return tables
+
+
+def _plain_confirmation(entry: Confirmation) -> PlainData:
+    return {
+        "torque_Nm": entry.torque,
+        "omega_m_rad_per_s": entry.omega_m,
+        "ripple_Nm": entry.ripple,
+        "verdict": entry.verdict,
+        "residuals": asdict(entry.ours) | {"largest": entry.ours.largest},
+        "residuals_osqp": asdict(entry.theirs) | {"largest": entry.theirs.largest},
+        "loss_difference": entry.loss_difference,
+        "current_difference_A": entry.current_difference,
+        "iterations": entry.iterations,
+    }
 
 
 def plain_waveforms(comparison: WaveformComparison) -> PlainData:
@@ -113,6 +177,10 @@ def plain_waveforms(comparison: WaveformComparison) -> PlainData:
         },
         "binding": list(comparison.binding),
         "ripple_front": [{"deviation": ripple, "copper_W": loss} for ripple, loss in comparison.front],
+        "confirmations": [_plain_confirmation(entry) for entry in comparison.confirmations],
+        "optimality": {"floor_W": comparison.floor, "iterations": comparison.iterations}
+        if isinstance(comparison.machine, SalientPhaseMachine)
+        else None,
         "impossible": [{"rule": rule, "reason": reason} for rule, reason in comparison.impossible],
         "theta_rad": 2.0 * np.pi * np.arange(comparison.machine.angles) / comparison.machine.angles,
         "emf_over_omega_Wb": comparison.machine.flux,
