@@ -36,29 +36,32 @@ _TORQUES = 40  # even likewise: the currents per torque have no value at zero
 _SYMMETRIC = 1e-9
 _NOTHING = 1e-9
 _SCAN = 64
+_HALVINGS = 60
 
 
 def largest_torque(machine: SalientPhaseMachine, limits: WaveformLimits) -> float:
-    """Largest torque in N m that constant torque of both signs reaches within the current limit."""
+    """Largest torque in N m that is made constant with both signs within the current limit."""
+    from scipy.optimize import brentq
 
-    def peak(torque: float) -> float:
-        """Largest phase current in A over both signs; infinite where a torque cannot be made."""
-        try:
-            both = pointwise_currents(machine, np.array([torque, -torque]), limits.topology, limits.open_phase)
-        except NoSolutionError:
-            return np.inf
-        return float(np.max(np.abs(both)))
+    free = free_currents(limits.topology, limits.open_phase)
+    forms = torque_forms(machine.flux, machine.slope, machine.pole_pairs, free)
+
+    def room(torque: float) -> float:
+        """What the current limit leaves in A, over both signs; minus infinity where a torque cannot be made."""
+        peak = float(np.max(np.abs(least_currents(forms, np.array([torque, -torque])))))
+        return limits.i_max - peak if np.isfinite(peak) else -np.inf
 
     low = 0.0
     high = machine.pole_pairs * float(np.max(np.abs(machine.flux))) * limits.i_max / _SCAN
-    while peak(high) <= limits.i_max:
-        low, high = high, high * (1.0 + 1.0 / 16.0)
-    if low == 0.0:
-        # Nothing at all, or a limit below the first step.
-        pointwise_currents(machine, np.array([high]), limits.topology, limits.open_phase)
-    for _ in range(60):
+    # Refuses what no current makes, by the angle.
+    pointwise_currents(machine, np.array([high, -high]), limits.topology, limits.open_phase)
+    while room(high) >= 0.0:
+        low, high = high, 1.125 * high
+    if np.isfinite(room(high)):
+        return float(brentq(room, low, high, xtol=1e-12 * high, rtol=1e-14))
+    for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if peak(middle) <= limits.i_max else (low, middle)
+        low, high = (middle, high) if room(middle) >= 0.0 else (low, middle)
     return low
 
 
