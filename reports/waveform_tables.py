@@ -108,7 +108,7 @@ def optimality_note(comparison: WaveformComparison) -> str:
         return found
     copper = float(comparison.rules[-1].figures.copper[0])
     above = 100.0 * (copper / comparison.floor - 1.0)
-    return f"{found}; no currents of constant torque lose less than {comparison.floor:.4g} W, {above:.2g} % below"
+    return f"{found}; they lose {above:.2g} % more than {comparison.floor:.4g} W, which no constant torque undercuts"
 
 
 def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Table]:

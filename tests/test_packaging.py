@@ -65,5 +65,54 @@ def test_help_imports_nothing_heavy() -> None:
     assert done.stderr.strip() == "[]"
 
 
+CARD = ("casadi", "nlopt", "numpy", "cvxpy", "osqp", "yaml")
+"""What a plain installation brings for single tasks, by the name that is imported."""
+
+
+def loaded_by(*arguments: str) -> tuple[set[str], int]:
+    """Which packages of the card a command of its own process imports, and its exit code."""
+    program = (
+        "import sys\nfrom dqforge import cli\ncode = 0\n"
+        f"try:\n    code = cli.main({list(arguments)!r})\nexcept SystemExit as end:\n    code = end.code\n"
+        f"print(*[name for name in {CARD!r} if name in sys.modules], file=sys.stderr)\nsys.exit(code or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    return set(done.stderr.splitlines()[-1].split()) if done.stderr.strip() else set(), done.returncode
+
+
+FLUX_OBSERVER = "  observer:\n    method: flux\n    bandwidth: 400 rad/s\n"
+
+
+def test_each_package_of_the_card_is_loaded_where_it_works_alone(tmp_path: Path) -> None:
+    """The design reader takes numpy and YAML; every other package comes with the one command that needs it."""
+    from dqforge.machines import catalogue
+
+    design = tmp_path / "flux.yaml"
+    text = catalogue.read_text("abb-ipmsm-2k2").decode().replace("  observer:\n    pole: 200 rad/s\n", FLUX_OBSERVER)
+    assert FLUX_OBSERVER in text
+    design.write_text(text, encoding="utf-8")
+    waves, salient, linear = "paper002-phase-waveforms", "salient-phase-waveforms", "paper000-ipmsm-100kw"
+    assert loaded_by("--help") == (set(), 0)
+    for name in (waves, salient, linear, str(design)):
+        assert loaded_by("check", name) == ({"numpy", "yaml"}, 0)
+    assert loaded_by("dqy", waves) == ({"numpy", "yaml", "osqp"}, 0)
+    assert loaded_by("dqy", salient) == ({"numpy", "yaml", "casadi"}, 0)
+    assert loaded_by("tune", str(design)) == ({"numpy", "yaml", "cvxpy", "osqp"}, 0)  # cvxpy looks for all its solvers
+    assert loaded_by("tune", linear) == ({"numpy", "yaml"}, 0)
+
+
+def test_a_plain_installation_brings_the_whole_card() -> None:
+    """No extra is needed for any of them, and the locked versions that `make demo` installs hold them all."""
+    import tomllib
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    plain = {line.split(">")[0] for line in project["dependencies"]}
+    locked = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    for name in CARD:
+        package = {"yaml": "pyyaml"}.get(name, name)
+        assert package in plain
+        assert f"\n{package}==" in f"\n{locked}"
+
+
 def test_only_two_modules_lie_in_the_root() -> None:
     assert {path.name for path in ROOT.glob("*.py")} == {"__init__.py", "cli.py"}

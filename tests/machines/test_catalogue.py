@@ -27,6 +27,7 @@ def test_names() -> None:
         "paper001-pmsm-bench",
         "paper002-phase-waveforms",
         "paper002-pmsm-nonsinusoidal",
+        "salient-phase-waveforms",
         "thor-pmsyrm-5k",
     ]
 

@@ -179,5 +179,11 @@ def test_tune_says_what_is_proven_of_the_flux_observer(monkeypatch: pytest.Monke
     assert refused is not None
     assert refused.contraction is None
     assert "no common Lyapunov function was found" in proof_text(refused)
-    monkeypatch.setattr(observer_proof, "find_spec", lambda _: None)
-    assert prove(observer) is None
+    for gone in (("cvxpy",), ("clarabel",), ("cvxpy", "clarabel")):
+        monkeypatch.setattr(observer_proof, "find_spec", lambda name, gone=gone: None if name in gone else name)
+        missing = prove(observer)
+        assert missing is not None
+        assert (missing.contraction, missing.searched) == (None, False)
+        said = f"the search needs {' and '.join(gone)}; install with: pip install {' '.join(gone)}"
+        assert said in position_parts(observer, missing)[0][3][-1]
+        assert "\n" not in proof_text(missing)

@@ -71,6 +71,11 @@ def headers() -> dict[str, dict[str, bytes]]:
     for form in forms:
         shaped = replace(design, waveform=WaveformSettings(form=form))
         found[f"waveform {form}"] = waveform_files(shaped, solve_phases(shaped))
+    salient = catalogue.load("salient-phase-waveforms")
+    for name, open_phase in (("equal phases", None), ("open phase", "a")):
+        settings = WaveformSettings(open_phase=open_phase)  # type: ignore[arg-type]
+        shaped = replace(salient, waveform=settings, export=replace(salient.export, prefix="drive"))
+        found[f"waveform salient {name}"] = waveform_files(shaped, solve_phases(shaped))
     for name, machine, rpm in (("smooth", IPM, 9000.0), ("two segments", INVERSE_SALIENT, 18_000.0)):
         weakened = replace(make_design(machine), weakening=WeakeningSettings(rpm * math.pi / 30.0))
         fit = solve_weakening(weakened)

@@ -77,6 +77,7 @@ DESIGNS: dict[str, Callable[[], Design]] = {
     "control and position observer": bench,
     "speed observer": lambda: catalogue.load(BENCH),
     "phase currents": lambda: catalogue.load("paper002-phase-waveforms"),
+    "salient phase currents": lambda: catalogue.load("salient-phase-waveforms"),
     "rule": lambda: changed("paper000-ipmsm-100kw", (r"(?ms)^modulation_choice:.*?(?=^export:)", SMALL_RULE)),
     "surface": lambda: changed(
         "paper000-ipmsm-100kw", (r"(?ms)^modulation_choice:.*?(?=^export:)", ""), more="\nfield_weakening: {}\n"
