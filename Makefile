@@ -1,4 +1,4 @@
-# make demo: set everything up and run the main job on a shipped drive; make test: set everything up and run the tests.
+# make demo: set everything up, run the main job on a shipped drive and shape phase currents of two others; make test: set everything up and run the tests.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -8,6 +8,8 @@ DEMO_DESIGN ?= paper000-ipmsm-100kw
 
 demo: $(VENV)/runtime.stamp
 	$(BIN)/dqforge run $(DEMO_DESIGN) -o out/demo
+	$(BIN)/dqforge dqy paper002-phase-waveforms
+	$(BIN)/dqforge dqy salient-phase-waveforms
 
 # One thread per worker: the matrices are small, and threads of the linear algebra get in each other's way.
 test: $(VENV)/dev.stamp

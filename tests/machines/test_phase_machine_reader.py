@@ -11,6 +11,7 @@ from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.loader import load_design, load_text
 from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.synchronous import LinearMachine
 
 TEXT = """\
@@ -40,7 +41,7 @@ def loaded(back: str, text: str = TEXT) -> Design:
 
 
 def phases(design: Design) -> PhaseMachine:
-    assert design.phase_machine is not None
+    assert isinstance(design.phase_machine, PhaseMachine)
     return design.phase_machine
 
 
@@ -137,3 +138,51 @@ def test_a_neutral_and_waveforms_need_such_a_machine() -> None:
     without = "".join(line for line in linear.splitlines(keepends=True) if not line.startswith("waveform:"))
     with pytest.raises(InputError, match="four-leg serves machines of model: waveform"):
         load_text(without.encode(), "linear.yaml")
+
+
+SALIENT = TEXT.replace(
+    "  back_emf:",
+    "  inductance_harmonics: [{order: 2, amplitude: -2 mH}, {order: 4, amplitude: 0.3 mH, mutual: 0 mH}]\n  back_emf:",
+)
+
+
+def test_saliency_is_read_about_the_d_axis() -> None:
+    """L_aa, L_bc and the dq inductances as the page on phase currents writes them."""
+    design = loaded(HARMONICS, SALIENT)
+    machine = design.phase_machine
+    assert isinstance(machine, SalientPhaseMachine)
+    theta = 2.0 * np.pi * np.arange(machine.angles) / machine.angles
+    own = 7e-3 - 2e-3 * np.cos(2.0 * theta) + 0.3e-3 * np.cos(4.0 * theta)
+    np.testing.assert_allclose(machine.inductance[:, 0, 0], own, atol=1e-12)
+    np.testing.assert_allclose(machine.inductance[:, 1, 1], np.roll(own, machine.angles // 3), atol=1e-12)
+    np.testing.assert_allclose(machine.inductance[:, 1, 2], -1e-3 - 2e-3 * np.cos(2.0 * theta), atol=1e-12)
+    assert isinstance(design.machine, LinearMachine)
+    np.testing.assert_allclose((design.machine.l_d, design.machine.l_q), (5e-3, 11e-3), rtol=1e-12)
+    assert any("l_d 5 mH, l_q 11 mH" in remark for remark in design.assumptions)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("order: 4", "order: 2", "order 2 is listed twice; remove one"),
+        ("order: 4", "order: 3", "inductance_harmonics"),
+        ("-2 mH}", "-9 mH}", "store no energy in some current"),
+        ("topology: four-leg", "topology: diode-neutral", "diode-neutral is not offered for a machine with"),
+        ("error: 0.1 %", "form: table", "a table over the angle needs currents in proportion to the torque"),
+        ("model: waveform", "model: linear", "belongs to the model 'waveform'"),
+        ("BACK", "{harmonics: [{order: 1, amplitude: 0.2 Wb, phase: 20 deg}]}", "write order 1 with phase: 0 deg"),
+    ],
+)
+def test_saliency_that_makes_no_machine_is_refused_at_its_place(old: str, new: str, message: str) -> None:
+    assert old in SALIENT
+    with pytest.raises(InputError) as caught:
+        loaded(HARMONICS, SALIENT.replace(old, new))
+    assert message in str(caught.value)
+    assert caught.value.line is not None
+    assert "\n" not in str(caught.value)
+
+
+def test_a_salient_machine_is_not_simulated() -> None:
+    simulation = "simulation: {duration: 10 ms, speed: [[0 s, 100 rpm]]}\n"
+    with pytest.raises(InputError, match="simul"):
+        loaded(HARMONICS, SALIENT + simulation)
