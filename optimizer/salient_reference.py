@@ -80,7 +80,7 @@ class _Exact:
     def turns(self) -> FloatArray:
         """Angles over 2 pi, shape (M,)."""
         count = self.flux.shape[1]
-        return np.arange(count) / count
+        return np.asarray(np.arange(count) / count)
 
     def made(self, currents: FloatArray) -> FloatArray:
         """Torque in N m, shape (K, M), of currents (K, 3, M) in A."""
@@ -129,7 +129,7 @@ def _lines(machine: SalientPhaseMachine, limits: WaveformLimits, torque_max: flo
     basis[0] *= 0.5
     coefficients = np.einsum("rhx,nx->rhn", chosen, basis)
     parts = [np.where(np.abs(part) > _NOTHING * most, part, 0.0) for part in (coefficients.real, -coefficients.imag)]
-    return _Lines(parts[0], parts[1], orders, stride, equal)
+    return _Lines(parts[0], parts[1], orders.astype(np.float64), stride, equal)
 
 
 def _form(lines: _Lines, torque_max: float, harmonics: int, degree: int, least: float) -> PhasePolynomials:

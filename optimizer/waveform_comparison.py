@@ -188,7 +188,7 @@ def _by_rule(design: Design, machine: AnyPhaseMachine, rule: CurrentRule, torque
     zero sequence, as those of others.
     """
     if isinstance(machine, PhaseMachine):
-        return torque * unit_currents(machine, rule)
+        return np.asarray(torque * unit_currents(machine, rule))
     if rule != "dq":
         return pointwise_currents(machine, np.array([torque]), "three-wire" if rule == "dqx" else "six-leg")[0]
     return dq_waveform(*_dq_currents(design, torque), machine.angles)

@@ -11,6 +11,7 @@ import numpy as np
 
 from dqforge.machines import catalogue
 from dqforge.machines.dq_frames import FrameAngles, frame_angles, frame_rms, loss_ratio_x_over_y, thesis_shapes
+from dqforge.machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.phase_currents import spectrum, unit_currents
 from dqforge.optimizer.waveform_comparison import require_phases
@@ -77,7 +78,8 @@ def table_3_1() -> tuple[ComponentRow, ...]:
 
 def drive_curves() -> DriveCurves:
     """Curves of the shipped drive at 1 N m."""
-    machine = require_phases(catalogue.load(DESIGN_NAME))
+    drive = require_phases(catalogue.load(DESIGN_NAME))
+    machine = drive.phases if isinstance(drive, SalientPhaseMachine) else drive
     phi_m = float(np.max(np.abs(machine.flux)))
     currents = np.stack([_TORQUE * unit_currents(machine, rule)[0] for rule in ("dqx", "dqy")])
     i_qy = _TORQUE / (machine.pole_pairs * phi_m * np.sqrt(1.5))
