@@ -190,7 +190,8 @@ def _by_rule(design: Design, machine: AnyPhaseMachine, rule: CurrentRule, torque
     if isinstance(machine, PhaseMachine):
         return np.asarray(torque * unit_currents(machine, rule))
     if rule != "dq":
-        return pointwise_currents(machine, np.array([torque]), "three-wire" if rule == "dqx" else "six-leg")[0]
+        topology: Topology = "three-wire" if rule == "dqx" else "six-leg"
+        return np.asarray(pointwise_currents(machine, np.array([torque]), topology)[0])
     return dq_waveform(*_dq_currents(design, torque), machine.angles)
 
 

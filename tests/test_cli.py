@@ -615,3 +615,48 @@ def test_simulation_that_cannot_be_had(run: Run, tmp_path: Path, monkeypatch: py
     monkeypatch.setattr("shutil.which", lambda _: None)
     assert "Debian package gcc" in one_line(run("simulate", BENCH), 1)
     assert not (tmp_path / "out").exists()
+
+
+def test_phase_currents_of_a_salient_machine(run: Run, tmp_path: Path) -> None:
+    """Torque from the printed currents by p (f'i + i' dL/dtheta i / 2) with the inductances of the file; the header."""
+    import numpy as np
+
+    name = "salient-phase-waveforms"
+    document = json.loads(run("dqy", name, "--json").out)["waveforms"]
+    flux = np.array(document["emf_over_omega_Wb"])
+    theta = np.array(document["theta_rad"])
+    slope = np.zeros((theta.size, 3, 3))
+    for order, own, mutual in ((2, -1.8e-3, -1.8e-3), (4, 0.3e-3, -0.2e-3)):
+        for k in range(3):
+            wave = -order * np.sin(order * (theta - 2.0 * np.pi * k / 3.0))
+            j, m = (k + 1) % 3, (k + 2) % 3
+            slope[:, k, k] += own * wave
+            slope[:, j, m] += mutual * wave
+            slope[:, m, j] += mutual * wave
+    for rule in ("dqx", "dqy", "limited"):
+        currents = np.array(document["rules"][rule]["currents_A"])
+        square = np.einsum("kx,xkl,lx->x", currents, slope, currents)
+        np.testing.assert_allclose(2.0 * (np.sum(flux * currents, axis=0) + 0.5 * square), 3.0, rtol=1e-6)
+    assert document["rules"]["limited"]["breaks"] == []
+    assert document["rules"]["dqy"]["breaks"] == ["dc link"]
+    assert document["confirmations"] == []
+    assert 0.0 < document["optimality"]["floor_W"] < document["rules"]["limited"]["copper_W"]
+    run("run", name, "-o", "out")
+    assert "equal the model bit for bit" in run("verify", "out").out
+    header = (tmp_path / "out" / "salientw_waveform.h").read_text(encoding="ascii")
+    assert "not in proportion to the torque" in header
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "which no constant torque undercuts" in report
+
+
+def test_osqp_is_heard_on_the_terminal_in_the_report_and_in_json(run: Run, tmp_path: Path) -> None:
+    entries = json.loads(run("dqy", WAVES, "--json").out)["waveforms"]["confirmations"]
+    assert len(entries) == 7
+    assert {entry["verdict"] for entry in entries} == {"confirmed"}
+    table = run("dqy", WAVES).out.split("The same programmes solved by OSQP")[1]
+    run("run", WAVES, "-o", "out", "--no-verify")
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    for entry in entries:
+        assert f"{entry['residuals_osqp']['largest']:.1e}" in table
+        assert f"{entry['residuals']['largest']:.1e}" in table
+        assert f"{entry['residuals_osqp']['largest']:.1e}" in report
