@@ -48,6 +48,9 @@ _DEEPEST = 20
 _MOST_INTERVALS = 1500
 """Intervals that are looked at; what is left then keeps its bounds."""
 
+_HELD_POINTS = 201
+"""Torques at which it is asked whether the data of a flux map hold the currents."""
+
 _FAR = 1.05
 """Bounds above this multiple of what was found are worth a second way."""
 
