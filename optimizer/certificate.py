@@ -205,9 +205,12 @@ def certify(choice: CurrentChoice, reference: Reference, errors: ReferenceErrors
     -------
     Certificate
         For every torque between zero and the end of the domain, by symmetry for both signs, with and without fused
-        multiply-add; None for a machine that is neither linear nor a flux map, and where nothing could be proven.
+        multiply-add; None for a machine that is neither linear nor a flux map, where the data of a flux map hold the
+        currents on their edge, and where nothing could be proven.
     """
     if not isinstance(choice.machine, LinearMachine | SaturatedMachine):
+        return None
+    if np.any(choice.held(np.linspace(0.0, float(reference.torque_max), _HELD_POINTS)[1:])):
         return None
     form = None if isinstance(reference, FixedReference) else reference.form
     with _ball_arithmetic():

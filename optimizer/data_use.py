@@ -13,6 +13,8 @@ from dqforge.optimizer.current_choice import CurrentChoice
 
 _GRID = 801
 _NARROWINGS = 3
+_ALL_OF_IT = 1e-3
+"""Share of the domain below which a range is said to begin at zero torque."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +42,9 @@ def data_use(choice: CurrentChoice, end: float) -> DataUse:
     def beyond(torque: FloatArray) -> NDArray[np.bool_]:
         return ~choice.machine.known(*choice.currents(torque))
 
-    return DataUse(_range(held, end) if choice.region is not None else None, _range(beyond, end))
+    if choice.region is not None:
+        return DataUse(held=_range(held, end))
+    return DataUse(extrapolated=_range(beyond, end))
 
 
 def _range(holds: Callable[[FloatArray], NDArray[np.bool_]], end: float) -> tuple[float, float] | None:
@@ -56,4 +60,4 @@ def _range(holds: Callable[[FloatArray], NDArray[np.bool_]], end: float) -> tupl
         first = max(int(np.argmax(holds(finer[1:]))) + 1, 1)
         low, high = finer[first - 1], finer[first]
     last = torque[true[-1]]
-    return (0.0 if low == 0.0 else float(high)), float(last)
+    return (0.0 if high < _ALL_OF_IT * end else float(high)), float(last)

@@ -9,7 +9,7 @@ that a scan of the feasible region gives, never from the user.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -140,18 +140,20 @@ def optimal_points(
         active=active.astype(np.int8),
         reached=met,
         kkt_residual=residuals,
-        extrapolated=~machine.known(i_d, i_q),
+        # What the region holds lies inside but for rounding, which is no extrapolation.
+        extrapolated=~(machine.known(i_d, i_q) if whole.region is None else whole.region.contains(i_d, i_q)),
     )
 
 
 def _solve(problem: Problem) -> tuple[NDArray[Any], ...]:
     """Columns of one chunk: i_d, i_q, torque, voltage, loss, active, reached, residual."""
-    state = solve_chunk(problem)
-    residuals, torque, voltage, losses = residual(problem, state)
+    free = replace(problem, region=None)
+    state = solve_chunk(free)
+    residuals, torque, voltage, losses = residual(free, state)
     again = missed(state, residuals)
     if again.size:
-        rescue(problem, state, again, residuals)
-        residuals, torque, voltage, losses = residual(problem, state)
+        rescue(free, state, again, residuals)
+        residuals, torque, voltage, losses = residual(free, state)
     if problem.region is not None:
         hold_by_data(problem, state, problem.region)
         residuals, torque, voltage, losses = residual(problem, state)

@@ -21,6 +21,8 @@ IndexArray = NDArray[np.intp]
 _INTERVALS = 240
 _FEWEST = 6
 _ROOT_STEPS = 60
+_CLOSE = 1e-11
+"""Last step in shares of an interval: the convergence is quadratic, so that the root is exact to rounding."""
 
 Follow = Callable[[IndexArray, FloatArray], tuple[FloatArray, FloatArray]]
 """A function along intervals: places among the roots that are looked for and shares; its value and slope there."""
@@ -140,5 +142,5 @@ def roots(
         found = np.where(value == 0.0, share[live], np.where(safe, step, 0.5 * (low[live] + high[live])))
         moved = np.abs(found - share[live])
         share[live] = found
-        live = live[moved > 1e-14]
+        live = live[moved > _CLOSE]
     return share

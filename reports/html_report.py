@@ -13,9 +13,9 @@ from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.optimizer.gains import LoopGains
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.data_text import data_lines
 from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.control_fixed_tables import control_fixed_html
+from dqforge.reports.data_text import data_lines
 from dqforge.reports.drive_simulation import DriveSimulation
 from dqforge.reports.figures_losses import POINTS_SHOWN
 from dqforge.reports.figures_reference import ROUNDING
