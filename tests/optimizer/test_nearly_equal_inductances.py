@@ -21,7 +21,7 @@ from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.reference_fit import ReferenceFit, fit_reference
 
 _MACHINES = ((4, 2e-3, 350e-6, 0.1049, 283.0), (3, 0.5, 1.6e-3, 0.06, 12.0), (5, 0.05, 50e-6, 8e-3, 60.0))
-_RATIOS = (-1e-2, -1e-7, -1e-12, 0.0, 3e-16, 1e-9, 1e-7, 1e-6, 1e-4, 1e-2)
+_RATIOS = (-1e-7, 0.0, 3e-16, 1e-9, 1e-3)
 _ALL_RATIOS = tuple(sign * 10.0**power for sign in (-1.0, 1.0) for power in range(-15, -1))
 _FORMS: tuple[FitForm, ...] = ("polynomial", "even-odd", "torque-exact", "closed-form")
 _FORMATS: tuple[NumberFormat, ...] = ("float32", "q15", "q31")
@@ -108,9 +108,8 @@ def test_closed_form_that_floats_cannot_hold_is_refused_and_left_out() -> None:
 def test_id0_of_saturated_library_machines(name: str, number_format: NumberFormat) -> None:
     machine = catalogue.load(name).machine
     choice = CurrentChoice(machine, "id0", machine.i_max)
-    methods: tuple[FitMethod, ...] = ("minimax", "least-squares", "lagrange")
-    modes: tuple[BreakpointMode, ...] = ("shared", "own")
-    for method, mode in product(methods, modes):
+    ways: tuple[tuple[FitMethod, BreakpointMode], ...] = (("minimax", "shared"), ("lagrange", "own"))
+    for method, mode in ways:
         settings = _settings(choice, form="polynomial", format=number_format, method=method, breakpoint_mode=mode)
         fit = fit_reference(choice, settings)
         _check(choice, fit)
@@ -128,7 +127,7 @@ def test_every_saturated_library_machine_with_magnets_is_in_the_list() -> None:
             fit_reference(choice, FitSettings(form="polynomial"))
 
 
-@pytest.mark.parametrize("number_format", [None, "float32", "q15", "q31"])
+@pytest.mark.parametrize("number_format", [None, "q31"])
 def test_id0_within_a_budget(number_format: NumberFormat | None) -> None:
     machine = one_sided("everywhere", 0.3e-3, 0.8e-3, 1.0)
     choice = CurrentChoice(machine, "id0", machine.i_max)
