@@ -298,12 +298,12 @@ def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = Non
             "fit",
             loaded.name,
             {
-                "fit": plain_fit(found, rows, chosen.trials, proof),
+                "fit": plain_fit(found, rows, chosen.trials, proof, chosen.data),
                 "weakening": plain_weakening_fit(weakening),
             },
         )
     else:
-        _show([*fit_tables(loaded, found, rows, chosen.trials, proof), *weakening_tables(weakening)])
+        _show([*fit_tables(loaded, found, rows, chosen.trials, proof, chosen.data), *weakening_tables(weakening)])
 
 
 @app.command()

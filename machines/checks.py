@@ -204,7 +204,11 @@ def _largest_torque(machine: Machine, i_max: float, strategy: Strategy = "mtpa")
         saliency = machine.saliency if strategy == "mtpa" else 0.0
         return datasheet.largest_torque(machine.pole_pairs, machine.psi_pm, saliency, i_max)
     angle = np.linspace(0.0, np.pi, 721) if strategy == "mtpa" else np.array([0.5 * np.pi])
-    return float(np.max(machine.torque(i_max * np.cos(angle), i_max * np.sin(angle))))
+    region = machine.region
+    if region is None or region.covers(i_max):
+        return float(np.max(machine.torque(i_max * np.cos(angle), i_max * np.sin(angle))))
+    length = np.array([min(i_max, region.end_of_ray(part)) for part in angle])
+    return float(np.max(machine.torque(length * np.cos(angle), length * np.sin(angle))))
 
 
 def _check_form(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:

@@ -315,7 +315,12 @@ def flux_map_of_maps(temperatures: FloatArray, maps: Sequence[FluxMap], temperat
         here = (1.0 - share) * psi[0] + share * psi[1]
     else:
         here = PchipInterpolator(known, psi, axis=0)(temperature)
-    return FluxMap(i_d, i_q, here[0], here[1], all(part.extrapolate for part in maps))
+    hull = None
+    if any(part.hull is not None for part in maps):
+        hull = maps[0].region
+        for part in maps[1:]:
+            hull = hull.within(part.region)
+    return FluxMap(i_d, i_q, here[0], here[1], all(part.extrapolate for part in maps), hull)
 
 
 def _common(axes: Sequence[FloatArray]) -> FloatArray:

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.current_region import CurrentRegion
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_map import FluxMap, complete_by_symmetry
 from dqforge.machines.flux_map_checks import check_holes, check_map, check_points, energy_misfit
@@ -99,6 +100,7 @@ class _Plane:
     psi: FloatArray
     asymmetry: float = 0.0
     findings: tuple[str, ...] = ()
+    hull: CurrentRegion | None = None
 
 
 def converted(points: FluxPoints, axes: FluxAxes, scaling: FluxScaling) -> FluxPoints:
@@ -168,7 +170,7 @@ def build_flux_map(
     _check_size(plane.psi[0].size, source)
     zero = _zero_current(plane.i_d, source)
     try:
-        flux_map = FluxMap(plane.i_d, plane.i_q, plane.psi[0], plane.psi[1], extrapolate)
+        flux_map = FluxMap(plane.i_d, plane.i_q, plane.psi[0], plane.psi[1], extrapolate, plane.hull)
     except InputError as error:
         raise InputError(error.message, source=source) from None
     checked = check_map(flux_map, source, expected_psi_pm)
@@ -296,7 +298,8 @@ def _scattered(points: FluxPoints) -> _Plane:
         beyond = "of the nodes lie outside the convex hull of the points; the flux linkages there are extrapolated"
         findings = (*findings, f"warning: {100.0 * share:.0f} % {beyond}")
     axis_q, psi_d, psi_q = complete_by_symmetry(axis_q, *values)
-    return _Plane(axis_d, axis_q, np.stack([psi_d, psi_q]), asymmetry, findings)
+    hull = CurrentRegion.hull(i_d, i_q).within(CurrentRegion.rectangle(axis_d[0], axis_d[-1], axis_q[-1]))
+    return _Plane(axis_d, axis_q, np.stack([psi_d, psi_q]), asymmetry, findings, hull)
 
 
 def _with_mirror_image(i_d: FloatArray, i_q: FloatArray, psi: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

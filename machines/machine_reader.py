@@ -220,6 +220,7 @@ def _check_range(machine: SaturatedMachine, reading: Reading) -> None:
     flux_map, i_max = machine.flux_map, machine.i_max
     reach = min(max(-float(flux_map.i_d[0]), float(flux_map.i_d[-1])), float(flux_map.i_q[-1]))
     if i_max <= reach * (1.0 + 1e-6):
+        _remark_on_the_region(machine, reading)
         return
     if flux_map.extrapolate:
         reading.remarks.append(
@@ -232,6 +233,25 @@ def _check_range(machine: SaturatedMachine, reading: Reading) -> None:
         f"{format_quantity(reach, 'A')}; lower it, or write flux_map: extrapolate: true",
         ("machine", "max_current"),
     )
+
+
+def _remark_on_the_region(machine: SaturatedMachine, reading: Reading) -> None:
+    """Say where the data end within the current limit, and what that means for the currents that are chosen."""
+    flux_map, i_max = machine.flux_map, machine.i_max
+    region = flux_map.region
+    if region.covers(i_max):
+        return
+    if flux_map.hull is None:
+        where = f"covers i_d from {flux_map.i_d[0]:.4g} to {flux_map.i_d[-1]:.4g} A (peak)"
+    else:
+        nearest = max(region.reach, 0.0)
+        where = f"covers a region that ends {format_quantity(nearest, 'A')} (peak) from zero current at its nearest"
+    meant = (
+        "results beyond are extrapolated along its tangents (extrapolate: true)"
+        if flux_map.extrapolate
+        else "operating points stay inside and say where they are held by the data"
+    )
+    reading.remarks.append(f"the flux map {where}, the current limit is {format_quantity(i_max, 'A')}: {meant}")
 
 
 def _magnet_flux(section: MachineSection, pole_pairs: int, reading: Reading) -> float:

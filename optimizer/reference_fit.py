@@ -32,6 +32,9 @@ from dqforge.optimizer.fixed_scales import code_scale, in_fixed_point, on_codes
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.single_precision import SinglePolynomial
 
+_LARGEST_BASE = 1e18
+"""Base current in A whose square single precision holds with room to spare."""
+
 
 @dataclass(frozen=True, slots=True)
 class ReferenceFit:
@@ -116,7 +119,12 @@ def possible_forms(choice: CurrentChoice, number_format: NumberFormat = "float32
         return ("polynomial",) if choice.speed is not None else ("polynomial", "closed-form")
     if choice.speed is not None:
         return ("polynomial", "torque-exact")
-    return ("polynomial", "even-odd", "torque-exact", "closed-form")
+    return ("polynomial", "even-odd", "torque-exact", *(("closed-form",) if _has_closed_form(machine) else ()))
+
+
+def _has_closed_form(machine: LinearMachine) -> bool:
+    """Whether single precision holds the squared base current of the MTPA locus: not next to equal inductances."""
+    return machine.saliency == 0.0 or abs(machine.psi_pm / (2.0 * machine.saliency)) < _LARGEST_BASE
 
 
 def _require_form(choice: CurrentChoice, settings: FitSettings, number_format: NumberFormat) -> None:
@@ -134,6 +142,8 @@ def _require_form(choice: CurrentChoice, settings: FitSettings, number_format: N
         reason = "needs constant inductances, the machine is a flux map"
     elif form == "even-odd" and machine.psi_pm == 0.0:
         reason = "needs currents that are smooth at zero torque, without a magnet they are not"
+    elif form == "closed-form" and choice.speed is None:
+        reason = "squares a base current that is no float: l_d and l_q are next to equal"
     elif form == "torque-exact":
         reason = "divides by the magnet torque, which this machine does not have"
     else:

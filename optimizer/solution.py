@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.choice_solution import ModulationChoice, solve_choice
 from dqforge.optimizer.complete_losses import complete_comparison
 from dqforge.optimizer.current_choice import CurrentChoice, OperatingPoints, SpeedPoint
+from dqforge.optimizer.data_use import COVERED, DataUse, data_use
 from dqforge.optimizer.drive_budget import BudgetOptions
 from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.fit_alternatives import Alternative, alternatives
@@ -77,7 +78,8 @@ class Solution:
     sinusoidal back-EMF. ``certificate`` bounds the errors of the fit, None where that could not be proven;
     ``trials`` are the forms that were tried for a budget. ``weakening`` is None where no
     two-dimensional reference, ``choice`` where no choice of modulator and switching frequency, ``mission`` where
-    no mission is asked for. ``fixed`` are control functions in fixed point.
+    no mission is asked for. ``fixed`` are control functions in fixed point. ``data`` says where the reference is held
+    by the data of a flux map, or leaves them.
     """
 
     design: Design
@@ -94,6 +96,7 @@ class Solution:
     choice: ModulationChoice | None = None
     mission: MissionComparison | None = None
     fixed: tuple[FixedControlFit, ...] = ()
+    data: DataUse = COVERED
 
 
 def current_choice(design: Design) -> CurrentChoice:
@@ -122,8 +125,10 @@ def solve_fit(design: Design) -> FitChoice:
     """Current reference of the design: as set, or the cheapest that keeps its budget."""
     choice, budget = current_choice(design), design.fit.budget
     if budget is None:
-        return FitChoice(fit_reference(choice, design.fit), ())
-    return choose_fit(choice, design.fit, budget)
+        found = FitChoice(fit_reference(choice, design.fit), ())
+    else:
+        found = choose_fit(choice, design.fit, budget)
+    return replace(found, data=data_use(choice, found.fit.torque_max))
 
 
 def tuning_inductances(machine: Machine, i_max: float) -> tuple[float, float]:
@@ -291,4 +296,5 @@ def solve(design: Design) -> Solution:
         choice=solve_choice(design),
         mission=solve_mission(design),
         fixed=solve_fixed(design, gains),
+        data=chosen.data,
     )

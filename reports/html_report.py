@@ -15,6 +15,7 @@ from dqforge.optimizer.gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.control_fixed_tables import control_fixed_html
+from dqforge.reports.data_text import data_lines
 from dqforge.reports.drive_simulation import DriveSimulation
 from dqforge.reports.figures_losses import POINTS_SHOWN
 from dqforge.reports.figures_reference import ROUNDING
@@ -308,6 +309,7 @@ def _reference_part(solution: Solution) -> PlainData:
         "optimum": solution.design.strategy == "mtpa",
         "form_text": symbols(_FORM_TEXT[plain["form"]]),
         "shape": shape,
+        "data": symbols(" ".join(data_lines(solution.data, fit.torque_max))),
         "operating": operating_table(solution.design, solution.curves),
         "coefficients": coefficient_table(plain),
         "constants": constant_rows(plain),

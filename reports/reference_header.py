@@ -11,6 +11,7 @@ from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.certificate_text import header_lines
+from dqforge.reports.data_text import data_lines
 from dqforge.reports.header_title import title
 from dqforge.reports.labels import operation_text
 from dqforge.reports.reference_ir import PlainData, ladders, shortest
@@ -137,6 +138,7 @@ def reference_context(solution: Solution, plain: PlainData) -> PlainData:
                 *_FORM_TEXT[fit.form],
                 *([shape] if has_polynomials else []),
                 *error_text(solution),
+                *data_lines(solution.data, fit.torque_max),
             ],
         }
     )

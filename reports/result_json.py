@@ -15,6 +15,7 @@ from dqforge.machines.settings import QFormats
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.certificate import Certificate
 from dqforge.optimizer.current_choice import OperatingPoints
+from dqforge.optimizer.data_use import COVERED, DataUse
 from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_gains import pi_integers
@@ -28,6 +29,7 @@ from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
 from dqforge.reports.choice_tables import plain_choice
 from dqforge.reports.control_fixed_header import plain_fixed_control, plain_fixed_evidence
 from dqforge.reports.control_header import plain_control
+from dqforge.reports.data_text import plain_data_use
 from dqforge.reports.drive_losses_tables import plain_mission
 from dqforge.reports.gains_header import plain_evaluator
 from dqforge.reports.observer_header import emitted, plain_observer
@@ -110,6 +112,7 @@ def _plain_points(points: OperatingPoints) -> PlainData:
         "i_d_A": points.i_d,
         "i_q_A": points.i_q,
         "limited": points.limited,
+        "held_by_data": points.held,
         "torque_residual_largest": float(np.max(np.abs(points.torque_residual))),
     }
 
@@ -134,6 +137,7 @@ def plain_fit(
     rows: tuple[Alternative, ...],
     trials: tuple[Trial, ...] = (),
     certificate: Certificate | None = None,
+    data: DataUse = COVERED,
 ) -> PlainData:
     """The fit in double, its emitted constants, its errors found and proven, and the alternatives with theirs."""
     return {
@@ -147,6 +151,7 @@ def plain_fit(
         "reference": to_plain(fit.reference),
         "errors": asdict(fit.errors),
         "certificate": plain_certificate(certificate),
+        **plain_data_use(data),
         "trials": [asdict(trial) for trial in trials],
         "alternatives": [{"label": row.label, "errors": asdict(row.errors)} for row in rows],
     }
@@ -275,7 +280,7 @@ def plain_solution(solution: Solution) -> PlainData:
             "reference": to_plain(solution.fit.reference),
         },
         "mtpa": plain_curves(solution.curves),
-        "fit": plain_fit(solution.fit, solution.alternatives, solution.trials, solution.certificate),
+        "fit": plain_fit(solution.fit, solution.alternatives, solution.trials, solution.certificate, solution.data),
         "gains": plain_gains(design, solution.gains),
         "losses": plain_losses(solution.losses),
         "mission": None if solution.mission is None else plain_mission(solution.mission),

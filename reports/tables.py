@@ -14,6 +14,7 @@ from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.certificate import Certificate
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
+from dqforge.optimizer.data_use import COVERED, DataUse
 from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_gains import pi_integers
@@ -29,6 +30,7 @@ from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.choice_text import choice_rows
 from dqforge.reports.cross import TargetVerification
+from dqforge.reports.data_text import data_lines
 from dqforge.reports.labels import core_name, obstacle, operation_text, part_label, shown_parts
 from dqforge.reports.observer_text import position_parts
 from dqforge.reports.robustness_text import FORM_COLUMNS, ROBUST_COLUMNS, form_rows, robust_notes, robust_rows
@@ -87,8 +89,14 @@ def _point_rows(points: OperatingPoints, base: PerUnitBase | None) -> tuple[tupl
         cells = [torque, i_d, i_q, float(np.hypot(i_d, i_q))]
         if base is not None:
             cells += [torque / base.torque, i_d / base.current, i_q / base.current]
-        rows.append((*(_number(cell) for cell in cells), "current limit" if points.limited[k] else ""))
+        rows.append((*(_number(cell) for cell in cells), _held_by(points, int(k))))
     return tuple(rows)
+
+
+def _held_by(points: OperatingPoints, k: int) -> str:
+    if points.held[k]:
+        return "the data"
+    return "current limit" if points.limited[k] else ""
 
 
 def mtpa_tables(design: Design, curves: Curves) -> list[Table]:
@@ -102,6 +110,8 @@ def mtpa_tables(design: Design, curves: Curves) -> list[Table]:
             )
         else:
             notes.append(f"i_d = 0 reaches {curves.id0.torque[-1]:.4g} N m within the limit")
+    if np.any(curves.chosen.held):
+        notes.append("held by the data: the flux map ends there, currents of less loss may lie beyond it")
     base = curves.base
     per_unit_columns = () if base is None else ("torque p.u.", "i_d p.u.", "i_q p.u.")
     if base is not None:
@@ -163,8 +173,9 @@ def fit_tables(
     rows: tuple[Alternative, ...],
     trials: tuple[Trial, ...] = (),
     certificate: Certificate | None = None,
+    data: DataUse = COVERED,
 ) -> list[Table]:
-    """Errors of the fit beside its alternatives, what is proven of it, and its coefficients."""
+    """Errors of the fit beside its alternatives, what is proven of it, what data hold it, and its coefficients."""
     columns = ("", "i_d error A", "i_q error A", "torque error %", "loss penalty %", "step at zero A")
     chosen = (f"chosen: {fit.form}", *_error_cells(fit.errors))
     others = tuple((row.label, *_error_cells(row.errors)) for row in rows)
@@ -173,7 +184,8 @@ def fit_tables(
         f"{fit.torque_max:.4g} N m, loss penalty in % of the least copper loss from 5 % torque upwards"
     )
     proof = () if certificate is None else (f"{proof_title(certificate)}: {proven_text(certificate, 3)}",)
-    notes = (note, *proof, *_voltage_notes(design, fit), *_poor_fit_notes(design, fit))
+    limits = " ".join(data_lines(data, fit.torque_max))
+    notes = (note, *proof, *([limits] if limits else []), *_voltage_notes(design, fit), *_poor_fit_notes(design, fit))
     tables = [Table(f"{design.name}: current reference, {fit.settings.method}", columns, (chosen, *others), notes)]
     if trials:
         tables.append(trial_table(trials, design.fit.core))
@@ -355,6 +367,9 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
     ]
     if solution.certificate is not None:
         rows.append(("  proven bounds", proven_text(solution.certificate)))
+    limits = " ".join(data_lines(solution.data, fit.torque_max))
+    if limits:
+        rows.append(("  end of the data", limits))
     if fit.errors.loss_relative > POOR_FIT:
         rows.append(("  warning", _poor_fit_text(solution.design, fit)))
     if solution.weakening is not None:
