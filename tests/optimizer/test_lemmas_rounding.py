@@ -320,3 +320,11 @@ def test_pieces_of_integers_end_at_the_domain() -> None:
     reference = FixedReference(None, FixedPolynomial((FIRST, SECOND), 16, 40), 128.0, 64.0)
     code = 128.0 / 2**15
     assert [(piece.low, piece.high) for piece in pieces(reference)] == [(0.0, 4 * code), (4 * code, 40 * code)]
+
+
+def test_polynomial_of_degree_zero_is_a_series_too() -> None:
+    from flint import arb_series
+
+    found = rounding._polynomial([arb(2)], arb_series([arb(1), 1]))
+    assert isinstance(found, arb_series)
+    assert found[0] == arb(2)

@@ -215,7 +215,7 @@ def test_no_speed_is_no_excess() -> None:
 
 def test_box_holds_every_cell() -> None:
     """Over several cells the hull of all, over one its own."""
-    machine = catalogue.load("abb-syrm-6k7-saturated").machine
+    machine = catalogue.load("baldor-pmsyrm-5k6").machine
     assert isinstance(machine, SaturatedMachine)
     here = task(None, machine=machine)
     corner = machine.flux_map.cell(5, 5)[1:]
