@@ -17,8 +17,8 @@ from dqforge.machines.design import Design
 from dqforge.machines.device_plausibility import device_figures
 from dqforge.machines.figures import Figure, sentences
 from dqforge.machines.plausible_control import control_figures
-from dqforge.machines.plausible_scenario import scenario_figures
 from dqforge.machines.plausible_scale import Scale
+from dqforge.machines.plausible_scenario import scenario_figures
 from dqforge.machines.schema import DesignFile
 
 

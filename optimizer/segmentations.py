@@ -20,8 +20,8 @@ _STEPS = {2: 32, 3: 18, 4: 11}
 """Steps of the lattice along the domain, by the number of segments: 31, 136 and 120 segmentations."""
 
 _LOW = 2.0
-"""Multiple of the least error up to which a low place is a start. What a search reaches from there is lower than what is
-looked at by up to so much, and by more in one place than in another."""
+"""Multiple of the least error up to which a low place is a start. What a search reaches from there is lower than what
+is looked at by up to so much, and by more in one place than in another."""
 
 _MOST_PLACES = 3
 
@@ -80,7 +80,7 @@ class Segmentations:
         return found
 
     def starts(self, cost: Callable[[FloatArray], FloatArray]) -> list[FloatArray]:
-        """Segmentations to begin from, each of shape (S + 1,): the best one without ties, low places, and ends of a plain.
+        """Segmentations to begin from, each of shape (S + 1,): the best one without ties, and the low places.
 
         Parameters
         ----------

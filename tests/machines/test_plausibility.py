@@ -32,7 +32,9 @@ NO_POINTS = (
 )
 FRICTION = "  friction: 40e-6 N m s\n"
 CONTROL = "  sampling_frequency: 10 kHz      # default: the switching frequency\n"
-MAGNITUDE = "    method: magnitude-optimum     # bandwidth, damping, magnitude-optimum, symmetrical-optimum, optimised or given\n"
+SIMULATION = "simulation:\n  duration: 0.1 s\n  torque: {points: [{time: 0 s, torque: 0.1 N m}]}\n"
+METHODS = "# bandwidth, damping, magnitude-optimum, symmetrical-optimum, optimised or given"
+MAGNITUDE = f"    method: magnitude-optimum     {METHODS}\n"
 SPEED = "    method: symmetrical-optimum   # bandwidth, damping, symmetrical-optimum, optimised or given\n"
 DEVICE = "    thermal_resistance: 2 K/W     # junction to coolant, per switch\n"
 STRATEGY = "  strategy: mtpa                  # least current for the torque; id0: no d current\n"
@@ -202,7 +204,10 @@ CASES: dict[str, tuple[str, str, list[tuple[str, str]]]] = {
     "tolerance of the resistance": (
         "control.tolerances.r_s",
         "85 %",
-        [(STRATEGY.split("\n")[0], "  strategy: mtpa"), ("operation:\n", "  tolerances: {r_s: 85 %}\noperation:\n")],
+        [
+            (STRATEGY.split("\n", maxsplit=1)[0], "  strategy: mtpa"),
+            ("operation:\n", "  tolerances: {r_s: 85 %}\noperation:\n"),
+        ],
     ),
     "tolerance of the flux": (
         "control.tolerances.psi_pm",
@@ -292,7 +297,7 @@ CASES: dict[str, tuple[str, str, list[tuple[str, str]]]] = {
         [
             (
                 "losses:\n",
-                "simulation:\n  duration: 0.1 s\n  torque: {points: [{time: 0 s, torque: 0.1 N m}]}\n  current_sensor: {bits: 12, full_scale: 1 A}\nlosses:\n",
+                SIMULATION + "  current_sensor: {bits: 12, full_scale: 1 A}\nlosses:\n",
             )
         ],
     ),
@@ -302,7 +307,7 @@ CASES: dict[str, tuple[str, str, list[tuple[str, str]]]] = {
         [
             (
                 "losses:\n",
-                "simulation:\n  duration: 0.1 s\n  torque: {points: [{time: 0 s, torque: 0.1 N m}]}\n  current_sensor: {noise: 5 A}\nlosses:\n",
+                SIMULATION + "  current_sensor: {noise: 5 A}\nlosses:\n",
             )
         ],
     ),

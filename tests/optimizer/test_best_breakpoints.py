@@ -396,7 +396,7 @@ def test_breakpoint_of_other_methods_is_best(ratio: float, form: FitForm, degree
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("degree", (1, *DEGREES))
+@pytest.mark.parametrize("degree", [1, *DEGREES])
 @pytest.mark.parametrize("form", FORM_AXES)
 def test_breakpoint_is_best_from_tiny_to_huge_torques(form: FitForm, degree: int) -> None:
     for ratio in np.geomspace(0.05, 30.0, 40).tolist():
@@ -440,7 +440,7 @@ def breakpoints_are_best_of_many(ratio: float, form: FitForm, degree: int, segme
 
 @pytest.mark.slow
 @pytest.mark.parametrize("segments", [3, 4])
-@pytest.mark.parametrize("degree", (1, *DEGREES))
+@pytest.mark.parametrize("degree", [1, *DEGREES])
 @pytest.mark.parametrize("form", FORM_AXES)
 def test_breakpoints_are_best_from_tiny_to_huge_torques(form: FitForm, degree: int, segments: int) -> None:
     for ratio in (0.05, 0.5, 1.2246, 3.5568, 7.24, 10.33, 21.03, 30.0):

@@ -124,10 +124,7 @@ def test_operations_hold_all_results_and_little_else(name: str) -> None:
         values = [exact(x, y) for x in inner(left) for y in inner(right)]
         assert low <= min(values)
         assert max(values) <= high
-        if name == "*":
-            rad = (abs(a.mid) + a.rad) * b.rad + a.rad * abs(b.mid)
-        else:
-            rad = a.rad + b.rad
+        rad = (abs(a.mid) + a.rad) * b.rad + a.rad * abs(b.mid) if name == "*" else a.rad + b.rad
         assert float(found.rad) == pytest.approx(float((rad + abs(found.mid) * UNIT) * MORE), rel=1e-14, abs=2e-290)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -18,7 +19,6 @@ from dqforge.optimizer.current_choice import CurrentChoice, SpeedPoint
 from dqforge.optimizer.current_reference import (
     CurrentReference,
     Polynomials,
-    Proportional,
     ReferenceErrors,
     ReluctanceClosedForm,
 )
@@ -276,7 +276,7 @@ def test_square_root_in_rational_arithmetic() -> None:
 
 
 def errors(**values: float) -> ReferenceErrors:
-    found: dict[str, Any] = {name: None for name in ReferenceErrors.__dataclass_fields__}
+    found: dict[str, Any] = dict.fromkeys(ReferenceErrors.__dataclass_fields__)
     found |= {"i_d": 0.1, "i_q": 0.2, "torque": 0.3, "loss": 0.4, "loss_relative": 0.5, "voltage_excess": None}
     return ReferenceErrors(**(found | values))
 
@@ -362,5 +362,5 @@ def test_refinement_covers_the_domain(monkeypatch: pytest.MonkeyPatch) -> None:
     parts = sorted(certificate._refine(task_of(), np.full(6, 0.1)), key=lambda part: part.interval.low)
     assert parts[0].interval.low == 0.0
     assert parts[-1].interval.high == 6.0
-    assert all(a.interval.high == b.interval.low for a, b in zip(parts[:-1], parts[1:], strict=True))
+    assert all(a.interval.high == b.interval.low for a, b in itertools.pairwise(parts))
     assert max(part.interval.high - part.interval.low for part in parts) <= 0.101
