@@ -219,9 +219,10 @@ def test_square(pair: tuple[float, float]) -> None:
 def test_square_of_a_point_is_widened_by_little() -> None:
     found = Balls.exact(3.0).squared()
     low, high = bounds(found)
-    assert float(low) == pytest.approx(9.0 * (1 - 2 * 2.0**-52) / MORE, rel=1e-15)
-    assert float(high) == pytest.approx(9.0 * MORE**3, rel=1e-15)
+    assert float(low) == pytest.approx(9.0 * (1 - 2 * 2.0**-52) / MORE, rel=1e-15, abs=0.0)
+    assert float(high) == pytest.approx(9.0 * MORE**3, rel=1e-15, abs=0.0)
     assert float(bounds(Balls.exact(0.0).squared())[1]) >= LEAST
+    assert float(Balls.between(0.0, 0.0).rad) == LEAST
 
 
 @pytest.mark.parametrize("pair", [(0.1, 0.3), (-7.0, -0.5), (0.25, 40.0), (3.0, 3.0)])

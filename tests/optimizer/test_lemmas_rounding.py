@@ -170,7 +170,8 @@ def test_root_of_what_may_vanish_errs_by_the_root_of_the_error() -> None:
         found = rounding._root(Rounded(arb(float(square)), arb(9)))
         value = {0: 0, 9: 3, 4: 2}[int(square)]
         same(found.error, rounding_of(Fraction(value), Fraction(3)))
-    # Just beyond, the first form holds: 9 over the root of 9 + 16 - 9.
+    # Just beyond, the first form holds: 9 over the root of 25 - 9, and 5/16 over that of 9/16 - 5/16.
+    same(rounding._root(Rounded(arb(0.5625), arb(0.3125))).error, rounding_of(Fraction(3, 4), Fraction(5, 8)))
     same(rounding._root(Rounded(arb(25), arb(9))).error, rounding_of(Fraction(5), Fraction(9, 4)))
 
 
