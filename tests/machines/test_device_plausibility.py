@@ -16,7 +16,7 @@ from dqforge.machines.device_files import read_device
 from dqforge.machines.device_plausibility import constant_figures, remarks
 from dqforge.machines.figures import sentences
 from dqforge.machines.inverter import SwitchDevice
-from dqforge.machines.thermal_network import FosterNetwork
+from dqforge.machines.thermal_network import FosterNetwork, ThermalNetwork
 
 DEVICES = {name: device_catalogue.load(name) for name in device_catalogue.names()}
 
@@ -32,39 +32,51 @@ def scaled_energy(table: EnergyTable, x: float, y: float) -> EnergyTable:
     return replace(table, tables=tuple(scaled_family(family, x, y) for family in table.tables))
 
 
-def scaled_network(network: FosterNetwork, resistance: float, time: float) -> FosterNetwork:
+def scaled_network(network: ThermalNetwork | None, resistance: float, time: float) -> FosterNetwork | None:
+    if network is None:
+        return None
+    assert isinstance(network, FosterNetwork)
     return FosterNetwork(
         tuple(resistance * part for part in network.resistances), tuple(time * part for part in network.time_constants)
     )
+
+
+def slower(model: DeviceModel, factor: float) -> DeviceModel | None:
+    network = scaled_network(model.thermal, 1.0, factor)
+    return None if network is None or max(network.time_constants) == 0.0 else replace(model, thermal=network)
+
+
+def scaled_recovery(model: DeviceModel, x: float, y: float) -> EnergyTable | None:
+    return None if model.recovery is None else scaled_energy(model.recovery, x, y)
 
 
 Change = Callable[[DeviceModel, float], DeviceModel | None]
 CHANGES: dict[str, Change] = {
     "turn-on energy": lambda m, f: replace(m, turn_on=scaled_energy(m.turn_on, 1.0, f)),
     "turn-off energy": lambda m, f: replace(m, turn_off=scaled_energy(m.turn_off, 1.0, f)),
-    "recovery energy": lambda m, f: m.recovery and replace(m, recovery=scaled_energy(m.recovery, 1.0, f)),
+    "recovery energy": lambda m, f: None if m.recovery is None else replace(m, recovery=scaled_recovery(m, 1.0, f)),
     "on-state voltage": lambda m, f: replace(m, conduction=scaled_family(m.conduction, 1.0, f)),
-    "forward voltage": lambda m, f: m.diode and replace(m, diode=scaled_family(m.diode, 1.0, f)),
+    "forward voltage": lambda m, f: None if m.diode is None else replace(m, diode=scaled_family(m.diode, 1.0, f)),
     "current of all energies": lambda m, f: replace(
         m,
         turn_on=scaled_energy(m.turn_on, f, 1.0),
         turn_off=scaled_energy(m.turn_off, f, 1.0),
-        recovery=m.recovery and scaled_energy(m.recovery, f, 1.0),
+        recovery=scaled_recovery(m, f, 1.0),
     ),
     "voltage of the energies": lambda m, f: replace(
         m,
         turn_on=replace(m.turn_on, voltages=tuple(f * v for v in m.turn_on.voltages)),
         turn_off=replace(m.turn_off, voltages=tuple(f * v for v in m.turn_off.voltages)),
     ),
-    "blocking voltage": lambda m, f: m.blocking_voltage and replace(m, blocking_voltage=f * m.blocking_voltage),
-    "thermal resistance": lambda m, f: m.thermal and replace(m, thermal=scaled_network(m.thermal, f, 1.0)),
-    "time constants": lambda m, f: (
-        None if max(m.thermal.time_constants) == 0.0 else replace(m, thermal=scaled_network(m.thermal, 1.0, f))
+    "blocking voltage": lambda m, f: (
+        replace(m, blocking_voltage=f * (m.blocking_voltage or 0.0)) if m.blocking_voltage else None
     ),
+    "thermal resistance": lambda m, f: replace(m, thermal=scaled_network(m.thermal, f, 1.0)) if m.thermal else None,
+    "time constants": slower,
     "resistance of the diode": lambda m, f: (
-        m.diode_thermal and replace(m, diode_thermal=scaled_network(m.diode_thermal, f, 1.0))
+        replace(m, diode_thermal=scaled_network(m.diode_thermal, f, 1.0)) if m.diode_thermal else None
     ),
-    "case to heat sink": lambda m, f: m.case_resistance and replace(m, case_resistance=f * m.case_resistance),
+    "case to heat sink": lambda m, f: replace(m, case_resistance=f * m.case_resistance) if m.case_resistance else None,
     "junction temperature": lambda m, f: replace(m, max_junction_temperature=f * m.max_junction_temperature),
 }
 

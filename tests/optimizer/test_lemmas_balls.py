@@ -202,6 +202,7 @@ def test_limit_is_below_all() -> None:
     assert balls < 2.2500001
     assert not balls < 2.25
     assert not balls < 2.0
+    assert not balls < float(np.max(balls.upper()))
 
 
 @pytest.mark.parametrize("pair", ENDS)
@@ -223,6 +224,7 @@ def test_square_of_a_point_is_widened_by_little() -> None:
     assert float(high) == pytest.approx(9.0 * MORE**3, rel=1e-15, abs=0.0)
     assert float(bounds(Balls.exact(0.0).squared())[1]) >= LEAST
     assert float(Balls.between(0.0, 0.0).rad) == LEAST
+    assert float(Balls.between(1.0, 4.0).rad) == 1.5 * MORE
 
 
 @pytest.mark.parametrize("pair", [(0.1, 0.3), (-7.0, -0.5), (0.25, 40.0), (3.0, 3.0)])
