@@ -352,7 +352,7 @@ def fitted_error(curves: Sequence[Curve], edges: FloatArray, degree: int, method
     fits = [fit_curve(curve, edges, degree, method, side, exchange=False) for curve in curves]
     if method == "minimax":
         return max(largest_error(curve, fit) for curve, fit in zip(curves, fits, strict=True))
-    return sum(squared_error_integral(curve, fit) for curve, fit in zip(curves, fits, strict=True)) ** 0.5
+    return float(sum(squared_error_integral(curve, fit) for curve, fit in zip(curves, fits, strict=True)) ** 0.5)
 
 
 def breakpoints_are_best(ratio: float, form: FitForm, degree: int, method: FitMethod, positions: int) -> None:

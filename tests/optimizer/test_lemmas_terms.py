@@ -266,9 +266,9 @@ def test_kinks_are_where_the_voltage_begins_to_limit() -> None:
     kinks, starts = exact_conditions._voltage_kinks(fast, fast.largest_torque())
     assert starts
     assert kinks == []
-    i_d, i_q = made.exact(50.0)
+    at_d, at_q = made.exact(50.0)
     found = limited.currents(np.array([50.0]))
-    assert (i_d, i_q) == pytest.approx((float(found[0][0]), float(found[1][0])), rel=1e-12)
+    assert (at_d, at_q) == pytest.approx((float(found[0][0]), float(found[1][0])), rel=1e-12)
     assert Task.of(free, made.reference).kinks == ()
 
 
