@@ -54,7 +54,7 @@ def check_machine(section: MachineSection, machine: Machine, document: YamlDocum
         _check_rated_current(current, machine, document)
     if torque is not None:
         with document.at(("machine", "rated", "torque")):
-            datasheet.check_rated_torque(torque, _largest_torque(machine, machine.i_max))
+            datasheet.check_rated_torque(torque, largest_torque_within(machine, machine.i_max))
     most = machine.omega_m_max
     if rated.speed is not None and most is not None and rated.speed.si > most * (1.0 + _ROUNDING):
         hint = bare_speed_hint(rated.speed)
@@ -192,13 +192,13 @@ def check_fit(sections: DesignFile, machine: Machine, i_max: float, document: Ya
     _check_form(sections, machine, document)
     _check_speed(sections, machine, document)
     _check_budget(sections, document)
-    largest = _largest_torque(machine, i_max, strategy)
+    largest = largest_torque_within(machine, i_max, strategy)
     end = largest if fit.torque_max is None else fit.torque_max.si
     if fit.breakpoints is not None:
         _check_breakpoints(fit.breakpoints, fit.segments, end, document)
 
 
-def _largest_torque(machine: Machine, i_max: float, strategy: Strategy = "mtpa") -> float:
+def largest_torque_within(machine: Machine, i_max: float, strategy: Strategy = "mtpa") -> float:
     """Largest torque in N m within a current limit in A; of saturated machines by a scan, good for a cross-check."""
     if isinstance(machine, LinearMachine):
         saliency = machine.saliency if strategy == "mtpa" else 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dqforge.machines import checks, datasheet
@@ -14,6 +14,7 @@ from dqforge.machines.device_reader import read_inverter_device
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.loss_reader import read_losses, read_machine_loss, read_winding_heat
 from dqforge.machines.machine_reader import read_machine
+from dqforge.machines.plausibility import implausibilities
 from dqforge.machines.provenance import input_values, kind_assumptions
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
@@ -117,7 +118,7 @@ class _Build:
         weakening = read_weakening(sections, machine, self.reading)
         choice = read_choice(sections, machine, i_max, self.reading)
         losses = read_losses(sections, machine, self.reading)
-        return Design(
+        design = Design(
             name=sections.name,
             about=sections.about,
             machine=machine,
@@ -139,6 +140,7 @@ class _Build:
             simulation=read_scenario(sections, machine, inverter, control, self.reading),
             modulation_choice=choice,
         )
+        return replace(design, assumptions=(*design.assumptions, *implausibilities(design, sections)))
 
     def inverter(self, section: InverterSection, machine_limit: float) -> Inverter:
         """Inverter in SI units; the machine's current limit in A is where tables of a device are made constants."""

@@ -30,6 +30,7 @@ from dqforge.optimizer.fitting import Curve, SideConditions, fit_curve, squared_
 from dqforge.optimizer.fixed_reference import FIXED_WIDTHS
 from dqforge.optimizer.fixed_scales import code_scale, in_fixed_point, on_codes
 from dqforge.optimizer.piecewise import PiecewisePolynomial
+from dqforge.optimizer.segmentations import Segmentations
 from dqforge.optimizer.single_precision import SinglePolynomial
 
 _LARGEST_BASE = 1e18
@@ -70,9 +71,13 @@ def _search_edges(curves: list[Curve], settings: FitSettings, end: float) -> Flo
     side = SideConditions(settings.exact_at_zero, settings.continuous)
     if settings.method == "minimax":
         return level_edges(curves, settings.degree, settings.segments, side, end)
-    start = segment_errors(curves, settings.degree, side, end).best_edges(settings.segments, squared=True)
     cost = _cost(curves, settings)
-    return search(cost, cost, settings.segments, end, start)
+    if settings.segments == 1:
+        return search(cost, cost, 1, end)
+    errors = segment_errors(curves, settings.degree, side, end)
+    candidates = Segmentations(errors, settings.segments, squared=True)
+    starts = candidates.starts(lambda edges: np.array([cost(one) for one in edges]))
+    return min((search(cost, cost, settings.segments, end, start) for start in starts), key=cost)
 
 
 def find_edges(curves: dict[str, Curve], settings: FitSettings, end: float) -> dict[str, FloatArray]:

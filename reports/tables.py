@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dqforge.machines.design import Design
+from dqforge.machines.figures import MARK
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.settings import Core, QFormats
 from dqforge.machines.synchronous import LinearMachine
@@ -77,7 +78,7 @@ def check_tables(design: Design) -> list[Table]:
         for value in design.values
     )
     columns = ("key", "in the file", "in SI", "", "source")
-    notes = tuple(f"assumed: {sentence}" for sentence in design.assumptions)
+    notes = tuple(sentence if sentence.startswith(MARK) else f"assumed: {sentence}" for sentence in design.assumptions)
     return [Table(f"{design.name}: valid", columns, rows, notes)]
 
 
