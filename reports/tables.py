@@ -32,6 +32,7 @@ from dqforge.reports.cross import TargetVerification
 from dqforge.reports.labels import core_name, obstacle, operation_text, part_label, shown_parts
 from dqforge.reports.observer_text import position_parts
 from dqforge.reports.robustness_text import FORM_COLUMNS, ROBUST_COLUMNS, form_rows, robust_notes, robust_rows
+from dqforge.reports.simulated_format import format_text, not_simulated
 from dqforge.reports.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_text import domain_text, errors_text, proof_text
@@ -366,6 +367,9 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
     if solution.losses is not None:
         rows += _best_rows(solution.losses)
     rows += [] if solution.choice is None else choice_rows(solution.choice)
+    formats = format_text(not_simulated(solution)) if verification is not None else ""
+    if solution.design.simulation is not None and formats:
+        rows.append(("simulation", formats))
     rows.append(("verification", verification_text(verification)))
     return [Table(solution.design.name, ("", ""), tuple(rows))]
 
