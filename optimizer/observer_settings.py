@@ -35,11 +35,33 @@ class ObserverTuning:
 
 
 @dataclass(frozen=True, slots=True)
+class Load:
+    """A steady load: currents in A, and the machine there.
+
+    ``l_d`` in H is the incremental inductance, ``psi_pm`` in Wb what psi_d has beside l_d i_d, ``l_q`` in H the ratio
+    of psi_q and i_q: of a saturated machine these make the flux linkages that it has at this very load.
+    """
+
+    i_d: float
+    i_q: float
+    l_d: float
+    l_q: float
+    psi_pm: float
+
+    @classmethod
+    def on(cls, machine: LinearMachine, i_q: float) -> Load:
+        """A load of a linear machine with i_d = 0."""
+        return cls(0.0, i_q, machine.l_d, machine.l_q, machine.psi_pm)
+
+
+@dataclass(frozen=True, slots=True)
 class Disturbances:
     """What an observer has to live with.
 
     ``i_noise`` in A and ``v_noise`` in V are r.m.s. values per component; ``r_s``, ``l_d``, ``l_q``, ``psi_pm``
-    relative parameter errors; ``acceleration`` in rad/s^2 (electrical); ``i_load`` in A the current i_q of the load.
+    relative parameter errors; ``acceleration`` in rad/s^2 (electrical). ``lost`` in V is the voltage along the current
+    that a dead time costs and the observer knows nothing of; with ``lost_both`` it may as well be compensated too much.
+    ``loads`` are the steady loads, the acceleration at the first of them; none for one of ``i_load`` A with i_d = 0.
     """
 
     i_noise: float
@@ -50,6 +72,9 @@ class Disturbances:
     l_d: float = 0.1
     l_q: float = 0.1
     psi_pm: float = 0.1
+    lost: float = 0.0
+    lost_both: bool = False
+    loads: tuple[Load, ...] = ()
 
 
 def usual_disturbances(machine: LinearMachine, v_dc: float, omega_max: float) -> Disturbances:

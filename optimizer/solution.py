@@ -27,6 +27,7 @@ from dqforge.optimizer.mission_budget import MissionComparison, compare_mission
 from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
+from dqforge.optimizer.observer_conditions import conditions
 from dqforge.optimizer.observer_tuning import PositionObserver, tune_position_observer
 from dqforge.optimizer.phase_reference import PhaseFit, fit_phases
 from dqforge.optimizer.reference_fit import ReferenceFit, domain_end, fit_reference
@@ -155,7 +156,10 @@ def _solve_observer(design: Design) -> tuple[ReducedOrderObserver | None, Positi
         return reduced_order_observer(machine, wanted.pole, control.t_s), None
     omega_m = machine.omega_m_max if machine.omega_m_max is not None else control.bases.speed
     omega_max = omega_m * machine.pole_pairs
-    return None, tune_position_observer(linearised(machine), wanted, control.t_s, design.inverter.v_dc, omega_max)
+    known = conditions(design, omega_max)
+    return None, tune_position_observer(
+        linearised(machine), wanted, control.t_s, design.inverter.v_dc, omega_max, known
+    )
 
 
 def solve_gains(design: Design) -> GainSet:

@@ -335,8 +335,8 @@ def reproduction_tables(found: Reproduction) -> list[Table]:
             ("step", "limit of v_q, share of v_dc/sqrt(3)", "reached rpm", "within 2 % after s"),
             climbs,
             (
-                "The thesis shows both speeds. Its program limits v_q to 13000 of 32768, for about 2600 rpm as it says;",
-                "delay and dead time, neither compensated, leave less. 2700 rpm must have been run without that limit.",
+                "The thesis shows both speeds. Its program limits v_q to 13000 of 32768, for about 2600 rpm as it",
+                "says; delay and dead time, neither compensated, leave less. 2700 rpm must have been run without that limit.",
             ),
         ),
         Table(

@@ -139,8 +139,8 @@ def estimator_table(rows: tuple[Estimator, ...]) -> Table:
             "Emitted C in the loop: speed by the reduced-order observer, position by the voltage model of Matsui.",
             "The dead time of the program, not compensated, and 0.7 % more magnet flux explain the speed; the position",
             "is then 3.6 % of a turn off, not 10 %. R off by 30 %, L by 20 %, psi by 4 % or v_dc by 5 % leave it",
-            "at 4.5 % or less; a dead time that makes 10 % spoils the speed. Reading the position out every tenth sample",
-            "makes it 10 %; that this was done is a guess, it is not in the thesis.",
+            "at 4.5 % or less; a dead time that makes 10 % spoils the speed. Reading the position out every tenth",
+            "sample makes it 10 %; that this was done is a guess, it is not in the thesis.",
             f"With every switching instant: {100.0 * switched[0]:+.2f} % and {360.0 * switched[1]:.1f} deg.",
         ),
     )

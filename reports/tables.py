@@ -32,8 +32,8 @@ from dqforge.reports.cross import TargetVerification
 from dqforge.reports.labels import core_name, obstacle, operation_text, part_label, shown_parts
 from dqforge.reports.observer_text import position_parts
 from dqforge.reports.robustness_text import FORM_COLUMNS, ROBUST_COLUMNS, form_rows, robust_notes, robust_rows
-from dqforge.reports.simulated_format import format_text, not_simulated
 from dqforge.reports.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
+from dqforge.reports.simulated_format import format_text, not_simulated
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_text import domain_text, errors_text, proof_text
 

@@ -17,12 +17,13 @@ from dqforge.machines.synchronous import FloatArray, LinearMachine
 from dqforge.optimizer.eemf_observer import exact_factors, factor_error
 from dqforge.optimizer.ekf_tuning import first_guess, usual_noise
 from dqforge.optimizer.flux_observer import FluxGains, flux_path, integrated
-from dqforge.optimizer.observer_judgement import closed_form_error, judge_at, steady_observer
+from dqforge.optimizer.observer_judgement import judge_at
 from dqforge.optimizer.observer_settings import Disturbances, ObserverTuning
 from dqforge.optimizer.observer_tuning import optimise, tune_position_observer
 from dqforge.optimizer.pll import pll_gains
 from dqforge.optimizer.position_observers import METHODS, ObserverMethod, method_named, observe
 from dqforge.optimizer.sampled_steps import ekf_gains
+from dqforge.optimizer.steady_observer import closed_form_error, steady_observer
 
 T_S = 1e-4
 OMEGA_MAX = 3000.0
