@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from dqforge.optimizer.mission_budget import MissionComparison, compare_mission
 from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
+from dqforge.optimizer.observed_loop import judge_observed
 from dqforge.optimizer.observer_conditions import conditions
 from dqforge.optimizer.observer_tuning import PositionObserver, tune_position_observer
 from dqforge.optimizer.phase_reference import PhaseFit, fit_phases
@@ -57,7 +58,8 @@ class GainSet:
     """Gains of both current loops and, where the design asks for them, of the speed loop and an observer.
 
     ``observer`` is the reduced-order speed observer, ``position`` one of the position; a design has at most one.
-    ``robust`` is what they keep over the tolerances, None where the design names none; ``schedule`` the current loops'
+    ``robust`` is what they keep over the tolerances (the speed loop only without an observer), None where the design
+    names none; ``schedule`` the current loops'
     gains over the current, None where it asks for none.
     """
 
@@ -196,6 +198,9 @@ def solve_gains(design: Design) -> GainSet:
         )
     wanted = control.current_loop.schedule
     schedule = schedule_gains(design, box if named else None, i_d, i_q) if wanted else None
+    if speed is not None and (observer is not None or position is not None):
+        speed = judge_observed(design, (i_d, i_q, speed), observer, position)
+        robust = None if robust is None else replace(robust, speed=None)
     return GainSet(i_d, i_q, speed, observer, robust, schedule, position)
 
 

@@ -29,7 +29,8 @@ class SteadyObserver:
 
     ``theta_error`` in rad and ``omega_error`` in rad/s are estimate minus truth, shape (M,); ``jacobian`` (M, n, n) the
     derivative of one step by the state (vectors, angle, speed); ``by_current``, ``by_voltage`` (M, n, 2) that by the
-    measured current and voltage; ``found`` (M,) whether a fixed point was found.
+    measured current and voltage; ``found`` (M,) whether a fixed point was found, ``states``
+    (M, n) its vectors, scalars, angle error and speed error.
     """
 
     theta_error: FloatArray
@@ -38,6 +39,7 @@ class SteadyObserver:
     by_current: FloatArray
     by_voltage: FloatArray
     found: NDArray[np.bool_]
+    states: FloatArray
 
     @property
     def poles(self) -> ComplexArray:
@@ -81,7 +83,7 @@ def _pair(value: ComplexArray) -> Pair:
     return value.real.copy(), value.imag.copy()
 
 
-def _vectors(method: ObserverMethod) -> int:
+def vector_count(method: ObserverMethod) -> int:
     """How many vectors the state of an observer holds."""
     return len(method.start(np.zeros(1), np.zeros(1)).vectors)
 
@@ -89,7 +91,7 @@ def _vectors(method: ObserverMethod) -> int:
 def _stepped(method: ObserverMethod, gains: Any, case: _Case, states: FloatArray) -> FloatArray:
     """States (M, n) one sample on; angle and speed in them are relative to the truth."""
     back = np.exp(-1j * case.turn)
-    count = _vectors(method)
+    count = vector_count(method)
     vectors = tuple(_pair((states[:, 2 * n] + 1j * states[:, 2 * n + 1]) * back) for n in range(count))
     scalars = tuple(states[:, n] for n in range(2 * count, states.shape[1] - 2))
     angle, speed = states[:, -2] - case.turn, states[:, -1] + case.omega - case.drift
@@ -112,7 +114,7 @@ def _derivative(method: ObserverMethod, gains: Any, case: _Case, states: FloatAr
     """Central differences of a step by the state, shape (M, n, n)."""
     m, n = states.shape
     size = np.ones((m, n))
-    count = 2 * _vectors(method)
+    count = 2 * vector_count(method)
     if method.sizes is not None:
         size[:, count:-2] = method.sizes(states[:, count:-2], case.omega)
     for k in range(0, count, 2):
@@ -209,6 +211,7 @@ def _solved(method: ObserverMethod, gains: Any, case: _Case) -> SteadyObserver:
         by_current=np.where(finite[:, None, None], inputs[0], 0.0),
         by_voltage=np.where(finite[:, None, None], inputs[1], 0.0),
         found=found & finite,
+        states=states,
     )
 
 
