@@ -93,9 +93,7 @@ def _margin(values: ComplexArray, grid: FloatArray) -> tuple[float, float]:
     return float(phase[worst]), float(grid[at[worst]] ** (1.0 - share[worst]) * grid[at[worst] + 1] ** share[worst])
 
 
-def _slower(
-    design: Design, speed: LoopGains, t_sum: float, inertia: float
-) -> Callable[[float], tuple[float, float]]:
+def _slower(design: Design, speed: LoopGains, t_sum: float, inertia: float) -> Callable[[float], tuple[float, float]]:
     """Gains of a slower loop of the same method by a factor below one; of given gains kp by it and ki by its square."""
     settings = design.control.speed_loop
     assert settings is not None
@@ -163,9 +161,7 @@ def judge_observed(
         text = "" if factor is None else _advice(settings, slower(factor), factor)
         own = replace(own, left=left, advice=text)
     silent = DisturbanceResponse(np.nan, np.nan)
-    return replace(
-        speed, poles=closed[worst].closed.poles, margins=margins[worst], disturbance=silent, observed=own
-    )
+    return replace(speed, poles=closed[worst].closed.poles, margins=margins[worst], disturbance=silent, observed=own)
 
 
 def _left(

@@ -45,9 +45,7 @@ class Estimator(Protocol):
         """Columns and their sizes."""
         ...
 
-    def step(
-        self, columns: FloatArray, v: ComplexArray, i: ComplexArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def step(self, columns: FloatArray, v: ComplexArray, i: ComplexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Columns, angle error, electrical speed."""
         ...
 
@@ -74,15 +72,13 @@ class PositionEstimator:
         size = np.ones_like(columns)
         for k in range(0, count, 2):
             norm = np.hypot(columns[:, k], columns[:, k + 1])
-            size[:, k] = size[:, k + 1] = np.where(norm > 0.0, norm, 1.0)
+            size[:, k] = size[:, k + 1] = np.where(norm > 1e-6, norm, 1.0)
         if self.method.sizes is not None:
             size[:, count:-2] = self.method.sizes(columns[:, count:-2], speed)
         size[:, -1] = max(abs(omega), 1.0)
         return self.turned(columns, speed * self.t_s), size
 
-    def step(
-        self, columns: FloatArray, v: ComplexArray, i: ComplexArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def step(self, columns: FloatArray, v: ComplexArray, i: ComplexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """One step of the method in double precision."""
         count = vector_count(self.method)
         vectors = tuple((columns[:, 2 * n], columns[:, 2 * n + 1]) for n in range(count))
@@ -110,7 +106,7 @@ class SpeedEstimator:
     observer: ReducedOrderObserver
     machine: LinearMachine
 
-    def start(self, i: ComplexArray, v: ComplexArray, omega: float) -> tuple[FloatArray, FloatArray]:  # noqa: ARG002
+    def start(self, i: ComplexArray, v: ComplexArray, omega: float) -> tuple[FloatArray, FloatArray]:
         """An exact estimate stays exact."""
         turn = omega * self.observer.t_s
         zeta = omega / self.machine.pole_pairs + self.observer.c * i[0].imag
@@ -121,9 +117,7 @@ class SpeedEstimator:
             columns = self.turned(after, np.array([turn]))
         return columns, size
 
-    def step(
-        self, columns: FloatArray, v: ComplexArray, i: ComplexArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def step(self, columns: FloatArray, v: ComplexArray, i: ComplexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """As `dqforge.reports.speed_observer_header` emits it."""
         own, (zeta, last_d, last_q, back, omega) = self.observer, columns.T
         v_q = (v * np.exp(-1j * (back + 0.5 * own.t_s * omega))).imag
@@ -198,7 +192,7 @@ class SteadyDrive:
     base: complex
 
     def step(self, states: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """States (M, n) one current sample on, and the filtered mechanical speed (M,) that the speed controller sees."""
+        """States (M, n) one current sample on, and the filtered speed (M,) in rad/s that the speed controller sees."""
         drive, machine = self.drive, self.drive.machine
         i, omega = states[:, 0] + 1j * states[:, 1], states[:, 2]
         acted, acting = states[:, 3] + 1j * states[:, 4], states[:, 5] + 1j * states[:, 6]

@@ -119,7 +119,7 @@ def _derivative(method: ObserverMethod, gains: Any, case: _Case, states: FloatAr
         size[:, count:-2] = method.sizes(states[:, count:-2], case.omega)
     for k in range(0, count, 2):
         norm = np.hypot(states[:, k], states[:, k + 1])
-        size[:, k] = size[:, k + 1] = np.where(norm > 0.0, norm, 1.0)
+        size[:, k] = size[:, k + 1] = np.where(norm > 1e-6, norm, 1.0)
     size[:, -1] = np.maximum(np.abs(case.omega), 1.0)
     steps = 1e-6 * size
     moved = np.concatenate([states + sign * steps * np.eye(n)[k] for sign in (1.0, -1.0) for k in range(n)])

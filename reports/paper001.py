@@ -336,7 +336,7 @@ def reproduction_tables(found: Reproduction) -> list[Table]:
             climbs,
             (
                 "The thesis shows both speeds. Its program limits v_q to 13000 of 32768, for about 2600 rpm as it",
-                "says; delay and dead time, neither compensated, leave less. 2700 rpm must have been run without that limit.",
+                "says; delay and dead time, neither compensated, leave less. 2700 rpm must have been run without it.",
             ),
         ),
         Table(

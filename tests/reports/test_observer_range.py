@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,31 +9,24 @@ import pytest
 
 from dqforge.machines import catalogue
 from dqforge.machines.design import Design
+from dqforge.machines.drive_motion import plants
+from dqforge.machines.loader import load_text
 from dqforge.machines.scenario import PlantErrors, Scenario, constant
 from dqforge.machines.settings import ObserverMethodName, ObserverSettings, Tolerances
 from dqforge.machines.synchronous import LinearMachine
-from dqforge.optimizer.observer_conditions import conditions, lost_voltage
-from dqforge.optimizer.observer_judgement import ANGLE_LIMIT, SPEED_LIMIT
-from dqforge.optimizer.observer_settings import Disturbances
+from dqforge.optimizer.observer_conditions import lost_voltage
 from dqforge.optimizer.observer_tuning import PositionObserver
 from dqforge.optimizer.position_observers import METHODS
 from dqforge.optimizer.solution import Solution, solve, solve_gains
 from dqforge.optimizer.steady_observer import steady_observer
-from dqforge.machines.drive_motion import plants
 from dqforge.reports.drive_simulation import angle_error, controller_files, drive_of, observers_of
-from dqforge.reports.observer_header import observer_files, speed_range_text
-from dqforge.reports.observer_text import plain_position, position_parts
-from dqforge.reports.result_json import to_text
 from dqforge.reports.simulation import simulate, simulator
 
 DRIVES = ("paper001-pmsm-bench", "abb-ipmsm-2k2", "template")
-EVERY = pytest.mark.parametrize("name", list(METHODS))
 
 
 def observed_design(drive: str, method: ObserverMethodName, tolerances: Tolerances | None = None) -> Design:
     if drive == "template":
-        from dqforge.machines.loader import load_text
-
         design = load_text(catalogue.template(), "template.yaml")
     else:
         design = catalogue.load(drive)
@@ -47,6 +38,78 @@ def position(design: Design) -> PositionObserver:
     found = solve_gains(design).position
     assert found is not None
     return found
+
+
+@pytest.mark.parametrize("name", [m if m != "ekf" else pytest.param(m, marks=pytest.mark.slow) for m in METHODS])
+def test_one_range_is_stored_and_printed_everywhere(name: ObserverMethodName) -> None:
+    """Terminal (`tune`), header and JSON; where the angle holds, the table's own column says so, lag included."""
+    design = observed_design("paper001-pmsm-bench", name)
+    observer = position(design)
+    text = speed_range_text(observer)
+    angles, speeds = position_parts(observer)
+    assert text in angles[3]
+    header = observer_files(design, observer)[f"{design.export.prefix}_observer.h"].decode("ascii")
+    assert text in " ".join(line.removeprefix(" *").strip() for line in header.splitlines())
+    plain = json.loads(to_text("tune", "test", {"position": plain_position(observer)}))["position"]
+    judged = observer.judgement
+    for key in ("omega_low", "steady_low"):
+        value = getattr(judged, key)
+        assert plain[f"{key}_rad_per_s"] == (None if math.isnan(value) else pytest.approx(value, rel=1e-8))
+    inside = (judged.omega >= judged.omega_low) & (judged.omega <= judged.omega_high)
+    assert np.all(judged.total[inside] <= ANGLE_LIMIT)
+    assert np.all(judged.speed_total[inside] <= SPEED_LIMIT * judged.omega[inside])
+    np.testing.assert_allclose(judged.total, np.hypot(judged.steady, judged.lag))
+    column = angles[1].index("together")
+    shown = observer.shown
+    for k, row in enumerate(angles[2]):
+        total = float(shown.total[k])
+        assert row[column] == (f"{math.degrees(total):.3g}" if math.isfinite(total) else "lost")
+        holds = total <= ANGLE_LIMIT and shown.speed_total[k] <= SPEED_LIMIT * shown.omega[k]
+        within = judged.omega_low <= shown.omega[k] <= judged.omega_high
+        assert holds or not within
+    assert len(speeds[2]) == len(angles[2])
+
+
+def test_loads_tolerances_and_dead_time_are_those_of_the_design() -> None:
+    """Half and full torque on the MTPA locus; the whole dead time without, the stated one with a tolerance of it."""
+    design = observed_design("abb-ipmsm-2k2", "flux")
+    known = conditions(design, 300.0)
+    machine = design.machine
+    assert isinstance(machine, LinearMachine)
+    full = known.loads[1]
+    assert math.hypot(full.i_d, full.i_q) == pytest.approx(design.i_max, rel=1e-6)
+    # MTPA: psi i_d + (l_d - l_q)(i_d^2 - i_q^2) = 0
+    for load in known.loads:
+        slope = machine.psi_pm * load.i_d + (machine.l_d - machine.l_q) * (load.i_d**2 - load.i_q**2)
+        assert abs(slope) < 1e-6 * machine.psi_pm * design.i_max
+    assert [math.copysign(1.0, load.i_q) for load in known.loads] == [1.0, 1.0, -1.0, -1.0]
+    inverter = design.inverter
+    assert known.lost == pytest.approx(4.0 / math.pi * inverter.f_sw * inverter.dead_time * inverter.v_dc)
+    assert not known.lost_both
+    named = observed_design("abb-ipmsm-2k2", "flux", Tolerances(r_s=0.2, psi_pm=0.05, dead_time=2e-7))
+    known = conditions(named, 300.0)
+    assert (known.r_s, known.l_d, known.l_q, known.psi_pm) == (0.2, 0.0, 0.0, 0.05)
+    assert known.lost == pytest.approx(4.0 / math.pi * inverter.f_sw * 2e-7 * inverter.v_dc)
+    assert known.lost_both
+
+
+def test_the_locus_and_the_dead_time_raise_the_low_end() -> None:
+    """The same observer judged at i_d = 0 and half the current, without dead time, holds from a lower speed."""
+    design = observed_design("thor-pmsyrm-5k", "flux")
+    observer = position(design)
+    known = observer.disturbances
+    bare = replace(known, loads=(), lost=0.0)
+    mild = judge(observer.method, observer.gains, observer.t_s, observer.machine, bare, observer.omega_max)
+    assert mild.steady_low < 0.6 * observer.judgement.steady_low
+
+
+def test_an_unstable_rest_counts_as_lost() -> None:
+    """Braking, a dead time above the back-EMF turns the EMF that is seen: an extended EMF locks half a turn off."""
+    design = observed_design("paper001-pmsm-bench", "extended-emf")
+    observer = position(design)
+    lost = lost_voltage(design)[0]
+    below = observer.judgement.omega < 0.9 * lost / observer.machine.psi_pm
+    assert np.all(np.isinf(observer.judgement.bias["dead_time"][below]))
 
 
 CASES = [(drive, method) for drive in DRIVES for method in METHODS]
