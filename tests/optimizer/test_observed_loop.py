@@ -20,7 +20,11 @@ from dqforge.optimizer.position_observers import METHODS
 from dqforge.optimizer.sampled import SampledSystem, lift, loop_margins
 from dqforge.optimizer.solution import GainSet, solve, solve_gains
 from dqforge.reports.drive_simulation import controller_files, drive_of, observers_of
+from dqforge.reports.header import margin_text
+from dqforge.reports.observed_text import loop_words, observed_notes
+from dqforge.reports.result_json import plain_gains, to_text
 from dqforge.reports.simulation import simulate, simulator
+from dqforge.reports.tables import gains_tables
 
 
 def template(method: ObserverMethodName, spread: float = 3.0, drive: str = "template") -> Design:
@@ -190,3 +194,22 @@ def test_the_simulated_drive_swings_where_the_loop_is_unstable_and_rests_where_i
         assert swing(calm, share) < 0.002
     elif found.holds:
         assert swing(design, share) < 0.002
+
+
+def test_no_margin_without_the_lag_is_said_of_such_a_loop() -> None:
+    """Terminal, header and JSON: the encoder's margin (54.6 deg) and crossover (74.4 Hz) stand nowhere."""
+    design = template("flux")
+    bare = solve_gains(replace(design, control=replace(design.control, observer=None))).speed
+    gains = solve_gains(design)
+    assert bare is not None
+    assert gains.speed is not None
+    texts = [loop_words(gains.speed), *margin_text(gains.speed), *observed_notes(gains.speed)]
+    texts += [cell for table in gains_tables(design, gains)[:1] for row in table.rows for cell in row]
+    texts.append(to_text("tune", "t", {"gains": plain_gains(design, gains)["speed"]}))
+    whole = " ".join(texts)
+    assert f"{np.degrees(bare.phase_margin):.1f}" not in whole
+    assert f"{bare.crossover / (2.0 * np.pi):.4g} Hz" not in whole
+    assert f"{bare.phase_margin:.9g}" not in whole
+    assert "unstable with the observer's lag" in whole
+    assert "the observer leaves 26." in whole
+    assert loop_words(bare) == f"{bare.crossover / (2.0 * np.pi):.4g} Hz crossover, 55 deg phase margin"
