@@ -113,7 +113,7 @@ def _added(value: FloatArray, base: FloatArray) -> FloatArray:
 
 
 def _root(parts: list[FloatArray]) -> FloatArray:
-    return np.sqrt(np.sum(np.square(parts), axis=0))
+    return np.asarray(np.sqrt(np.sum(np.square(parts), axis=0)), dtype=np.float64)
 
 
 def judge_at(
@@ -150,10 +150,8 @@ def judge_at(
     per_load = (len(cases) - 1) // len(loads)
     lag = _added(theta[-1], np.where(np.isfinite(theta[0]), theta[0], 0.0))
     names = [case.name for case in cases[:per_load]]
-    judged = [
-        _at_load(names, *(part[k * per_load : (k + 1) * per_load] for part in (theta, speed, noise, poles)))
-        for k in range(len(loads))
-    ]
+    blocks = [slice(k * per_load, (k + 1) * per_load) for k in range(len(loads))]
+    judged = [_at_load(names, theta[rows], speed[rows], noise[rows], poles[rows]) for rows in blocks]
     return _worst(omega, judged, lag)
 
 
