@@ -50,7 +50,20 @@ LOOPED = ("bandwidth (crossover)", *MARGINS)
     ("old", "new", "rows", "macros"),
     [
         ("value: 4.88 us", "value: 5 us", {("limits", "dead time")}, set()),
-        ("max_speed: {value: 5420 rpm", "max_speed: {value: 6000 rpm", {("limits", "largest speed")}, set()),
+        (
+            # The speed loop runs on an observer and is judged up to the largest speed.
+            "max_speed: {value: 5420 rpm",
+            "max_speed: {value: 6000 rpm",
+            {
+                ("limits", "largest speed"),
+                ("speed loop", "bandwidth (crossover)"),
+                ("speed loop", "phase margin"),
+                ("speed loop", "gain margin (factor)"),
+                ("speed loop", "delay margin"),
+                ("speed loop", "M_s"),
+            },
+            set(),
+        ),
         # In a prefix only: macros are compared without it.
         ("prefix: bench001", "prefix: other", set(), set()),
         (
