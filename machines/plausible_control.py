@@ -7,6 +7,7 @@ import math
 from dqforge.machines.design import Design
 from dqforge.machines.figures import Figure
 from dqforge.machines.plausible_scale import Scale
+from dqforge.machines.settings import ToleranceName
 
 _TURN = 2.0 * math.pi
 
@@ -95,14 +96,25 @@ def _bases(design: Design, scale: Scale) -> list[Figure]:
     ]
 
 
+_LARGEST_DEVIATIONS: tuple[tuple[ToleranceName, float], ...] = (
+    ("r_s", 0.7),
+    ("l_d", 0.7),
+    ("l_q", 0.7),
+    ("psi_pm", 0.4),
+    ("inertia", 0.8),
+    ("v_dc", 0.5),
+)
+
+
 def _tolerances(design: Design) -> list[Figure]:
     box, figures = design.control.tolerances, []
     if box is None:
         return []
-    for name, most in (("r_s", 0.7), ("l_d", 0.7), ("l_q", 0.7), ("psi_pm", 0.4), ("inertia", 0.8), ("v_dc", 0.5)):
-        figures.append(Figure(f"control.tolerances.{name}", "the deviation", getattr(box, name), "%", 0.0, most))
+    for name, most in _LARGEST_DEVIATIONS:
+        deviation = max(map(abs, box.limits(name)))
+        figures.append(Figure(f"control.tolerances.{name}", "the deviation", deviation, "%", 0.0, most))
     if design.inverter.dead_time > 0.0:
-        share = box.dead_time / design.inverter.dead_time
+        share = max(map(abs, box.limits("dead_time"))) / design.inverter.dead_time
         figures.append(Figure("control.tolerances.dead_time", "its share of the dead time", share, "%", 0.0, 1.0))
     return figures
 

@@ -161,6 +161,11 @@ Deviation = float | tuple[float, float]
 """How far a value may be off: both ways, or from the first (zero or negative) to the second (zero or positive)."""
 
 
+def both_sides(deviation: Deviation) -> tuple[float, float]:
+    """Least and largest value of a deviation; a single number goes to either side."""
+    return deviation if isinstance(deviation, tuple) else (-deviation, deviation)
+
+
 @dataclass(frozen=True, slots=True)
 class Tolerances:
     """How far the drive may be from its data; 0 where a value is taken as exact.
@@ -182,8 +187,7 @@ class Tolerances:
 
     def limits(self, name: ToleranceName) -> tuple[float, float]:
         """Least (zero or negative) and largest (zero or positive) deviation of one parameter."""
-        deviation = getattr(self, name)
-        return deviation if isinstance(deviation, tuple) else (-deviation, deviation)
+        return both_sides(getattr(self, name))
 
 
 @dataclass(frozen=True, slots=True)

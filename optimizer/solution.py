@@ -27,7 +27,9 @@ from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.mission_budget import MissionComparison, compare_mission
 from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
 from dqforge.optimizer.mtpa_locus import mtpa_locus
+from dqforge.optimizer.observed_loop import judge_observed
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
+from dqforge.optimizer.observer_conditions import conditions
 from dqforge.optimizer.observer_tuning import PositionObserver, tune_position_observer
 from dqforge.optimizer.phase_reference import PhaseFit, fit_phases
 from dqforge.optimizer.reference_fit import ReferenceFit, domain_end, fit_reference
@@ -57,7 +59,8 @@ class GainSet:
     """Gains of both current loops and, where the design asks for them, of the speed loop and an observer.
 
     ``observer`` is the reduced-order speed observer, ``position`` one of the position; a design has at most one.
-    ``robust`` is what they keep over the tolerances, None where the design names none; ``schedule`` the current loops'
+    ``robust`` is what they keep over the tolerances (the speed loop only without an observer), None where the design
+    names none; ``schedule`` the current loops'
     gains over the current, None where it asks for none.
     """
 
@@ -160,7 +163,10 @@ def _solve_observer(design: Design) -> tuple[ReducedOrderObserver | None, Positi
         return reduced_order_observer(machine, wanted.pole, control.t_s), None
     omega_m = machine.omega_m_max if machine.omega_m_max is not None else control.bases.speed
     omega_max = omega_m * machine.pole_pairs
-    return None, tune_position_observer(linearised(machine), wanted, control.t_s, design.inverter.v_dc, omega_max)
+    known = conditions(design, omega_max)
+    return None, tune_position_observer(
+        linearised(machine), wanted, control.t_s, design.inverter.v_dc, omega_max, known
+    )
 
 
 def solve_gains(design: Design) -> GainSet:
@@ -198,6 +204,9 @@ def solve_gains(design: Design) -> GainSet:
         )
     wanted = control.current_loop.schedule
     schedule = schedule_gains(design, box if named else None, i_d, i_q) if wanted else None
+    if speed is not None and (observer is not None or position is not None):
+        speed = judge_observed(design, (i_d, i_q, speed), observer, position)
+        robust = None if robust is None else replace(robust, speed=None)
     return GainSet(i_d, i_q, speed, observer, robust, schedule, position)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from textwrap import wrap
 from typing import Any
 
 from dqforge.machines.design import Design
@@ -15,6 +16,7 @@ from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.header_title import title
+from dqforge.reports.observed_text import observed_notes
 from dqforge.reports.reference_header import reference_context, vectors_context, vectors_template
 from dqforge.reports.reference_ir import PlainData, shortest, to_plain
 from dqforge.reports.robustness_text import robust_lines
@@ -103,7 +105,9 @@ def margin_text(gains: LoopGains) -> list[str]:
     crossover = gains.crossover / (2.0 * math.pi)
     phase_margin = math.degrees(gains.phase_margin)
     pole, delay = abs(gains.poles[0]), gains.delay_margin_samples
+    seen = [line for note in observed_notes(gains) for line in wrap(f"{note[0].upper()}{note[1:]}.", 110)]
     return [
+        *seen,
         f"Crossover {crossover:.4g} Hz, phase margin {phase_margin:.1f} deg, gain margin {gain_margin:.1f} dB,",
         f"delay margin {delay:.2f} samples, largest pole {pole:.6f}, M_s {gains.max_sensitivity:.2f}.",
     ]

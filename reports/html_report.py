@@ -44,6 +44,7 @@ from dqforge.reports.html_text import count, degrees, number, quantity, share, s
 from dqforge.reports.html_tolerances import tolerance_tables
 from dqforge.reports.html_waveforms import candidates_table, comparison_text, rules_table
 from dqforge.reports.labels import FORMAT_TEXT, MODULATION_LABELS, operation_text, point_text, watts
+from dqforge.reports.observed_text import left_words
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.simulation_tables import simulation_part
 from dqforge.reports.templating import render
@@ -150,6 +151,11 @@ def _compared(verification: Verification | None) -> str:
     return f"{count(verification.vectors + verification.sweep)} results equal the model, {languages}"
 
 
+def _margin(loop: LoopGains) -> str:
+    """Phase margin, or that the loop has none."""
+    return degrees(loop.phase_margin) if loop.stable else "unstable"
+
+
 def tiles(solution: Solution, verification: Verification | None) -> list[Tile]:
     """The key numbers."""
     fit, chosen = solution.fit, solution.curves.chosen
@@ -168,10 +174,10 @@ def tiles(solution: Solution, verification: Verification | None) -> list[Tile]:
     if saving is not None:
         detail = f"{watts(saving.chosen)} instead of {watts(saving.id0)} at {quantity(saving.torque, 'N m')}"
         found.append(Tile(symbols("Copper loss saved against i_d = 0"), share(saving.relative, 3), detail))
-    worst = min(_loops(solution), key=lambda loop: abs(loop.phase_margin))
-    others = [f"{LOOP_TEXT[loop.loop]} {degrees(loop.phase_margin)}" for loop in _loops(solution) if loop is not worst]
+    worst = min(_loops(solution), key=lambda loop: (loop.stable, abs(loop.phase_margin)))
+    others = [f"{LOOP_TEXT[loop.loop]} {_margin(loop)}" for loop in _loops(solution) if loop is not worst]
     detail_of_others = symbols(f"{LOOP_TEXT[worst.loop]} loop; {', '.join(others)}")
-    found.append(Tile("Smallest phase margin", degrees(worst.phase_margin), detail_of_others))
+    found.append(Tile("Smallest phase margin", _margin(worst), detail_of_others))
     best = _best_loss(solution)
     if best is not None:
         found.append(Tile("Least total loss", best[0], symbols(f"{best[1]} {best[2]}")))
@@ -219,8 +225,11 @@ def summary(solution: Solution, verification: Verification | None) -> Markup:
     if saving is not None:
         where = quantity(saving.torque, "N m")
         sentences.append(f"Against i_d = 0 it saves {share(saving.relative, 3)} of the copper loss at {where}.")
-    margins = [f"{LOOP_TEXT[loop.loop]} {degrees(loop.phase_margin)}" for loop in _loops(solution)]
+    margins = [f"{LOOP_TEXT[loop.loop]} {_margin(loop)}" for loop in _loops(solution)]
     sentences.append(f"The phase margins of the sampled loops are {', '.join(margins)}.")
+    speed = solution.gains.speed
+    if speed is not None and speed.observed is not None:
+        sentences.append(f"The speed loop is judged with the lag of its observer; {left_words(speed)}.")
     best = _best_loss(solution)
     if best is not None:
         sentences.append(f"The alternative that loses least is {best[1]}: {best[0]} {best[2]}.")

@@ -34,6 +34,7 @@ from dqforge.reports.labels import (
     shown_parts,
     watts,
 )
+from dqforge.reports.observed_text import observed_notes
 from dqforge.reports.observer_text import position_parts
 from dqforge.reports.reference_ir import PlainData
 
@@ -269,12 +270,13 @@ def _loop_cells(gains: LoopGains, bases: tuple[float, float], q_formats: QFormat
         ", ".join(number(value, 6) for value in gains.velocity),
         per_unit_text,
         quantity(gains.crossover / (2.0 * math.pi), "Hz"),
-        degrees(gains.phase_margin),
+        degrees(gains.phase_margin) if gains.stable else f"{degrees(gains.phase_margin)} (unstable)",
         decibel(gains.gain_margin),
         delay,
         number(gains.max_sensitivity, 3),
         _disturbance_text(gains),
         poles,
+        symbols("; ".join(observed_notes(gains))),
     )
 
 
@@ -287,6 +289,8 @@ def _pole_text(pole: complex) -> str:
 
 def _disturbance_text(gains: LoopGains) -> str:
     response = gains.disturbance
+    if gains.observed is not None:
+        return "not computed with the observer"
     unit = "A per V" if gains.loop != "speed" else "rad/s per N m"
     finite = math.isfinite(response.settling_time)
     settled = f"settled in {quantity(response.settling_time, 's', 3)}" if finite else "settles later than was computed"
@@ -318,8 +322,9 @@ def loop_table(design: Design, gains: GainSet) -> HtmlTable:
         "largest sensitivity M_s",
         "largest deviation after a unit disturbance",
         "closed-loop poles in z",
+        "speed from",
     )
-    rows = tuple(Row((label, *cells)) for label, *cells in zip(labels, *columns, strict=True))
+    rows = tuple(Row((label, *cells)) for label, *cells in zip(labels, *columns, strict=True) if any(cells))
     return HtmlTable("Gains and margins of the sampled loops", ("", *_headings(*names)), rows)
 
 

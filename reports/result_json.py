@@ -32,6 +32,7 @@ from dqforge.reports.control_header import plain_control
 from dqforge.reports.data_text import plain_data_use
 from dqforge.reports.drive_losses_tables import plain_mission
 from dqforge.reports.gains_header import plain_evaluator
+from dqforge.reports.observed_text import plain_observed
 from dqforge.reports.observer_header import emitted, plain_observer
 from dqforge.reports.observer_text import plain_position
 from dqforge.reports.reference_ir import PlainData, to_plain
@@ -182,6 +183,7 @@ def _plain_loop(gains: LoopGains, bases: tuple[float, float], q_formats: QFormat
         "delay_margin_s": gains.delay_margin,
         "max_sensitivity": gains.max_sensitivity,
         "poles": [[pole.real, pole.imag] for pole in gains.poles.tolist()],
+        **plain_observed(gains),
     }
 
 

@@ -33,9 +33,11 @@ from dqforge.reports.choice_text import choice_rows
 from dqforge.reports.cross import TargetVerification
 from dqforge.reports.data_text import data_lines
 from dqforge.reports.labels import core_name, obstacle, operation_text, part_label, shown_parts
+from dqforge.reports.observed_text import loop_name, loop_words, margin_words, observed_notes
 from dqforge.reports.observer_text import position_parts
 from dqforge.reports.robustness_text import FORM_COLUMNS, ROBUST_COLUMNS, form_rows, robust_notes, robust_rows
 from dqforge.reports.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
+from dqforge.reports.simulated_format import format_text, not_simulated
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_text import domain_text, errors_text, proof_text
 
@@ -199,13 +201,13 @@ def fit_tables(
 
 def _loop_row(gains: LoopGains, unit: str, per_unit_text: str) -> tuple[str, ...]:
     return (
-        gains.loop,
+        loop_name(gains),
         gains.method,
         f"{gains.kp:.5g} {unit}",
         f"{gains.ki:.5g}",
         per_unit_text,
         _number(gains.crossover / (2.0 * math.pi)),
-        f"{math.degrees(gains.phase_margin):.1f}",
+        margin_words(gains),
         f"{20.0 * math.log10(gains.gain_margin):.1f}" if math.isfinite(gains.gain_margin) else "none",
         _number(gains.delay_margin * 1e6, 3),
         f"{gains.max_sensitivity:.2f}",
@@ -243,7 +245,8 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
         "delay margin us",
         "M_s",
     )
-    tables = [Table(f"{design.name}: gains, sampled every {control.t_s * 1e6:.4g} us", columns, tuple(rows))]
+    title, notes = f"{design.name}: gains, sampled every {control.t_s * 1e6:.4g} us", observed_notes(gains.speed)
+    tables = [Table(title, columns, tuple(rows), notes)]
     tables.append(Table("Parallel, series and velocity form", FORM_COLUMNS, form_rows(gains)))
     if gains.robust is not None:
         rows_, notes = robust_rows(gains.robust), robust_notes(gains.robust)
@@ -338,11 +341,6 @@ def _errors_text(errors: ReferenceErrors) -> str:
     return f"i_d {i_d} A, i_q {i_q} A, torque {torque} %, copper loss +{loss} %"
 
 
-def _loop_text(gains: LoopGains) -> str:
-    crossover, margin = gains.crossover / (2.0 * math.pi), math.degrees(gains.phase_margin)
-    return f"{crossover:.4g} Hz crossover, {margin:.0f} deg phase margin"
-
-
 def _poor_fit_notes(design: Design, fit: ReferenceFit) -> tuple[str, ...]:
     return (_poor_fit_text(design, fit),) if fit.errors.loss_relative > POOR_FIT else ()
 
@@ -380,11 +378,14 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
         if proven is not None:
             rows.append(("  proven bounds", proven))
     rows += [
-        (f"{loop.loop} loop", _loop_text(loop)) for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None
+        (f"{loop.loop} loop", loop_words(loop)) for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None
     ]
     if solution.losses is not None:
         rows += _best_rows(solution.losses)
     rows += [] if solution.choice is None else choice_rows(solution.choice)
+    formats = format_text(not_simulated(solution)) if verification is not None else ""
+    if solution.design.simulation is not None and formats:
+        rows.append(("simulation", formats))
     rows.append(("verification", verification_text(verification)))
     return [Table(solution.design.name, ("", ""), tuple(rows))]
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from drives import make_design
+from one_sided import one_sided
 
 from dqforge.machines.settings import FitSettings
 from dqforge.optimizer.data_use import DataUse
 from dqforge.optimizer.solution import solve_curves, solve_fit
 from dqforge.reports.data_text import data_lines, plain_data_use
 from dqforge.reports.tables import fit_tables, mtpa_tables
-from drives import make_design
-from one_sided import one_sided
 
 
 def test_nothing_is_said_where_the_data_cover_a_reference() -> None:
