@@ -28,7 +28,7 @@ from dqforge.machines.synchronous import FloatArray, LinearMachine
 from dqforge.optimizer.flux_surface import WeakeningRegion
 from dqforge.optimizer.surface_enclosures import Bend, Boxes, rounding, taylor
 from dqforge.optimizer.surface_errors import Enclosed, enclose
-from dqforge.optimizer.surface_limit import LargestTorque, largest_torque, limit_range
+from dqforge.optimizer.surface_limit import LargestTorque, largest_torque, limit_decrease, limit_range
 from dqforge.optimizer.surface_reference import WeakeningReference
 from dqforge.optimizer.vector_balls import Balls
 
@@ -45,7 +45,7 @@ _RESOLUTION = np.array([1e-6, 2e-6, 2e-6])
 
 _BATCH = 8192
 _MOST_BOXES = 200_000
-"""Boxes that are looked at; what is left then keeps its bounds."""
+"""Boxes that are looked at, and strips along the torque limit; what is left then keeps its bounds."""
 
 _MARGIN = 1.01
 
@@ -74,10 +74,13 @@ class _Progress:
     worst: FloatArray
     boxes: int = 0
 
-    def enough(self, bounds: FloatArray, least: FloatArray) -> NDArray[np.bool_]:
-        """Which bounds, shape (3, N), need no refinement: those close to what was found or settled anyway."""
+    def enough(self, bounds: FloatArray, least: FloatArray, room: FloatArray) -> NDArray[np.bool_]:
+        """Which bounds, shape (3, N), need no refinement: those close to what was found or settled anyway.
+
+        Smaller boxes take nothing off what rounding adds, ``room`` of shape (3, N).
+        """
         aim = np.maximum(np.maximum(_CLOSE * self.found, self.worst), least)
-        return np.asarray(np.all(bounds <= aim[:, np.newaxis], axis=0))
+        return np.asarray(np.all(bounds - room <= aim[:, np.newaxis], axis=0))
 
     def settle(self, bounds: FloatArray) -> None:
         """Count bounds of shape (3, N) among those that stay."""
@@ -93,6 +96,7 @@ class _Domain:
     ends: FloatArray  # of the segments, from the least torque to the largest
     most_excess: float
     seam: float  # by so much rounding may move the decision whether the field is weakened
+    overhang: float  # by so much in N m a torque may lie above the limit of its own flux linkage
 
     @classmethod
     def of(cls, region: WeakeningRegion, reference: WeakeningReference) -> _Domain:
@@ -101,7 +105,9 @@ class _Domain:
         starts = np.append(reference.flux.starts.astype(np.float64)[1:], np.inf)
         end = float(np.max(upper))
         ends = np.unique(np.minimum(np.concatenate([[min(0.0, float(np.min(lower)))], starts]), end))
-        whole = cls(region, reference, ends, 0.0, 0.0)
+        overhang = limit_decrease(reference)
+        ends[-1] += overhang
+        whole = cls(region, reference, ends, 0.0, 0.0, overhang)
         seam, largest = 0.0, -np.inf
         for segment in range(ends.size - 1):
             edges = np.linspace(ends[segment], ends[segment + 1], _STRIPS + 1)
@@ -133,7 +139,7 @@ class _Domain:
         x_low, x_high, a_low, a_high = x_low - slack, x_high + slack, a_low - slack, a_high + slack
         inside = np.flatnonzero((x_low <= x_high) & (a_low <= a_high))
         top = limit_range(self.reference, np.maximum(a_low[inside], least), np.minimum(a_high[inside], largest))[1]
-        t_high = np.minimum(boxes.t_high[inside], top)
+        t_high = np.minimum(boxes.t_high[inside], top + self.overhang)
         kept = t_high >= boxes.t_low[inside]
         inside = inside[kept]
         return boxes.chosen(inside, t_high=t_high[kept], x_low=x_low[inside], x_high=x_high[inside])
@@ -189,7 +195,7 @@ def _halves(boxes: Boxes, along: NDArray[np.bool_]) -> Boxes:
 
 def _refine(domain: _Domain, progress: _Progress, least: FloatArray) -> None:
     """Settle the torques that are within reach: boxes are halved until their bounds are close to what was found."""
-    waiting = list(domain.first())
+    waiting, most = list(domain.first()), progress.boxes + _MOST_BOXES
     while waiting:
         done: list[tuple[Boxes, Enclosed, FloatArray]] = []
         for boxes in waiting:
@@ -197,7 +203,7 @@ def _refine(domain: _Domain, progress: _Progress, least: FloatArray) -> None:
                 part = domain.clipped(boxes.chosen(slice(start, start + _BATCH)))
                 if part.count == 0:
                     continue
-                enclosed = enclose(domain.region, domain.reference, part)
+                enclosed = enclose(domain.region, domain.reference, part, domain.overhang)
                 held = enclosed.centre[:, domain.holds(part)]
                 held[0] = np.abs(held[0])
                 progress.found = np.fmax(progress.found, np.fmax.reduce(held, axis=1, initial=0.0))
@@ -206,7 +212,7 @@ def _refine(domain: _Domain, progress: _Progress, least: FloatArray) -> None:
                 progress.boxes += part.count
         waiting = []
         for part, enclosed, bounds in done:
-            settled = progress.enough(bounds, least) | (progress.boxes > _MOST_BOXES)
+            settled = progress.enough(bounds, least, enclosed.room) | (progress.boxes > most)
             progress.settle(bounds[:, settled])
             rest = np.flatnonzero(~settled)
             if rest.size > 0:
