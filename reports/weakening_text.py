@@ -18,8 +18,8 @@ def domain_text(fit: WeakeningFit) -> str:
     region = fit.region
     return (
         f"up to {format_quantity(fit.settings.omega_m, 'rpm', 4)}, {format_quantity(region.flux_min, 'Wb', 4)} to"
-        f" {format_quantity(region.flux_max, 'Wb', 4)}; {fit.reference.coefficients} coefficients,"
-        f" below {fit.reference.flash} B on a Cortex-M4F (estimate)"
+        f" {format_quantity(region.flux_max, 'Wb', 4)}; {fit.step.coefficients} coefficients,"
+        f" below {fit.step.flash} B on a Cortex-M4F (estimate)"
     )
 
 
