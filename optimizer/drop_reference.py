@@ -16,9 +16,9 @@ from dqforge.optimizer.single_precision import MultiplyAdd, SingleArray, fused_m
 from dqforge.optimizer.surface_reference import WeakeningReference
 
 STEPS = 14
-"""Trials of the torque at most: what cannot be had is halved down to 2^-13 of what was asked for."""
+"""Trials of the torque at most: what cannot be had is halved down to 2^-12 of what was asked for."""
 
-_BYTES = 330, 60, 90
+_BYTES = 115, 255, 215
 """Code and literals beside those of the surface: always, for a second look at the current, for a bound of the current
 that falls with the flux linkage. Above what gcc 12 makes for a Cortex-M4F with -O2."""
 
@@ -104,10 +104,13 @@ class DropReference:
             room, per = volts * volts, self.per_torque * omega
             per = np.where((torque < _ZERO) != (omega_e < _ZERO), -per, per)
             asked = np.where(torque < _ZERO, -torque, torque)
-            asked = np.where(asked <= self.torque_max, asked, np.where(asked > self.torque_max, self.torque_max, _ZERO))
+            asked = np.where(asked > _ZERO, asked, _ZERO)
+            asked = np.where(asked < self.torque_max, asked, self.torque_max)
             low, a, high, trial = np.zeros_like(asked), np.zeros_like(asked), asked.copy(), asked.copy()
             open_ones = np.ones(asked.shape, dtype=np.bool_)
-            for _ in range(STEPS):
+            for step in range(STEPS):
+                if step == STEPS - 1:  # no torque at all, where none of the others could be had
+                    trial = np.where(open_ones & ~(low > _ZERO), _ZERO, trial)
                 flux = self._first(muladd(-per, trial, room), omega, muladd)
                 above = flux >= self.surface.flux_min
                 limit = self.surface.limit.evaluate(np.where(above, flux - self.surface.flux_min, _ZERO), muladd)
@@ -116,9 +119,7 @@ class DropReference:
                 high = np.where(fits, high, trial)
                 open_ones &= ~(fits & ~(trial < asked))
                 trial = np.where(open_ones, _HALF * (low + high), trial)
-            none = ~(a > _ZERO)
-            a = np.where(none, self._first(room, omega, muladd), a)
-            a = np.where(none & ~(a >= self.surface.flux_min), self.surface.flux_min, a)
+            a = np.where(a > _ZERO, a, self.surface.flux_min)
             return low, a, muladd(-per, low, room), omega
 
     def currents(

@@ -71,7 +71,7 @@ def _segments(constant: float, weights: FloatArray, edges: FloatArray, degree: i
         for start, term in zip(edges[: segment + 1], terms, strict=False):
             total = total + term(Polynomial([edges[segment] - start, 1.0]))
         rows[segment, : total.coef.size] = total.coef
-    scaled = rows / end ** np.arange(degree + 1)
+    scaled = rows / end ** np.arange(degree + 1) + 0.0  # no negative zeros: C adds what the model leaves out
     return SinglePolynomial((edges[:-1] * end).astype(np.float32), scaled.astype(np.float32))
 
 
