@@ -24,7 +24,7 @@ from dqforge.optimizer.surface_enclosures import (
 )
 from dqforge.optimizer.surface_limit import limit_room
 from dqforge.optimizer.surface_reference import WeakeningReference
-from dqforge.optimizer.vector_balls import Balls, magnitude
+from dqforge.optimizer.vector_balls import Balls, magnitude, most
 
 _LEAST_FLUX = 0.3
 """Share of the least flux linkage below which a box is halved first: it reaches far beyond the domain."""
@@ -39,7 +39,8 @@ class Enclosed:
     ``low`` and ``high`` in N m bound the torque made less t; ``excess`` (shape (2, N)) the squared flux linkage over
     the squared available one less 1, and likewise the squared current. ``centre`` (shape (3, N)) holds the three at the
     centres, nan where nothing is known; where the field is not weakened, that is at the least flux linkage that leaves
-    it so. ``room`` (shape (3, N)) is what of the bounds is owed to rounding. ``along`` says whether the errors bend more along the torque than along the flux linkage.
+    it so. ``room`` (shape (3, N)) is what of the bounds is owed to rounding. ``rise`` bounds in A^2/Wb how the squared
+    current may rise with the available flux linkage. ``along`` says whether the errors bend more along the torque than along the flux linkage.
     """
 
     low: FloatArray
@@ -47,6 +48,7 @@ class Enclosed:
     excess: FloatArray
     centre: FloatArray
     room: FloatArray
+    rise: FloatArray
     along: NDArray[np.bool_]
 
 
@@ -114,6 +116,7 @@ def enclose(
     excess = np.where(known, -np.inf, np.inf) * np.ones((2, 1))
     centre = np.full((3, boxes.count), np.nan)
     room = np.zeros((3, boxes.count))
+    rise = np.where(known, 0.0, np.inf)
     # Where nothing is known, what counts is how far the currents reach.
     reach = [
         (magnitude(getattr(over.d, name)) + magnitude(getattr(over.q, name))) * part.rad
@@ -148,6 +151,8 @@ def enclose(
         high[places] = np.where(settled, np.maximum(high[places], ends[1] + rooms[0]), np.inf)
         tops = np.stack([top_flux, top_current / region.i_max**2]) * (1.0 + _SLACK) - 1.0 + 2.0 * _SLACK
         excess[:, places] = np.where(settled, np.maximum(excess[:, places], tops), np.inf)
+        rising = np.maximum(most(-Balls.of(current[1].x)), 0.0)
+        rise[places] = np.where(settled, np.maximum(rise[places], rising), np.inf)
         owed = np.stack([rooms[0], rooms[1] * magnitude(shares[1].value), rooms[2] / region.i_max**2])
         room[:, places] = np.where(settled, np.maximum(room[:, places], owed), room[:, places])
         centre[:, places] = np.stack(
@@ -156,7 +161,7 @@ def enclose(
         for row, name in enumerate(("tt", "xx")):
             rate = magnitude(getattr(torque[1], name)) / region.torque_max + magnitude(getattr(ratio[1], name))
             bends[row, places] = np.where(settled, rate * half[row] ** 2, bends[row, places])
-    return Enclosed(low, high, excess, centre, room, bends[0] >= bends[1])
+    return Enclosed(low, high, excess, centre, room, rise, bends[0] >= bends[1])
 
 
 def _rest(bend: Bend) -> tuple[object, ...]:

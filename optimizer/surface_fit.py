@@ -13,7 +13,7 @@ from dqforge.optimizer.drop_fit import with_drop
 from dqforge.optimizer.drop_reference import DropReference
 from dqforge.optimizer.flux_surface import WeakeningRegion
 from dqforge.optimizer.single_precision import SinglePolynomial
-from dqforge.optimizer.surface_certificate import SurfaceCertificate, certify_surface
+from dqforge.optimizer.surface_certificate import SurfaceCertificate, certify_step
 from dqforge.optimizer.surface_curves import Mtpa, fit_limit, fit_mtpa, in_double
 from dqforge.optimizer.surface_reference import SingleSurface, SurfaceErrors, WeakeningReference, surface_errors
 from dqforge.optimizer.surface_solver import Aims, level
@@ -238,7 +238,7 @@ def fit_weakening(machine: Machine, i_max: float, v_max: float, settings: Weaken
             continue
         trials.append(replace(trial, chosen=keeps))
         if errors is not None and voltage is not None and keeps:
-            certificate = certify_surface(region, surface)
+            certificate = certify_step(domain, step)
             return WeakeningFit(settings, domain, step, errors, voltage, tuple(trials), certificate)
     raise NoSolutionError(_refusal(trials, settings))
 

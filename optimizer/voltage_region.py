@@ -24,6 +24,7 @@ _HALVINGS = 40
 _LOCUS_POINTS = 801
 _SPEEDS, _TORQUES = 28, 24
 _VOLTAGES = (LEAST_VOLTAGE, 0.9, 1.2)
+_WITHIN = 1.0 - 1e-6
 _REACHED = 1.0 + 1e-6
 
 
@@ -86,7 +87,9 @@ def _least_flux(region: WeakeningRegion, v_max: float, omega_e: float) -> float:
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if over(np.array([middle]))[0] >= 0.0 else (middle, high)
-    return float(low)
+    # Without torque the same speed over voltage is to be had at the least voltage, where the drop weighs most.
+    idle = whole**2 - reserve / LEAST_VOLTAGE**2
+    return min(float(low), float(np.sqrt(idle)) * _WITHIN)
 
 
 def voltage_region(machine: Machine, i_max: float, v_max: float, omega_m: float) -> VoltageRegion:
