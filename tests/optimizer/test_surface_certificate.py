@@ -51,6 +51,7 @@ NAMES = [pytest.param(name, marks=() if name in QUICK else SLOW) for name in CAS
 @cache
 def fitted(name: str) -> WeakeningFit:
     machine, flux_min = CASES[name]
+    machine = replace(machine, r_s=0.0)
     v_max = 300.0 * machine.pole_pairs * flux_min
     return fit_weakening(machine, machine.i_max, v_max, WeakeningSettings(300.0))
 
