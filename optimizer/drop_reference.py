@@ -1,4 +1,4 @@
-"""Current references over torque, voltage and speed: the resistance drop taken off, and the torque held to what is left.
+"""Current references over torque, voltage and speed: the resistance drop taken off, the torque held to what is left.
 
 |v|^2 = R^2 |i|^2 + 2 R omega tau + omega^2 |psi|^2 with tau = T/(3/2 p), omega counted along the torque. So the
 flux linkage a that is available follows from the torque and the magnitude of the current alone: in closed form but for

@@ -29,7 +29,7 @@ _CURRENT_SHARES = 0.02, 0.02
 """Permitted deviation of an MTPA current: share of itself plus share of the limit. It costs next to no loss."""
 
 _LEAST_SLOPE = 1e-4
-"""Least rise of the torque limit over its whole domain, over the largest torque: it falls nowhere between the points."""
+"""Least rise of the torque limit over its domain, over the largest torque: between the points it falls nowhere."""
 
 _NEAR = 0.97
 """Share of the least flux linkage from which the flux linkage of an MTPA point matters."""

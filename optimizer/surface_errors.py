@@ -40,7 +40,8 @@ class Enclosed:
     the squared available one less 1, and likewise the squared current. ``centre`` (shape (3, N)) holds the three at the
     centres, nan where nothing is known; where the field is not weakened, that is at the least flux linkage that leaves
     it so. ``room`` (shape (3, N)) is what of the bounds is owed to rounding. ``rise`` bounds in A^2/Wb how the squared
-    current may rise with the available flux linkage. ``along`` says whether the errors bend more along the torque than along the flux linkage.
+    current may rise with the available flux linkage. ``along`` says whether the errors bend more along the torque than
+    along the flux linkage.
     """
 
     low: FloatArray
@@ -97,9 +98,7 @@ def _raised(one: Bend, other: Bend, weight: FloatArray) -> Bend:
     return Bend(*(first + (second * weight if isinstance(second, Balls) else second) for first, second in parts))
 
 
-def enclose(
-    region: WeakeningRegion, reference: WeakeningReference, boxes: Boxes, overhang: float = 0.0
-) -> Enclosed:
+def enclose(region: WeakeningRegion, reference: WeakeningReference, boxes: Boxes, overhang: float = 0.0) -> Enclosed:
     """Bounds of the errors on boxes: Taylor polynomials of second degree about the centres, with their remainders.
 
     The current is bounded for torques up to ``overhang`` N m above the limit, the others on the whole boxes.

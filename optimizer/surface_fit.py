@@ -91,7 +91,8 @@ class WeakeningFit:
     """A reference with its domain, its errors, what was tried, and proven bounds of the errors.
 
     ``reference`` are the currents over torque and flux linkage, ``step`` the whole step over torque, voltage and speed
-    that is emitted. ``certificate`` is None for machines that are neither linear nor flux maps, and where no bound could be proven.
+    that is emitted. ``certificate`` is None for machines that are neither linear nor flux maps, and where no bound
+    could be proven.
     """
 
     settings: WeakeningSettings
@@ -243,9 +244,7 @@ def fit_weakening(machine: Machine, i_max: float, v_max: float, settings: Weaken
     raise NoSolutionError(_refusal(trials, settings))
 
 
-def _keeps(
-    errors: SurfaceErrors, voltage: VoltageErrors, settings: WeakeningSettings, region: WeakeningRegion
-) -> bool:
+def _keeps(errors: SurfaceErrors, voltage: VoltageErrors, settings: WeakeningSettings, region: WeakeningRegion) -> bool:
     # The current limit is kept as well as the voltage limit.
     excess = max(errors.flux_excess, errors.current_excess, voltage.voltage_excess)
     torque = max(errors.torque, voltage.torque)
@@ -261,7 +260,9 @@ def _too_small(needed: int, settings: WeakeningSettings) -> str:
 
 def _refusal(trials: list[SurfaceTrial], settings: WeakeningSettings) -> str:
     best = min(trials, key=lambda trial: trial.grid_error) if trials else None
-    found = "" if best is None else f" ({best.grid_error:.3g} times the permitted ones within {settings.flash} B at best)"
+    found = (
+        "" if best is None else f" ({best.grid_error:.3g} times the permitted ones within {settings.flash} B at best)"
+    )
     return (
         f"field_weakening: no size keeps the permitted errors{found}; lower the speed, raise torque_error or"
         " voltage_excess"

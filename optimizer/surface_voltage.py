@@ -63,7 +63,7 @@ def voltage_excess(region: VoltageRegion, step: DropReference, taken: Taken) -> 
     whole = (LEAST_VOLTAGE * region.v_max / r_s) ** 2 - _MORE * i_max**2
     q_low = k * np.maximum(taken.t_low, 0.0) / taken.a_high / _SLACK
     q_high = k * np.maximum(taken.t_high, 0.0) / taken.a_low * _SLACK
-    bound = np.full(taken.flux.shape, i_max**2)
+    bound = np.full(taken.flux.shape, float(step.reserve) / r_s**2)
     if step.near is not None:
         constant, slope = (float(part) for part in step.near)
         bound = np.minimum(bound, (constant + slope * taken.a_low**2) / r_s**2)

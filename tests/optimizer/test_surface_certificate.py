@@ -19,7 +19,7 @@ from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
 from dqforge.optimizer import surface_certificate
 from dqforge.optimizer.flux_surface import weakening_region
 from dqforge.optimizer.single_precision import SingleArray, fused_multiply_add, multiply_add
-from dqforge.optimizer.surface_certificate import SurfaceCertificate, certify_surface
+from dqforge.optimizer.surface_certificate import SurfaceCertificate, certify_step, certify_surface
 from dqforge.optimizer.surface_enclosures import Bend, Boxes, rounding
 from dqforge.optimizer.surface_errors import enclose
 from dqforge.optimizer.surface_fit import WeakeningFit, fit_weakening
@@ -163,7 +163,7 @@ def changed(reference: WeakeningReference, factor: float) -> WeakeningReference:
 @pytest.mark.parametrize("name", ["interior", pytest.param("pmsyrm", marks=SLOW)])
 def test_a_changed_coefficient_is_seen(name: str) -> None:
     fit = fitted(name)
-    mutated = replace(fit, reference=changed(fit.reference, 1.03))
+    mutated = replace(fit, step=replace(fit.step, surface=changed(fit.reference, 1.03)))
     found = found_errors(mutated, *inputs(mutated.reference, 2, 200_000))
     assert found[0] > 1.05 * proven(name).torque  # the change matters
     bounds = certify_surface(fit.region, mutated.reference)
@@ -355,7 +355,7 @@ def test_overflow_in_single_precision_gives_no_certificate() -> None:
 
 def test_the_same_bytes_every_time() -> None:
     fit = fitted("interior")
-    assert certify_surface(fit.region, fit.reference) == fit.certificate
+    assert certify_step(fit.domain, fit.step) == fit.certificate
 
 
 def fractions(balls: Balls) -> list[tuple[Fraction, Fraction]]:

@@ -95,7 +95,8 @@ def drawn(name: str, count: int, seed: int) -> SingleArray:
     """Random torques to beyond the largest, voltages from the least one, speeds to the largest, either direction."""
     fit = made(name)[1]
     generator = np.random.default_rng(seed)
-    volts = fit.domain.v_max * generator.choice([1.0, generator.uniform(LEAST_VOLTAGE, 1.5)], count)
+    share = np.where(generator.uniform(size=count) < 0.5, 1.0, generator.uniform(LEAST_VOLTAGE, 1.5, count))
+    volts = fit.domain.v_max * share
     speed = fit.domain.omega_e * volts / fit.domain.v_max * generator.uniform(-1.0, 1.0, count)
     torque = generator.uniform(-1.1, 1.1, count) * fit.region.torque_max
     inputs = np.stack([torque, volts, speed], axis=1).astype(np.float32)
@@ -230,7 +231,9 @@ def test_damaged_data_are_refused(damage: dict[str, Any]) -> None:
         weakening_from(plain | damage)
 
 
-@pytest.mark.parametrize("damage", [{"passes": 3}, {"passes": True}, {"near": [1.0]}, {"square": "1"}, {"reserve": None}])
+@pytest.mark.parametrize(
+    "damage", [{"passes": 3}, {"passes": True}, {"near": [1.0]}, {"square": "1"}, {"reserve": None}]
+)
 def test_a_damaged_drop_is_refused(damage: dict[str, Any]) -> None:
     plain = plain_weakening(made("interior")[1].step)
     with pytest.raises(InputError, match="run the design again"):
@@ -258,6 +261,8 @@ def test_the_header_states_its_errors_with_units_and_for_which_resistance() -> N
     assert "Sampled, not proven, for voltages" in unproven
     assert "proven for every" not in unproven
     partly = replace(fit, certificate=replace(fit.certificate, voltage_excess=None))
-    assert "exceeds its limit by no proven bound" in weakening_files(design, partly)["drive_weakening.h"].decode("ascii")
+    assert "exceeds its limit by no proven bound" in weakening_files(design, partly)["drive_weakening.h"].decode(
+        "ascii"
+    )
     assert all(line == line.rstrip() for line in text.splitlines())
     assert weakening_files(design, fit) == weakening_files(design, fit)
