@@ -83,9 +83,9 @@ def _drop(surface: WeakeningReference, plain: Any) -> DropReference:
     near, passes = plain["near"], plain["passes"]
     if isinstance(passes, bool) or passes not in (1, 2) or (near is not None and len(near) != 2):
         raise ValueError
-    numbers = (single_from(plain[name]) for name in _DROPS)
+    torque_max, per_torque, square, reserve = (single_from(plain[name]) for name in _DROPS)
     line = None if near is None else (single_from(near[0]), single_from(near[1]))
-    return DropReference(surface, *numbers, line, passes)
+    return DropReference(surface, torque_max, per_torque, square, reserve, line, passes)
 
 
 def _curve(rows: Any) -> SinglePolynomial:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError, VerificationError
 from dqforge.machines.loader import load_text
 from dqforge.machines.settings import WeakeningSettings
+from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.characteristics import characteristics
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points import Active, optimal_points
@@ -122,7 +122,7 @@ def test_a_size_that_would_do_is_named() -> None:
 
 
 def test_a_resistance_that_takes_the_whole_voltage_is_refused() -> None:
-    machine = replace(load_text((LIBRARY / "paper001-pmsm-bench.yaml").read_bytes(), "design.yaml").machine, r_s=40.0)
+    machine = LinearMachine(pole_pairs=3, r_s=40.0, l_d=6e-3, l_q=6e-3, psi_pm=0.06, i_max=6.4, inertia=1e-5)
     with pytest.raises(NoSolutionError, match="the resistance alone takes"):
         voltage_region(machine, 6.4, 104.0, 500.0)
 

@@ -12,9 +12,10 @@ from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE
 from saturated import ArctanMachine
 
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.flux_map import SaturatedMachine
 from dqforge.machines.loader import load_design
 from dqforge.machines.settings import WeakeningSettings
-from dqforge.machines.synchronous import FloatArray, Machine
+from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
 from dqforge.optimizer.flux_surface import weakening_region
 from dqforge.optimizer.mtpa import mtpa_currents
 from dqforge.optimizer.surface_fit import WeakeningFit, fit_weakening, monomials
@@ -41,11 +42,17 @@ CASES: dict[str, tuple[Machine, float]] = {
 }
 
 
+def bare(machine: Machine) -> Machine:
+    """The machine without resistance."""
+    assert isinstance(machine, LinearMachine | SaturatedMachine | ArctanMachine)
+    return replace(machine, r_s=0.0)
+
+
 @cache
 def fitted(name: str, flash: int = 2048) -> WeakeningFit:
     """The reference of a machine without resistance, where the voltage over the speed is the flux linkage."""
     machine, flux_min = CASES[name]
-    machine = replace(machine, r_s=0.0)
+    machine = bare(machine)
     return fit_weakening(
         machine, machine.i_max, 300.0 * machine.pole_pairs * flux_min, WeakeningSettings(300.0, flash=flash)
     )

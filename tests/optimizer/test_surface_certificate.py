@@ -48,10 +48,16 @@ QUICK = ("interior", "surface", "syrm")
 NAMES = [pytest.param(name, marks=() if name in QUICK else SLOW) for name in CASES]
 
 
+def bare(machine: Machine) -> Machine:
+    """The machine without resistance."""
+    assert isinstance(machine, LinearMachine | SaturatedMachine)
+    return replace(machine, r_s=0.0)
+
+
 @cache
 def fitted(name: str) -> WeakeningFit:
     machine, flux_min = CASES[name]
-    machine = replace(machine, r_s=0.0)
+    machine = bare(machine)
     v_max = 300.0 * machine.pole_pairs * flux_min
     return fit_weakening(machine, machine.i_max, v_max, WeakeningSettings(300.0))
 

@@ -158,8 +158,8 @@ def test_the_drop_matters_in_these_cases(name: str) -> None:
     """Currents for the whole voltage over the speed, without the drop, leave the limit by several per cent."""
     fit, machine = made(name)[1], CASES[name][0]
     inputs = drawn(name, 20_000, 12)
-    flux = inputs[:, 1] / np.maximum(np.abs(inputs[:, 2]), np.float32(1.0))
-    currents = np.stack(fit.reference.currents(inputs[:, 0], flux), axis=1).astype(np.float64)
+    flux = inputs[:, 1] / np.maximum(np.abs(inputs[:, 2]), np.float32(1.0)).astype(np.float32)
+    currents = np.stack(fit.reference.currents(inputs[:, 0], flux.astype(np.float32)), axis=1).astype(np.float64)
     voltage, _ = equations(machine, currents, inputs[:, 2].astype(np.float64))
     assert np.max(voltage / inputs[:, 1]) > 1.03
 
