@@ -21,9 +21,10 @@ from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.drop_reference import DropReference
 from dqforge.optimizer.voltage_region import LEAST_VOLTAGE, VoltageRegion
 
-ROUNDING = 40.0 * 2.0**-24
-"""Share of the squared voltage that some twenty rounded operations of the step may add, none of which has a result
-above five squared voltages: each adds at most 2^-24 of its result."""
+ROUNDING = 64.0 * 2.0**-24
+"""Share of the squared voltage that the rounded operations of the step may add. Each adds at most 2^-24 of its result,
+in squared voltages: 1 the square, 3 times 4 the drop by the torque, 5 and 5 what is left of both, twice 5 the root,
+twice 5 the quotient; at most 5 the squared current with its factor."""
 
 LARGEST_SHARE = 4.0
 """Share of the squared voltage up to which the drop by the torque is known to stay, for `ROUNDING`."""

@@ -113,8 +113,9 @@ def voltage_region(machine: Machine, i_max: float, v_max: float, omega_m: float)
     if taken <= v_max:
         fastest = format_quantity(omega_m, "rpm", 4)
         raise NoSolutionError(
-            f"field_weakening: the voltage limits nothing up to {fastest} (no torque takes more than {taken:.4g} V"
-            f" there, the resistance drop included, {v_max:.4g} V are available); raise the speed or leave the section out"
+            f"field_weakening: the voltage limits nothing up to {fastest} (at most {taken:.4g} V are taken"
+            f" there, the resistance drop included, {v_max:.4g} V are available); raise the speed or leave the section"
+            " out"
         )
     return VoltageRegion(weakening_region(machine, i_max, _least_flux(probe, v_max, omega_e)), v_max, omega_e)
 
