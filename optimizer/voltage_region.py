@@ -19,8 +19,7 @@ from dqforge.optimizer.single_precision import SingleArray
 LEAST_VOLTAGE = 0.8
 """Share of the design's voltage from which the errors of the voltage are stated."""
 
-_GRID = 257
-_HALVINGS = 40
+_GRID, _ROUNDS = 49, 6
 _LOCUS_POINTS = 801
 _SPEEDS, _TORQUES = 28, 24
 _VOLTAGES = (LEAST_VOLTAGE, 0.9, 1.2)
@@ -81,15 +80,14 @@ def _least_flux(region: WeakeningRegion, v_max: float, omega_e: float) -> float:
         torque = np.where(region.flux(points.i_d, points.i_q) <= _REACHED * levels, points.torque, 0.0)
         return np.asarray(levels**2 + drop * torque + reserve - whole**2)
 
-    levels = whole * np.linspace(0.0, 1.0, _GRID)[1:]
-    place = int(np.argmax(over(levels) >= 0.0))
-    low, high = (levels[place - 1] if place else 0.0), levels[place]
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if over(np.array([middle]))[0] >= 0.0 else (middle, high)
+    low, high = 0.0, whole
+    for _ in range(_ROUNDS):
+        levels = np.linspace(low, high, _GRID)[1:]
+        place = int(np.argmax(over(levels) >= 0.0))
+        low, high = (float(levels[place - 1]) if place else low), float(levels[place])
     # Without torque the same speed over voltage is to be had at the least voltage, where the drop weighs most.
     idle = whole**2 - reserve / LEAST_VOLTAGE**2
-    return min(float(low), float(np.sqrt(idle)) * _WITHIN)
+    return min(low, float(np.sqrt(idle)) * _WITHIN)
 
 
 def voltage_region(machine: Machine, i_max: float, v_max: float, omega_m: float) -> VoltageRegion:
