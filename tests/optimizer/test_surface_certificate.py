@@ -23,7 +23,7 @@ from dqforge.optimizer.surface_certificate import SurfaceCertificate, certify_st
 from dqforge.optimizer.surface_enclosures import Bend, Boxes, rounding
 from dqforge.optimizer.surface_errors import enclose
 from dqforge.optimizer.surface_fit import WeakeningFit, fit_weakening
-from dqforge.optimizer.surface_limit import largest_torque, limit_range
+from dqforge.optimizer.surface_limit import largest_torque, limit_decrease, limit_range
 from dqforge.optimizer.surface_reference import SingleSurface, WeakeningReference
 from dqforge.optimizer.vector_balls import Balls
 
@@ -307,6 +307,20 @@ def test_the_rounded_limit_lies_in_its_range(name: str) -> None:
         for muladd in (multiply_add, fused_multiply_add):
             found = reference.limit.evaluate(points - reference.flux_min, muladd)
             assert np.all(((least <= found) & (found <= largest))[inside])
+
+
+def test_what_a_limit_loses_where_the_flux_linkage_rises_is_bounded() -> None:
+    """Nothing but rounding for what is emitted; all of it for a limit that is made to fall."""
+    reference = fitted("interior").reference
+    assert limit_decrease(reference) < 1e-5 * fitted("interior").region.torque_max
+    rows = reference.limit.coefficients.copy()
+    rows[:, 1] *= np.float32(0.2)
+    falling = replace(reference, limit=replace(reference.limit, coefficients=rows))
+    above = np.linspace(0.0, float(reference.flux_max - reference.flux_min), 20_001).astype(np.float32)
+    values = falling.limit.evaluate(above, multiply_add).astype(np.float64)
+    lost = float(np.max(np.maximum.accumulate(values) - values))
+    assert lost > 0.0
+    assert lost <= limit_decrease(falling) <= 1.1 * lost + 1e-4 * fitted("interior").region.torque_max
 
 
 @pytest.mark.parametrize("name", NAMES)
