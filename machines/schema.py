@@ -306,7 +306,7 @@ class WaveformSection(Section):
 
 
 class WeakeningSection(Section):
-    """Current references over torque and available flux linkage, for field weakening."""
+    """Current references over torque, voltage and speed, for field weakening."""
 
     speed: Speed | None = Field(
         default=None, description="largest mechanical speed (rad/s; write rpm); default machine.max_speed"

@@ -99,7 +99,7 @@ class FitSettings:
 
 @dataclass(frozen=True, slots=True)
 class WeakeningSettings:
-    """Current references over torque and available flux linkage.
+    """Current references over torque, voltage and speed.
 
     ``omega_m`` in rad/s (mechanical) is the largest speed that they reach. ``torque_error``, over the largest torque,
     and ``voltage_excess``, over the voltage limit, are the largest permitted ones, ``flash`` the bytes of code and

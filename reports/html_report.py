@@ -50,7 +50,7 @@ from dqforge.reports.simulation_tables import simulation_part
 from dqforge.reports.templating import render
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_tables import weakening_html
-from dqforge.reports.weakening_text import domain_text, errors_text, proof_text
+from dqforge.reports.weakening_text import domain_text, errors_text, least_voltage_text, proof_text
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -295,7 +295,8 @@ def _weakening_part(solution: Solution) -> PlainData | None:
         "domain": domain_text(fit),
         "errors": errors_text(fit),
         "proven": proof_text(fit),
-        "samples": count(fit.errors.samples),
+        "samples": count(fit.errors.samples + fit.voltage.samples),
+        "least_voltage": least_voltage_text(fit),
         "table": weakening_html(fit),
         "prefix": prefix,
     }
