@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from dqforge.machines.flux_evidence import FluxEvidence
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
@@ -50,7 +51,9 @@ class Design:
     ``digest`` is the SHA-256 of the file's bytes in hexadecimal. ``weakening`` asks for two-dimensional references,
     ``modulation_choice`` for a choice of modulator and switching frequency.
     ``winding`` says how warm the losses make the winding, None where its temperature is given. ``simulation`` asks for
-    a simulation in the time domain.
+    a simulation in the time domain. ``flux_evidence`` is what was found about each file of a flux map. ``halves`` are
+    the machines that the current references of positive and of negative torque are made for, the second one mirrored in
+    i_q and in the torque; None where one machine serves both.
     """
 
     name: str
@@ -72,6 +75,8 @@ class Design:
     winding: WindingHeat | None = None
     simulation: Scenario | None = None
     modulation_choice: ChoiceSettings | None = None
+    flux_evidence: tuple[FluxEvidence, ...] = ()
+    halves: tuple[Machine, Machine] | None = None
 
     @property
     def strategy(self) -> Strategy:

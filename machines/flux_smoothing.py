@@ -17,7 +17,7 @@ from dqforge.machines.flux_noise import FluxNoise
 from dqforge.machines.synchronous import FloatArray
 
 _DEGREE = 4
-_CELLS = (4, 14)
+_CELLS = (4, 24)
 _CHUNK = 20_000
 _STRENGTHS = np.geomspace(1e-10, 1e6, 97)
 _SITES = 61

@@ -135,6 +135,8 @@ class _Build:
             winding=read_winding_heat(sections.machine, inverter.coolant_temperature),
             simulation=read_scenario(sections, machine, inverter, control, self.reading),
             modulation_choice=choice,
+            flux_evidence=tuple(self.reading.flux_evidence),
+            halves=found.halves,
         )
 
     def inverter(self, section: InverterSection, machine_limit: float) -> Inverter:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from dqforge.machines.datasheet import FluxStatement
 from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import DqforgeError, InputError
-from dqforge.machines.flux_map import FluxMap, SaturatedMachine
+from dqforge.machines.flux_map import FluxMap, SaturatedMachine, mirrored
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machine_reader import read_phase_machine
 from dqforge.machines.quantities import format_quantity
@@ -25,10 +25,17 @@ from dqforge.machines.settings import MachineModel
 from dqforge.machines.synchronous import LinearMachine, Machine
 from dqforge.machines.yaml_source import KeyPath
 
+if TYPE_CHECKING:  # maps only; a design with constants starts faster without them
+    from dqforge.machines.flux_points import FluxMapReading
+
 _COPPER = 0.00393
 """Relative change of the resistance of copper per kelvin, at 20 degC (IEC 60034-1 uses 1/(235 + 20) K)."""
 
 _REFERENCE = 20.0
+
+_RATED = "rated current"
+_SYMMETRIC = 1e-6
+"""Asymmetry over the largest flux linkage below which the halves of a map are the same."""
 
 _NEEDED: dict[MachineModel, tuple[tuple[str, str], ...]] = {
     "linear": (("inductance_d", "1.61 mH"), ("inductance_q", "1.74 mH")),
@@ -49,10 +56,22 @@ _OWN: dict[str, MachineModel] = {
 
 @dataclass(frozen=True, slots=True)
 class MachineReading:
-    """The machine in dq coordinates; ``phases`` holds its back-EMF where that is not sinusoidal."""
+    """The machine in dq coordinates; ``phases`` holds its back-EMF where that is not sinusoidal.
+
+    ``halves`` as in `Design`.
+    """
 
     machine: Machine
     phases: PhaseMachine | None = None
+    halves: tuple[Machine, Machine] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Maps:
+    """A symmetric flux map, and the one over both halves as they are; None where only one half is known."""
+
+    symmetric: FluxMap
+    whole: FluxMap | None = None
 
 
 def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
@@ -94,14 +113,18 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
     _refuse_magnet_coefficient(section, reading)
     if section.saturation is not None:
         _refuse_constants(section, reading)
-        flux_map = _saturation_map(section.saturation, common["i_max"], reading)
+        maps = _Maps(_saturation_map(section.saturation, common["i_max"], reading))
     else:
         known = any((section.magnet_flux, section.back_emf_constant, section.torque_constant))
         expected = _magnet_flux(section, pole_pairs, reading) if known else None
-        flux_map = _flux_map(section, reading, expected)
-    machine = SaturatedMachine(flux_map=flux_map, **common)
+        maps = _flux_map(section, reading, expected, pole_pairs, common["i_max"])
+    machine = SaturatedMachine(flux_map=maps.symmetric, **common)
     _check_range(machine, reading)
-    return MachineReading(machine)
+    if section.flux_map is None or section.flux_map.symmetry != "keep" or maps.whole is None:
+        return MachineReading(machine)
+    both = (maps.whole, mirrored(maps.whole))
+    positive, negative = (SaturatedMachine(flux_map=half, **common) for half in both)
+    return MachineReading(machine, halves=(positive, negative))
 
 
 def _check_model(section: MachineSection, reading: Reading) -> None:
@@ -214,7 +237,9 @@ def _saturation_map(section: SaturationSection, i_max: float, reading: Reading) 
         raise reading.document.error(f"machine.saturation: {error}", ("machine", "saturation"), key=True) from None
 
 
-def _flux_map(section: MachineSection, reading: Reading, expected: float | None) -> FluxMap:
+def _flux_map(
+    section: MachineSection, reading: Reading, expected: float | None, pole_pairs: int, i_max: float
+) -> _Maps:
     """Flux map of the files that the section names, at the temperature of the magnets."""
     from dqforge.machines.flux_map_checks import flux_map_of_maps
 
@@ -222,8 +247,11 @@ def _flux_map(section: MachineSection, reading: Reading, expected: float | None)
     path: KeyPath = ("machine", "flux_map")
     if given is None or (given.file is None) == (given.files is None):
         raise reading.document.error("machine.flux_map: write either file or files", path, key=True)
+    rated = section.rated.current
+    at = (i_max, "current limit") if rated is None else (datasheet.peak_current(rated.si, rated.kind or "peak"), _RATED)
     if given.file is not None:
-        return _one_map(given, given.file, (*path, "file"), reading, expected)
+        found = _one_map(given, given.file, (*path, "file"), reading, expected)
+        return _told(given, given.file, found, reading, pole_pairs, at)
     files = given.files or ()
     magnet = section.temperature.magnet
     if magnet is None:
@@ -233,15 +261,41 @@ def _flux_map(section: MachineSection, reading: Reading, expected: float | None)
             (*path, "files"),
             key=True,
         )
-    maps = [_one_map(given, part.file, (*path, "files", index, "file"), reading) for index, part in enumerate(files)]
+    maps = []
+    for index, part in enumerate(files):
+        found = _one_map(given, part.file, (*path, "files", index, "file"), reading)
+        maps.append(_told(given, part.file, found, reading, pole_pairs, at))
     temperatures = np.array([part.magnet_temperature.si for part in files])
+    wholes = [part.whole for part in maps if part.whole is not None]
     with reading.document.at(("machine", "temperature", "magnet")):
-        return flux_map_of_maps(temperatures, maps, magnet.si)
+        whole = flux_map_of_maps(temperatures, wholes, magnet.si) if len(wholes) == len(maps) else None
+        return _Maps(flux_map_of_maps(temperatures, [part.symmetric for part in maps], magnet.si), whole)
+
+
+def _told(
+    given: FluxMapSection,
+    name: str,
+    found: FluxMapReading,
+    reading: Reading,
+    pole_pairs: int,
+    at: tuple[float, str],
+) -> _Maps:
+    """Maps of one file, with its fit and its asymmetry at a current in A told among the remarks."""
+    from dqforge.machines.flux_asymmetry import asymmetry_of
+    from dqforge.machines.flux_evidence import FluxEvidence
+
+    asymmetry = None
+    if found.whole is not None and found.asymmetry > _SYMMETRIC * float(np.max(np.abs(found.whole.psi_d))):
+        asymmetry = asymmetry_of(found.whole, found.flux_map, pole_pairs, *at, given.symmetry)
+    evidence = FluxEvidence(name, found.fit, asymmetry, pole_pairs)
+    reading.flux_evidence.append(evidence)
+    reading.remarks.extend(f"{name}: {sentence}" for sentence in evidence.sentences())
+    return _Maps(found.flux_map, found.whole)
 
 
 def _one_map(
     given: FluxMapSection, name: str, path: KeyPath, reading: Reading, expected: float | None = None
-) -> FluxMap:
+) -> FluxMapReading:
     """Flux map of one file, its findings among the remarks; ``expected`` is the known magnet flux in Wb."""
     # The readers are needed for maps only; a design with constants starts faster without them.
     from dqforge.machines.flux_map_files import read_flux_points
@@ -262,6 +316,9 @@ def _one_map(
             scaling=given.scaling,
             extrapolate=given.extrapolate,
             expected_psi_pm=expected,
+            fit=given.fit,
+            symmetry=given.symmetry,
+            frame_angle=si_of(given.frame_angle) or 0.0,
         )
     except InputError as error:
         if error.line is not None:
@@ -269,7 +326,7 @@ def _one_map(
         about = error.message if name in error.message else f"{name}: {error.message}"
         raise reading.document.error(f"machine.flux_map: {about}", path) from None
     reading.remarks.extend(f"{name}: {finding}" for finding in found.findings)
-    return found.flux_map
+    return found
 
 
 def _check_range(machine: SaturatedMachine, reading: Reading) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from dqforge.machines import datasheet
 from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
+from dqforge.machines.flux_evidence import FluxEvidence
 from dqforge.machines.yaml_source import KeyPath, YamlDocument
 
 MAX_FILE_BYTES = 200_000_000
@@ -28,7 +29,8 @@ class Reading:
         Where the files lie that it names, or None where it may name none.
 
     ``converted`` holds for paths of converted values what is used and what was done, ``derived`` values that follow
-    from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names.
+    from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names,
+    ``flux_evidence`` what was found about its flux maps.
     """
 
     document: YamlDocument
@@ -38,6 +40,7 @@ class Reading:
     derived: list[InputValue] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     files: list[bytes] = field(default_factory=list)
+    flux_evidence: list[FluxEvidence] = field(default_factory=list)
 
     def digest(self) -> str:
         """SHA-256 of the design file, or of its bytes and the digests of the files that it names, in their order."""

@@ -35,7 +35,7 @@ from dqforge.machines.schema_entries import (
     Torque,
     TorqueConstant,
 )
-from dqforge.machines.settings import FluxAxes, FluxScaling, MachineModel
+from dqforge.machines.settings import FluxAxes, FluxFitName, FluxScaling, FluxSymmetry, MachineModel
 
 
 class RatedSection(Section):
@@ -87,6 +87,19 @@ class FluxMapSection(Section):
     columns: ColumnsSection = Field(default=ColumnsSection(), description="names in the file, where they are unusual")
     extrapolate: bool = Field(
         default=False, description="permit currents beyond the map; results that use them are marked"
+    )
+    fit: FluxFitName = Field(
+        default="auto",
+        description="interpolate: a spline through the points; smooth: a smooth co-energy near them; auto: smooth "
+        "where noise makes more than 3 % of the incremental inductances or one is not positive",
+    )
+    symmetry: FluxSymmetry = Field(
+        default="average",
+        description="of the halves i_q > 0 and i_q < 0: average; keep: a current reference for each sign of the "
+        "torque; positive, negative: one half, mirrored",
+    )
+    frame_angle: Angle | None = Field(
+        default=None, description="turn of the file's frame (rad electrical; write deg), against a misaligned sensor"
     )
 
 
