@@ -108,6 +108,9 @@ class FluxEvidence:
         return (*_short_fit(self), *(() if self.asymmetry is None else _short_asymmetry(self.asymmetry)))
 
 
+_DEGREES = 57.29577951308232
+
+
 def places(points: tuple[tuple[float, float], ...], count: int) -> str:
     """Places of faults in A, and how many more there are."""
     listed = "; ".join(f"i_d = {i_d:.4g} A, i_q = {i_q:.4g} A" for i_d, i_q in points)
@@ -189,24 +192,21 @@ def _asymmetry_sentences(found: FluxAsymmetry) -> tuple[str, ...]:
         f"{_torques(found)}: {size}; in flux linkage {format_quantity(found.rms, 'Wb', 3)} r.m.s., "
         f"{format_quantity(found.largest, 'Wb', 3)} at most; {_DONE[found.symmetry]} (flux_map.symmetry)"
     )
-    degrees = f"{found.angle * 57.29577951308232:.3g} deg electrical"
+    degrees = f"{found.angle * _DEGREES:.3g} deg electrical"
     left = (
         f"leaves {format_quantity(found.rms_left, 'Wb', 3)} r.m.s. and "
         f"{format_quantity(abs(found.torque_left), 'N m', 3)}, {100.0 * abs(found.share_left):.2g} %"
     )
     if found.removes:
-        advice = f"write flux_map: frame_angle: {found.angle * 57.29577951308232:.3g} deg"
-        return (
-            first,
-            f"a frame turned by {degrees} removes most of it and {left}: the angle sensor looks misaligned by this; {advice}",
-        )
+        advice = f"the angle sensor looks misaligned: write frame_angle: {found.angle * _DEGREES:.3g} deg"
+        return first, f"a frame turned by {degrees} removes most of it and {left}; {advice}"
     return first, f"no turned frame removes it: the best, {degrees}, {left}"
 
 
 def _short_asymmetry(found: FluxAsymmetry) -> tuple[str, ...]:
     size = f"{format_quantity(abs(found.torque), 'N m', 3)} ({100.0 * abs(found.share):.2g} %)"
+    left = format_quantity(abs(found.torque_left), "N m", 3)
     return (
         f"Flux map, at {format_quantity(found.current, 'A', 4)} (peak): {_torques(found)}, {size} apart;",
-        f"{_DONE[found.symmetry]}; a frame turned by {found.angle * 57.29577951308232:.3g} deg el. would leave "
-        f"{format_quantity(abs(found.torque_left), 'N m', 3)}.",
+        f"{_DONE[found.symmetry]}; a frame turned by {found.angle * _DEGREES:.3g} deg el. would leave {left}.",
     )

@@ -57,7 +57,7 @@ def noise_of_repeats(i_d: FloatArray, i_q: FloatArray, psi: FloatArray, toleranc
 
 def _robust(values: FloatArray) -> float:
     """Standard deviation of a normal variable by the median of its magnitude, which outliers do not move."""
-    return float(np.median(np.abs(values))) / _NORMAL_MEDIAN if values.size else np.inf
+    return float(np.median(np.abs(values))) / _NORMAL_MEDIAN if values.size else float(np.inf)
 
 
 def _of_neighbours(axis: FloatArray, values: FloatArray) -> float:
@@ -65,7 +65,7 @@ def _of_neighbours(axis: FloatArray, values: FloatArray) -> float:
     steps = np.diff(axis)
     if axis.size < 5 or np.max(np.abs(steps - np.mean(steps))) > 1e-3 * np.mean(steps):
         return np.inf
-    return _robust(np.diff(values, 4, axis=0)) / np.sqrt(_FOURTH)
+    return _robust(np.diff(values, 4, axis=0)) / float(np.sqrt(_FOURTH))
 
 
 def noise_of_neighbours(i_d: FloatArray, i_q: FloatArray, psi: FloatArray) -> FluxNoise | None:

@@ -162,9 +162,9 @@ def _problem(
         for index, rows in enumerate(
             (_columns(in_d.rows(i_d[part], 1), rows_q), _columns(rows_d, in_q.rows(i_q[part], 1)))
         ):
-            rows *= weights[index]
-            normal += rows.T @ rows
-            right += rows.T @ (weights[index] * psi[index, part])
+            weighted = weights[index] * rows
+            normal += weighted.T @ weighted
+            right += weighted.T @ (weights[index] * psi[index, part])
     penalty = np.zeros((size, size))
     for by_d, by_q, times in _THIRD:
         penalty += times * np.kron(in_d.products(by_d), in_q.products(by_q))
@@ -270,7 +270,7 @@ def _sites(bases: tuple[_Basis, _Basis]) -> tuple[FloatArray, FloatArray, FloatA
     at_d, at_q = (np.linspace(b.knots[0] * b.scale, b.knots[-1] * b.scale, _SITES) for b in bases)
     if in_q.even:
         at_q = at_q[at_q >= 0.0]
-    found = [np.kron(in_d.rows(at_d, a), in_q.rows(at_q, b)) for a, b in ((2, 0), (1, 1), (0, 2))]
+    found = [np.kron(in_d.rows(at_d, a), in_q.rows(at_q, b)).astype(np.float64) for a, b in ((2, 0), (1, 1), (0, 2))]
     return found[0], found[1], found[2]
 
 

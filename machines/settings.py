@@ -26,6 +26,7 @@ ObserverMethodName = Literal[
     "reduced-order", "extended-emf", "flux", "open-loop-flux", "matsui-voltage", "matsui-current", "ekf"
 ]
 ObserverTuningName = Literal["named", "optimised"]
+GainWish = Literal["required", "optional", "none"]
 QFormats = tuple[int, int] | Literal["auto"]
 ModulationName = Literal[
     "spwm",
@@ -209,7 +210,8 @@ class PerUnitBases:
 class ControlSettings:
     """Sampling and controllers; ``t_s`` is the current-control sampling period in s.
 
-    ``tolerances`` is the box in which every loop must hold, None where only the data themselves count.
+    ``tolerances`` is the box in which every loop must hold, None where only the data themselves count. ``gains`` are
+    ``optional`` where the design says nothing of control: a machine without them still has its current references.
     """
 
     t_s: float
@@ -218,6 +220,7 @@ class ControlSettings:
     observer: ObserverSettings | None
     bases: PerUnitBases
     tolerances: Tolerances | None = None
+    gains: GainWish = "required"
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqforge.machines.design import Design
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.settings import Strategy
 from dqforge.machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.optimizer.certificate import Certificate, certify
@@ -77,14 +78,15 @@ class Solution:
     sinusoidal back-EMF. ``certificate`` bounds the errors of the fit, None where that could not be proven;
     ``trials`` are the forms that were tried for a budget. ``weakening`` is None where no
     two-dimensional reference, ``choice`` where no choice of modulator and switching frequency, ``mission`` where
-    no mission is asked for. ``fixed`` are control functions in fixed point.
+    no mission is asked for. ``fixed`` are control functions in fixed point. ``loops`` is None where none are wanted, or
+    where a design without a section ``control`` has none that hold; ``gains_left_out`` then says why.
     """
 
     design: Design
     curves: Curves
     fit: ReferenceFit
     alternatives: tuple[Alternative, ...]
-    gains: GainSet
+    loops: GainSet | None
     losses: LossComparison | None
     waveforms: WaveformComparison | None = None
     phases: PhaseFit | None = None
@@ -94,6 +96,20 @@ class Solution:
     choice: ModulationChoice | None = None
     mission: MissionComparison | None = None
     fixed: tuple[FixedControlFit, ...] = ()
+    gains_left_out: str = ""
+
+    @property
+    def gains(self) -> GainSet:
+        """The gains, for what needs them.
+
+        Raises
+        ------
+        InputError
+            There are none.
+        """
+        if self.loops is None:
+            raise InputError(f"this needs gains, and there are none: {self.gains_left_out}")
+        return self.loops
 
 
 def current_choice(design: Design) -> CurrentChoice:
@@ -260,6 +276,24 @@ def solve_weakening(design: Design) -> WeakeningFit | None:
     return fit_weakening(design.machine, design.i_max, limit.v_max, design.weakening)
 
 
+def gains_or_reason(design: Design) -> tuple[GainSet | None, str]:
+    """Gains of the design, or None and why there are none where it can do without.
+
+    Raises
+    ------
+    NoSolutionError
+        As `solve_gains`, of a design that asks for control.
+    """
+    if design.control.gains == "none":
+        return None, "control.gains is false"
+    try:
+        return solve_gains(design), ""
+    except NoSolutionError as error:
+        if design.control.gains == "required":
+            raise
+        return None, f"no loop was asked for and none was found: {error}"
+
+
 def solve_fixed(design: Design, gains: GainSet) -> tuple[FixedControlFit, ...]:
     """Control functions in the fixed-point formats that the design asks for; errors as `fit_control`."""
     return fit_controls(design, (gains.i_d, gains.i_q, gains.speed), gains.observer)
@@ -274,7 +308,7 @@ def solve(design: Design) -> Solution:
         As the single steps do; the message names the section of the design.
     """
     chosen = solve_fit(design)
-    fit, gains = chosen.fit, solve_gains(design)
+    fit, (gains, left_out) = chosen.fit, gains_or_reason(design)
     return Solution(
         design=design,
         curves=solve_curves(design),
@@ -282,12 +316,13 @@ def solve(design: Design) -> Solution:
         certificate=certify(current_choice(design), fit.reference, fit.errors),
         trials=chosen.trials,
         alternatives=alternatives(current_choice(design), fit),
-        gains=gains,
+        loops=gains,
         losses=solve_losses(design),
         waveforms=None if design.phase_machine is None else compare_waveforms(design),
         phases=None if design.phase_machine is None else solve_phases(design),
         weakening=solve_weakening(design),
         choice=solve_choice(design),
         mission=solve_mission(design),
-        fixed=solve_fixed(design, gains),
+        fixed=() if gains is None else solve_fixed(design, gains),
+        gains_left_out=left_out,
     )

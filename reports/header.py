@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from typing import Any
 
 from dqforge.machines.design import Design
@@ -19,6 +20,8 @@ from dqforge.reports.reference_header import reference_context, vectors_context,
 from dqforge.reports.reference_ir import PlainData, shortest, to_plain
 from dqforge.reports.robustness_text import robust_lines
 from dqforge.reports.templating import render
+
+_COMMENT_WIDTH = 110
 
 _COMPILING = {
     "float32": (
@@ -152,8 +155,16 @@ def _gain_group(
     }
 
 
+def _no_gains_group(solution: Solution) -> PlainData:
+    """Why there are no controllers, in place of them."""
+    why = textwrap.wrap(solution.gains_left_out, _COMMENT_WIDTH)
+    return {"title": "No controllers", "comment": why, "entries": []}
+
+
 def _gain_groups(solution: Solution) -> list[PlainData]:
-    control, gains = solution.design.control, solution.gains
+    control, gains = solution.design.control, solution.loops
+    if gains is None:
+        return [_no_gains_group(solution)]
     bases = control.bases
     volts = ("V_PER_A|V/A", "V_PER_AS|V/(A s)")
     current = (bases.current, bases.voltage)
@@ -177,7 +188,7 @@ def _gain_groups(solution: Solution) -> list[PlainData]:
 
 
 def _observer_group(solution: Solution) -> list[PlainData]:
-    observer = solution.gains.observer
+    observer = None if solution.loops is None else solution.loops.observer
     if observer is None:
         return []
     group = {

@@ -24,6 +24,7 @@ from dqforge.reports.html_mission import mission_part
 from dqforge.reports.html_tables import (
     LOOP_TEXT,
     STRATEGY_TEXT,
+    HtmlTable,
     alternatives_table,
     ceiling,
     coefficient_table,
@@ -104,7 +105,9 @@ def copper_saving(solution: Solution) -> Saving | None:
 
 
 def _loops(solution: Solution) -> list[LoopGains]:
-    gains = solution.gains
+    gains = solution.loops
+    if gains is None:
+        return []
     return [loop for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None]
 
 
@@ -149,6 +152,13 @@ def _compared(verification: Verification | None) -> str:
     return f"{count(verification.vectors + verification.sweep)} results equal the model, {languages}"
 
 
+def _margin_tile(loops: list[LoopGains]) -> Tile:
+    worst = min(loops, key=lambda loop: abs(loop.phase_margin))
+    others = [f"{LOOP_TEXT[loop.loop]} {degrees(loop.phase_margin)}" for loop in loops if loop is not worst]
+    detail = symbols(f"{LOOP_TEXT[worst.loop]} loop; {', '.join(others)}")
+    return Tile("Smallest phase margin", degrees(worst.phase_margin), detail)
+
+
 def tiles(solution: Solution, verification: Verification | None) -> list[Tile]:
     """The key numbers."""
     fit, chosen = solution.fit, solution.curves.chosen
@@ -167,10 +177,8 @@ def tiles(solution: Solution, verification: Verification | None) -> list[Tile]:
     if saving is not None:
         detail = f"{watts(saving.chosen)} instead of {watts(saving.id0)} at {quantity(saving.torque, 'N m')}"
         found.append(Tile(symbols("Copper loss saved against i_d = 0"), share(saving.relative, 3), detail))
-    worst = min(_loops(solution), key=lambda loop: abs(loop.phase_margin))
-    others = [f"{LOOP_TEXT[loop.loop]} {degrees(loop.phase_margin)}" for loop in _loops(solution) if loop is not worst]
-    detail_of_others = symbols(f"{LOOP_TEXT[worst.loop]} loop; {', '.join(others)}")
-    found.append(Tile("Smallest phase margin", degrees(worst.phase_margin), detail_of_others))
+    if _loops(solution):
+        found.append(_margin_tile(_loops(solution)))
     best = _best_loss(solution)
     if best is not None:
         found.append(Tile("Least total loss", best[0], symbols(f"{best[1]} {best[2]}")))
@@ -219,7 +227,8 @@ def summary(solution: Solution, verification: Verification | None) -> Markup:
         where = quantity(saving.torque, "N m")
         sentences.append(f"Against i_d = 0 it saves {share(saving.relative, 3)} of the copper loss at {where}.")
     margins = [f"{LOOP_TEXT[loop.loop]} {degrees(loop.phase_margin)}" for loop in _loops(solution)]
-    sentences.append(f"The phase margins of the sampled loops are {', '.join(margins)}.")
+    none = f"There are no control loops: {solution.gains_left_out}."
+    sentences.append(f"The phase margins of the sampled loops are {', '.join(margins)}." if margins else none)
     best = _best_loss(solution)
     if best is not None:
         sentences.append(f"The alternative that loses least is {best[1]}: {best[0]} {best[2]}.")
@@ -238,8 +247,10 @@ def _figures(solution: Solution) -> dict[str, Markup]:
         "mtpa": lambda: figures.plot_mtpa(design, solution.curves, fit),
         "fit": lambda: figures.plot_fit(design, fit),
         "errors": lambda: figures.plot_errors(design, fit),
-        "loops": lambda: figures.plot_gains(design, solution.gains),
     }
+    gains = solution.loops
+    if gains is not None:
+        drawn["loops"] = lambda: figures.plot_gains(design, gains)
     losses = solution.losses
     if losses is not None:
         drawn["losses"] = lambda: figures.plot_losses(design, losses)
@@ -317,15 +328,16 @@ def _reference_part(solution: Solution) -> PlainData:
 
 
 def _sections(
-    design: Design, *, losses: bool, waveforms: bool, simulated: bool = False
+    design: Design, *, loops: bool, losses: bool, waveforms: bool, simulated: bool = False
 ) -> list[tuple[str, str | Markup]]:
     sections: list[tuple[str, str | Markup]] = [
         ("summary", "Summary"),
         ("machine", "Machine and assumptions"),
         ("reference", "Current reference"),
         ("errors", "Torque error and loss"),
-        ("loops", "Control loops"),
     ]
+    if loops:
+        sections.append(("loops", "Control loops"))
     if losses:
         sections.append(("losses", "Loss comparison"))
     if waveforms:
@@ -337,6 +349,18 @@ def _sections(
     if simulated:
         sections.append(("simulation", "Simulation"))
     return [*sections, ("header", f"{design.export.prefix}.h"), ("conventions", "Conventions")]
+
+
+def _loop_tables(solution: Solution) -> list[HtmlTable]:
+    gains, design = solution.loops, solution.design
+    if gains is None:
+        return []
+    return [
+        loop_table(design, gains),
+        *tolerance_tables(gains),
+        *observer_tables(design, gains, solution.fit.torque_max),
+        *control_fixed_html(solution.fixed),
+    ]
 
 
 def _has_losses(solution: Solution) -> bool:
@@ -355,6 +379,7 @@ def report_context(
         "digest": design.digest,
         "sections": _sections(
             design,
+            loops=solution.loops is not None,
             losses=_has_losses(solution),
             waveforms=solution.waveforms is not None,
             simulated=simulation is not None,
@@ -376,12 +401,7 @@ def report_context(
             ),
             "loss": symbols(_penalty_text(solution)),
         },
-        "loops": [
-            loop_table(design, solution.gains),
-            *tolerance_tables(solution.gains),
-            *observer_tables(design, solution.gains, solution.fit.torque_max),
-            *control_fixed_html(solution.fixed),
-        ],
+        "loops": _loop_tables(solution),
         "losses": [] if solution.losses is None else loss_tables(solution.losses),
         "mission": mission_part(solution),
         "points_left_out": 0 if solution.losses is None else max(0, len(solution.losses.points) - POINTS_SHOWN),

@@ -264,8 +264,9 @@ def _plain_fixed(solution: Solution) -> PlainData:
 
 def plain_solution(solution: Solution) -> PlainData:
     """Everything that a run found, with what `dqforge verify` needs under ``header``."""
-    design, weakening, schedule = solution.design, solution.weakening, solution.gains.schedule
-    observer = emitted(solution.gains.position)
+    design, weakening, gains = solution.design, solution.weakening, solution.loops
+    schedule = None if gains is None else gains.schedule
+    observer = None if gains is None else emitted(gains.position)
     return {
         "input": plain_design(design),
         "drive": plain_drive(design),
@@ -276,7 +277,8 @@ def plain_solution(solution: Solution) -> PlainData:
         },
         "mtpa": plain_curves(solution.curves),
         "fit": plain_fit(solution.fit, solution.alternatives, solution.trials, solution.certificate),
-        "gains": plain_gains(design, solution.gains),
+        "gains": None if gains is None else plain_gains(design, gains),
+        **({} if gains is not None else {"gains_left_out": solution.gains_left_out}),
         "losses": plain_losses(solution.losses),
         "mission": None if solution.mission is None else plain_mission(solution.mission),
         "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),
@@ -289,5 +291,5 @@ def plain_solution(solution: Solution) -> PlainData:
         "modulation_header": None if solution.choice is None else plain_emitted(choice_model(solution.choice)),
         "gains_header": None if schedule is None else plain_evaluator(schedule.fit.evaluator),
         "observer_header": None if observer is None else plain_observer(observer),
-        "speed_observer_header": plain_speed_observer(design.machine, solution.gains.observer),
+        "speed_observer_header": plain_speed_observer(design.machine, None if gains is None else gains.observer),
     }

@@ -341,7 +341,7 @@ def _poor_fit_text(design: Design, fit: ReferenceFit) -> str:
 
 def run_tables(solution: Solution, verification: Verification | None) -> list[Table]:
     """The short summary of a run."""
-    fit, gains, where = solution.fit, solution.gains, operation_text(solution.design)
+    fit, gains, where = solution.fit, solution.loops, operation_text(solution.design)
     polynomial = fit.d or fit.q
     plural = "" if polynomial is None or polynomial.segments == 1 else "s"
     shape = "" if polynomial is None else f", degree {polynomial.degree}, {polynomial.segments} segment{plural}"
@@ -360,9 +360,9 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
         proven = proof_text(solution.weakening)
         if proven is not None:
             rows.append(("  proven bounds", proven))
-    rows += [
-        (f"{loop.loop} loop", _loop_text(loop)) for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None
-    ]
+    loops = () if gains is None else (gains.i_d, gains.i_q, gains.speed)
+    rows += [(f"{loop.loop} loop", _loop_text(loop)) for loop in loops if loop is not None]
+    rows += [("no loops", solution.gains_left_out)] if gains is None else []
     if solution.losses is not None:
         rows += _best_rows(solution.losses)
     rows += [] if solution.choice is None else choice_rows(solution.choice)
