@@ -108,6 +108,7 @@ class _Build:
         checks.check_loops(sections, machine, document)
         inverter = self.inverter(sections.inverter, machine.i_max)
         i_max = machine.i_max if inverter.i_max is None else min(machine.i_max, inverter.i_max)
+        checks.check_halves(sections, document)
         checks.check_fit(sections, machine, i_max, document)
         checks.check_waveform(sections, document)
         checks.check_comparison(sections, machine, document)

@@ -12,7 +12,7 @@ import numpy as np
 from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.optimizer.gains import LoopGains
-from dqforge.optimizer.solution import Solution
+from dqforge.optimizer.solution import Solution, signed_designs
 from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.control_fixed_tables import control_fixed_html
 from dqforge.reports.drive_simulation import DriveSimulation
@@ -222,6 +222,13 @@ def summary(solution: Solution, verification: Verification | None) -> Markup:
             f"{_proof_text(solution)}."
         ),
     ]
+    half = solution.negative
+    if half is not None:
+        proof = "sampled" if half.certificate is None else f"proven: {proven_text(half.certificate, 3)}"
+        sentences.append(
+            f"Negative torques have a reference of their own, up to {quantity(half.fit.torque_max, 'N m')}, whose torque "
+            f"errs by at most {quantity(ceiling(half.fit.errors.torque), 'N m', 3)} ({proof})."
+        )
     saving = copper_saving(solution)
     if saving is not None:
         where = quantity(saving.torque, "N m")
@@ -243,10 +250,11 @@ def _figures(solution: Solution) -> dict[str, Markup]:
     from dqforge.reports import figures
 
     design, fit = solution.design, solution.fit
+    positive = signed_designs(design)[0]
     drawn: dict[str, Callable[[], Figure]] = {
-        "mtpa": lambda: figures.plot_mtpa(design, solution.curves, fit),
-        "fit": lambda: figures.plot_fit(design, fit),
-        "errors": lambda: figures.plot_errors(design, fit),
+        "mtpa": lambda: figures.plot_mtpa(positive, solution.curves, fit),
+        "fit": lambda: figures.plot_fit(positive, fit),
+        "errors": lambda: figures.plot_errors(positive, fit),
     }
     gains = solution.loops
     if gains is not None:

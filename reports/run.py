@@ -36,7 +36,7 @@ def _verified(solution: Solution, files: dict[str, bytes], plain: PlainData) -> 
     """The headers against what the result says of them: what a later `dqforge verify` will read."""
     export = solution.design.export
     _, further = programmes(plain)
-    return verify_files(files, export.prefix, solution.fit.reference, export.vectors, further)
+    return verify_files(files, export.prefix, solution.reference, export.vectors, further)
 
 
 def _loop_files(design: Design, gains: GainSet) -> dict[str, bytes]:
