@@ -11,6 +11,9 @@ from dqforge.machines.settings import FluxFitName, FluxSymmetry
 NOISE_LIMIT = 0.03
 """Noise of the incremental inductances of a plain spline, over their mean, above which ``fit: auto`` smooths."""
 
+MOST_PLACES = 8
+"""Faulty places that are named; of more, the number is told."""
+
 _SHOWN_BY = {
     "repeats": "shown by repeated points",
     "symmetry": "shown by the two halves",

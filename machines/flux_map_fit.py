@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.flux_evidence import NOISE_LIMIT, FluxFit, places
+from dqforge.machines.flux_evidence import MOST_PLACES, NOISE_LIMIT, FluxFit, places
 from dqforge.machines.flux_map import FluxMap
 from dqforge.machines.flux_noise import FluxNoise, inductance_noise
 from dqforge.machines.flux_smoothing import CoEnergy, outliers, smooth_co_energy
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.settings import FluxFitName
 from dqforge.machines.synchronous import FloatArray
-
-MOST_PLACES = 8
-"""Faulty places that are named; of more, the number is told."""
 
 _FINE_GRID = 20_000
 _LEAST_NODES = 40
@@ -133,7 +130,11 @@ def fit_flux(data: FluxData, wanted: FluxFitName, source: str, *, even: bool = T
         raise InputError(f"the flux map cannot be smoothed: {error}", source=source) from None
     _refuse_outliers(data, off, found, source)
     i_d, i_q = _fine(data.i_d), _fine(data.i_q)
+    if found.d.even and i_d[0] < 0.0 < i_d[-1]:
+        i_d = np.union1d(i_d[np.abs(i_d) > 1e-9 * i_d[-1]], [0.0])
     psi = found.flux(i_d, i_q)
+    if found.d.even:
+        psi[0, i_d == 0.0] = 0.0  # to the last digit, too, so that there are no magnets
     used = FluxFit(wanted, "smooth", found.noise, share, faults, count)
     return FluxMap(i_d, i_q, psi[0], psi[1]), _priced(data, found, used)
 

@@ -141,6 +141,8 @@ def build_flux_map(
         findings = (*findings, f"{repeated} points are given repeatedly and were merged")
     plane, noise, is_grid = _plane(single, frame_angle)
     if plane.asymmetry > _WORST_ASYMMETRY * _largest(single.psi_d, single.psi_q):
+        if fit != "interpolate":
+            _refuse_single_points(plane, _turned(single, frame_angle), source)
         raise InputError(
             f"the halves i_q > 0 and i_q < 0 are no mirror images: they lie {format_quantity(plane.asymmetry, 'Wb')} "
             "from their mean; psi_d must be even and psi_q odd in i_q (d along the magnets), check the signs",
@@ -160,11 +162,11 @@ def build_flux_map(
     if frame_angle:
         findings = (*findings, f"the frame was turned by {np.degrees(frame_angle):.4g} deg (electrical)")
     try:
-        flux_map, used = fit_flux(_data(plane, plane.psi, turned_points, noise, is_grid), fit, source)
+        flux_map, used = fit_flux(_data(plane, plane.psi, turned_points, noise, is_grid=is_grid), fit, source)
         flux_map = FluxMap(flux_map.i_d, flux_map.i_q, flux_map.psi_d, flux_map.psi_q, extrapolate)
         halves = None
         if whole.raw is not None:
-            data = _data(whole, whole.raw, _turned(single, frame_angle), noise, is_grid)
+            data = _data(whole, whole.raw, _turned(single, frame_angle), noise, is_grid=is_grid)
             both = fit_flux(data, used.used, source, even=False)[0]
             halves = FluxMap(both.i_d, both.i_q, both.psi_d, both.psi_q, extrapolate)
     except InputError as error:
@@ -173,6 +175,15 @@ def build_flux_map(
     done = tuple(_kept(sentence) for sentence in plane.findings) if symmetry == "keep" else plane.findings
     findings = (*findings, *done, *zero, *checked)
     return FluxMapReading(flux_map, findings, energy_misfit(flux_map), whole.asymmetry, used, halves)
+
+
+def _refuse_single_points(plane: _Plane, points: FluxPoints, source: str) -> None:
+    """Name the points that make the halves differ, where these are few."""
+    try:
+        fit_flux(_data(plane, plane.psi, points, None, is_grid=False), "smooth", source)
+    except InputError as error:
+        if "points lie far" in error.message:
+            raise
 
 
 def _plane(points: FluxPoints, angle: float) -> tuple[_Plane, FluxNoise | None, bool]:
@@ -233,10 +244,10 @@ def _kept(sentence: str) -> str:
     return sentence.replace("were averaged", "are kept for the current references and averaged for all else")
 
 
-def _data(plane: _Plane, psi: FloatArray, points: FluxPoints, noise: FluxNoise | None, is_grid: bool) -> FluxData:
+def _data(plane: _Plane, psi: FloatArray, points: FluxPoints, noise: FluxNoise | None, *, is_grid: bool) -> FluxData:
     """What a fit needs to know of a plane."""
     values = np.stack([points.psi_d, points.psi_q])
-    return FluxData(plane.i_d, plane.i_q, psi, points.i_d, points.i_q, values, noise, is_grid)
+    return FluxData(plane.i_d, plane.i_q, psi, points.i_d, points.i_q, values, noise, is_grid=is_grid)
 
 
 def _conversion(axes: FluxAxes, scaling: FluxScaling) -> tuple[str, ...]:

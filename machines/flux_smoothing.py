@@ -29,6 +29,9 @@ LEAST_SHARE = 0.05
 _LEAST_NOISE = 1e-6
 """Noise over the largest flux linkage below which nothing is fitted closer."""
 
+_MAGNET_SHARE = 0.03
+"""Flux linkage at zero current over the largest one from which on it belongs to magnets, however noisy the points."""
+
 _MOST_CUTS = 30
 _MOST_ROUNDS = 8
 _OUTLIER, _OUTLIER_SHARE = 8.0, 0.05
@@ -268,8 +271,7 @@ def _sites(bases: tuple[_Basis, _Basis]) -> tuple[FloatArray, FloatArray, FloatA
     """Rows of the incremental inductances at a grid of sites over the bases' rectangle."""
     in_d, in_q = bases
     at_d, at_q = (np.linspace(b.knots[0] * b.scale, b.knots[-1] * b.scale, _SITES) for b in bases)
-    if in_q.even:
-        at_q = at_q[at_q >= 0.0]
+    at_d, at_q = (at[at >= 0.0] if basis.even else at for at, basis in zip((at_d, at_q), bases, strict=True))
     found = [np.kron(in_d.rows(at_d, a), in_q.rows(at_q, b)).astype(np.float64) for a, b in ((2, 0), (1, 1), (0, 2))]
     return found[0], found[1], found[2]
 
@@ -297,18 +299,32 @@ def smooth_co_energy(
     even:
         psi_d even and psi_q odd in i_q; else both halves are kept as they are.
 
+    Where psi_d at zero current is less than the noise there are no magnets, and psi_d is made odd, psi_q even in i_d.
+
     Raises
     ------
     NoSolutionError
         No positive definite inductances come near the points.
     """
-    end_q = float(np.max(np.abs(i_q)))
-    low_q = -end_q if even else float(np.min(i_q))
-    count_d, count_q = (_different(part) for part in (i_d, np.abs(i_q) if even else i_q))
-    bases = (
-        _basis(float(np.min(i_d)), float(np.max(i_d)), count_d, even=False),
-        _basis(low_q, end_q, 2 * count_q - 1 if even else count_q, even=even),
-    )
+    with_magnets = _fitted((_axis_basis(i_d, even=False), _axis_basis(i_q, even=even)), i_d, i_q, psi, noise)
+    rest = abs(float(with_magnets.flux_at(np.zeros(1), np.zeros(1))[0, 0]))
+    if rest > min(with_magnets.noise.d, _MAGNET_SHARE * float(np.max(np.abs(psi)))):
+        return with_magnets
+    return _fitted((_axis_basis(i_d, even=True), _axis_basis(i_q, even=even)), i_d, i_q, psi, noise)
+
+
+def _axis_basis(current: FloatArray, *, even: bool) -> _Basis:
+    """Splines over the range of currents in A, or over the one symmetric about 0."""
+    if not even:
+        return _basis(float(np.min(current)), float(np.max(current)), _different(current), even=False)
+    end = float(np.max(np.abs(current)))
+    return _basis(-end, end, 2 * _different(np.abs(current)) - 1, even=True)
+
+
+def _fitted(
+    bases: tuple[_Basis, _Basis], i_d: FloatArray, i_q: FloatArray, psi: FloatArray, noise: FluxNoise | None
+) -> CoEnergy:
+    """The smooth co-energy of given bases; parameters as in `smooth_co_energy`."""
     known, weights = noise is not None, (1.0, 1.0)
     if noise is not None:
         least = _LEAST_NOISE * float(np.max(np.abs(psi)))
