@@ -95,28 +95,28 @@ def asymmetry_of(
     inside = averaged.inside(i_d, i_q)
     i_d, i_q = (i_d[inside], i_q[inside]) if np.any(inside) else (i_d, i_q)
     best = int(np.argmax(torque_from_flux(pole_pairs, *averaged.flux(i_d, i_q), i_d, i_q)))
-    at_d, at_q = i_d[best : best + 1], i_q[best : best + 1]
     angle = frame_angle(whole)
 
-    def torques(turn: float) -> tuple[float, float]:
-        return (
-            float(torque_from_flux(pole_pairs, *turned_flux(whole, turn, at_d, at_q), at_d, at_q)[0]),
-            -float(torque_from_flux(pole_pairs, *turned_flux(whole, turn, at_d, -at_q), at_d, -at_q)[0]),
-        )
+    def torques(turn: float) -> tuple[float, float, float]:
+        upper = torque_from_flux(pole_pairs, *turned_flux(whole, turn, i_d, i_q), i_d, i_q)
+        lower = -torque_from_flux(pole_pairs, *turned_flux(whole, turn, i_d, -i_q), i_d, -i_q)
+        return float(upper[best]), float(lower[best]), float(np.max(np.abs(upper - lower)))
 
     grid_d, grid_q = np.meshgrid(whole.i_d, whole.i_q[whole.i_q >= 0.0], indexing="ij")
     largest = float(np.max(np.abs(_apart(whole, 0.0, grid_d.ravel(), grid_q.ravel()))))
     points = _test_points(whole)
-    (positive, negative), left = torques(0.0), torques(angle)
+    (positive, negative, most), left = torques(0.0), torques(angle)
     return FluxAsymmetry(
         symmetry=symmetry,
         current=current,
         current_name=current_name,
         positive=positive,
         negative=negative,
+        torque_most=most,
         largest=largest,
         rms=_rms(_apart(whole, 0.0, *points)),
         angle=angle,
         rms_left=_rms(_apart(whole, angle, *points)),
         torque_left=left[0] - left[1],
+        torque_most_left=left[2],
     )

@@ -52,8 +52,10 @@ class FluxAsymmetry:
     """How far the halves i_q > 0 and i_q < 0 are from mirror images.
 
     At ``current`` A (peak), at the angle of the largest torque of the averaged map, the halves make ``positive`` and
-    ``negative`` N m (magnitudes). ``largest`` and ``rms`` in Wb are half the distances of mirrored points; turning the
-    frame by ``angle`` rad (electrical) leaves ``rms_left`` Wb and ``torque_left`` N m of difference.
+    ``negative`` N m (magnitudes); ``torque_most`` is the largest difference at any angle of that current, to which the
+    best one is blind where the frame is turned. ``largest`` and ``rms`` in Wb are half the distances of mirrored points.
+    Turning the frame by ``angle`` rad (electrical) leaves ``rms_left`` Wb, ``torque_left`` N m of difference, and
+    ``torque_most_left``.
     """
 
     symmetry: FluxSymmetry
@@ -61,11 +63,13 @@ class FluxAsymmetry:
     current_name: str
     positive: float
     negative: float
+    torque_most: float
     largest: float
     rms: float
     angle: float
     rms_left: float
     torque_left: float
+    torque_most_left: float
 
     @property
     def torque(self) -> float:
@@ -192,13 +196,14 @@ def _asymmetry_sentences(found: FluxAsymmetry) -> tuple[str, ...]:
     size = f"{format_quantity(abs(found.torque), 'N m', 3)}, {100.0 * abs(found.share):.2g} %"
     first = (
         f"asymmetry of the halves at the {found.current_name} of {format_quantity(found.current, 'A', 4)} (peak): "
-        f"{_torques(found)}: {size}; in flux linkage {format_quantity(found.rms, 'Wb', 3)} r.m.s., "
+        f"{_torques(found)}: {size}, at most {format_quantity(found.torque_most, 'N m', 3)} at any angle; in flux linkage {format_quantity(found.rms, 'Wb', 3)} r.m.s., "
         f"{format_quantity(found.largest, 'Wb', 3)} at most; {_DONE[found.symmetry]} (flux_map.symmetry)"
     )
     degrees = f"{found.angle * _DEGREES:.3g} deg electrical"
     left = (
         f"leaves {format_quantity(found.rms_left, 'Wb', 3)} r.m.s. and "
-        f"{format_quantity(abs(found.torque_left), 'N m', 3)}, {100.0 * abs(found.share_left):.2g} %"
+        f"{format_quantity(abs(found.torque_left), 'N m', 3)}, {100.0 * abs(found.share_left):.2g} %, at most "
+        f"{format_quantity(found.torque_most_left, 'N m', 3)} at any angle"
     )
     if found.removes:
         advice = f"the angle sensor looks misaligned: write frame_angle: {found.angle * _DEGREES:.3g} deg"

@@ -20,8 +20,9 @@ _DEGREE = 4
 _CELLS = (4, 24)
 _CHUNK = 20_000
 _STRENGTHS = np.geomspace(1e-10, 1e6, 97)
-_SITES = 61
-"""Points per axis at which the incremental inductances are held positive definite."""
+_PER_CELL, _BLOCK, _MOST_ADDED = 8, 5, 150
+"""Places per cell and axis at which the incremental inductances are held positive definite, of which one in each block
+is cut, and so many cuts are added at once."""
 
 LEAST_SHARE = 0.05
 """Least eigenvalue of the incremental inductances, over their mean, that a smoothed map keeps."""
@@ -150,7 +151,7 @@ class _Problem:
 
 def _columns(d: FloatArray, q: FloatArray) -> FloatArray:
     """Products of two bases' functions at points, shape (n, D Q)."""
-    return np.asarray(np.einsum("ka,kb->kab", d, q).reshape(d.shape[0], -1))
+    return np.asarray(np.einsum("ka,kb->kab", d, q).reshape(d.shape[0], d.shape[1] * q.shape[1]))
 
 
 def _problem(
@@ -206,39 +207,55 @@ def _solved(problem: _Problem, *, known: bool) -> tuple[float, float, float, Flo
     return float(_STRENGTHS[best]), float(freedom[best]), float(squares[best]), np.asarray(found)
 
 
-def _violations(
-    coefficients: FloatArray, sites: tuple[FloatArray, FloatArray, FloatArray], floor: float
-) -> tuple[FloatArray, float]:
-    """Rows u' L u of the worst sites and eigenvectors u where u' L u < floor; and the least eigenvalue in H.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sites:
+    """A grid of places at which the incremental inductances are held positive definite.
 
-    ``sites`` are the rows of l_dd, l_dq, l_qq for all sites.
+    ``d`` and ``q`` are the rows of the 0th to 2nd derivatives of both bases there.
     """
-    l_dd, l_dq, l_qq = (rows @ coefficients for rows in sites)
-    mean, half = 0.5 * (l_dd + l_qq), 0.5 * (l_dd - l_qq)
-    least = mean - np.hypot(half, l_dq)
-    below = np.flatnonzero(least < floor * (1.0 - 1e-3))
-    if below.size == 0:
-        return np.empty((0, coefficients.size)), float(np.min(least))
-    worst = below[np.argsort(least[below], kind="stable")[:200]]
-    # The eigenvector of the smaller eigenvalue of [[l_dd, l_dq], [l_dq, l_qq]].
-    angle = 0.5 * np.arctan2(l_dq[worst], half[worst]) + 0.5 * np.pi
-    u, v = np.cos(angle)[:, np.newaxis], np.sin(angle)[:, np.newaxis]
-    rows = u * u * sites[0][worst] + 2.0 * u * v * sites[1][worst] + v * v * sites[2][worst]
-    return np.asarray(rows), float(np.min(least))
+
+    d: tuple[FloatArray, ...]
+    q: tuple[FloatArray, ...]
+
+    @classmethod
+    def of(cls, bases: tuple[_Basis, _Basis]) -> _Sites:
+        """Eight places per cell; one side of an even basis tells the other."""
+        found = []
+        for basis in bases:
+            edges = np.unique(basis.knots) * basis.scale
+            at = np.linspace(edges[0], edges[-1], _PER_CELL * (edges.size - 1) + 1)
+            at = at[at >= -1e-9 * basis.scale] if basis.even else at
+            found.append(tuple(basis.rows(at, order) for order in (0, 1, 2)))
+        return cls(found[0], found[1])
+
+    def violations(self, coefficients: FloatArray, floor: float) -> FloatArray:
+        """Rows of u' L u for the worst places and their eigenvectors u where that is below ``floor`` H, shape (K, C)."""
+        table = coefficients.reshape(self.d[0].shape[1], self.q[0].shape[1])
+        l_dd, l_dq, l_qq = (self.d[2 - k] @ table @ self.q[k].T for k in (0, 1, 2))
+        half = 0.5 * (l_dd - l_qq)
+        least = 0.5 * (l_dd + l_qq) - np.hypot(half, l_dq)
+        below = np.flatnonzero(least < floor * (1.0 - 1e-3))
+        worst = below[np.argsort(least.ravel()[below], kind="stable")]
+        row, column = np.unravel_index(worst, least.shape)
+        # Of each block of places the worst one stands for its neighbours, which nearly ask for the same.
+        block = (row // _BLOCK) * (least.shape[1] // _BLOCK + 1) + column // _BLOCK
+        first = np.sort(np.unique(block, return_index=True)[1])[:_MOST_ADDED]
+        row, column = row[first], column[first]
+        # The eigenvector of the smaller eigenvalue of [[l_dd, l_dq], [l_dq, l_qq]].
+        angle = 0.5 * np.arctan2(l_dq[row, column], half[row, column]) + 0.5 * np.pi
+        u, v = np.cos(angle)[:, np.newaxis], np.sin(angle)[:, np.newaxis]
+        parts = [_columns(self.d[2 - k][row], self.q[k][column]) for k in (0, 1, 2)]
+        return np.asarray(u * u * parts[0] + 2.0 * u * v * parts[1] + v * v * parts[2])
 
 
 def _constrained(
-    problem: _Problem,
-    strength: float,
-    start: FloatArray,
-    sites: tuple[FloatArray, FloatArray, FloatArray],
-    floor: float,
+    problem: _Problem, strength: float, start: FloatArray, sites: _Sites, floor: float
 ) -> tuple[FloatArray, int]:
     """Coefficients that keep the inductances positive definite at all sites, by cuts, and how many were needed."""
     import clarabel
     from scipy.sparse import csc_matrix
 
-    cuts, _ = _violations(start, sites, floor)
+    cuts = sites.violations(start, floor)
     if cuts.shape[0] == 0:
         return start, 0
     hessian = problem.normal + strength * problem.penalty
@@ -258,22 +275,14 @@ def _constrained(
         if str(solution.status) not in ("Solved", "AlmostSolved"):
             break
         found = np.array(solution.x)
-        more, _ = _violations(found, sites, floor)
+        cuts = cuts[cuts @ found < 1.5 * floor]
+        more = sites.violations(found, floor)
         if more.shape[0] == 0:
             return found, cuts.shape[0]
         cuts = np.concatenate([cuts, more])
     raise NoSolutionError(
         "the smoothing fit of the flux map finds no positive definite inductances; check the signs of its columns"
     )
-
-
-def _sites(bases: tuple[_Basis, _Basis]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Rows of the incremental inductances at a grid of sites over the bases' rectangle."""
-    in_d, in_q = bases
-    at_d, at_q = (np.linspace(b.knots[0] * b.scale, b.knots[-1] * b.scale, _SITES) for b in bases)
-    at_d, at_q = (at[at >= 0.0] if basis.even else at for at, basis in zip((at_d, at_q), bases, strict=True))
-    found = [np.kron(in_d.rows(at_d, a), in_q.rows(at_q, b)).astype(np.float64) for a, b in ((2, 0), (1, 1), (0, 2))]
-    return found[0], found[1], found[2]
 
 
 def _mean_inductance(i_d: FloatArray, i_q: FloatArray, psi: FloatArray) -> float:
@@ -335,7 +344,7 @@ def _fitted(
         size = float(np.sqrt(squares / max(problem.count - freedom, 1.0)))
         noise = FluxNoise(size, size, "residual")
     floor = LEAST_SHARE * _mean_inductance(i_d, i_q, psi)
-    found, cuts = (start, 0) if floor <= 0.0 else _constrained(problem, strength, start, _sites(bases), floor)
+    found, cuts = (start, 0) if floor <= 0.0 else _constrained(problem, strength, start, _Sites.of(bases), floor)
     return CoEnergy(*bases, found.reshape(bases[0].size, bases[1].size), strength, freedom, noise, cuts)
 
 

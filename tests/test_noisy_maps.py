@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,14 @@ from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.flux_map import SaturatedMachine
 from dqforge.machines.loader import load_design
+from dqforge.machines.quantities import format_quantity
 from dqforge.machines.synchronous import FloatArray, Machine
 from dqforge.optimizer.mtpa_locus import mtpa_locus
-from dqforge.optimizer.solution import gains_or_reason, solve_curves, solve_gains
+from dqforge.optimizer.solution import gains_or_reason, solve, solve_curves, solve_gains
+from dqforge.reports.header import header_context
+from dqforge.reports.html_tables import other_assumptions
+from dqforge.reports.tables import run_tables
+from dqforge.reports.templating import render
 
 SATURATED = catalogue.load("baldor-pmsyrm-5k6").machine
 NO_CONTROL = "fit: {form: polynomial}\n"
@@ -123,15 +129,27 @@ def test_outliers_are_all_named_and_gone_once_they_are_removed(tmp_path: Path) -
     assert_mtpa_within_noise(load_design(mapped_design(tmp_path, SATURATED, rest)), SATURATED)
 
 
+def dented_points() -> tuple[FloatArray, ...]:
+    """A map whose d inductance is negative in one cell of the MTPA locus, though psi_d hardly falls anywhere."""
+    shape = (41, 27)
+    i_d, i_q, psi_d, psi_q = grid_points(SATURATED, shape)
+    dented = psi_d.copy().reshape(shape)
+    for column in (8, 18):
+        rise = dented[13, column] - dented[12, column]
+        dented[12, column] += 0.56 * rise
+        dented[13, column] -= 0.56 * rise
+    return i_d, i_q, dented.ravel(), psi_q
+
+
 def test_a_reference_needs_no_loops(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """No gains hold for the plain spline through noise; without a section control the header holds the reference."""
-    true = catalogue.load("paper001-pmsm-bench").machine
-    points, plain = noisy(grid_points(true, (41, 41)), 7, 0.003), ", fit: interpolate"
-    with pytest.raises(NoSolutionError, match=r"control.current_loop: .*must be positive"):
-        gains_or_reason(load_design(mapped_design(tmp_path, true, points, keys=plain)))
-    unwanted = load_design(mapped_design(tmp_path, true, points, keys=plain, control="control: {gains: false}\n"))
-    assert gains_or_reason(unwanted) == (None, "control.gains is false")
-    path = mapped_design(tmp_path, true, points, keys=plain, control=NO_CONTROL)
+    """No gains hold for one negative inductance; without a section control the header holds the reference."""
+    plain = ", fit: interpolate"
+    wanted = load_design(mapped_design(tmp_path, SATURATED, dented_points(), keys=plain))
+    with pytest.raises(NoSolutionError, match=r"control.current_loop: .* both must be positive"):
+        gains_or_reason(wanted)
+    unwanted = mapped_design(tmp_path, SATURATED, dented_points(), keys=plain, control="control: {gains: false}\n")
+    assert gains_or_reason(load_design(unwanted)) == (None, "control.gains is false")
+    path = mapped_design(tmp_path, SATURATED, dented_points(), keys=plain, control=NO_CONTROL)
     with pytest.raises(SystemExit) as done:
         cli.main(["run", str(path), "-o", str(tmp_path / "out"), "--no-verify"])
     assert done.value.code == 0
@@ -142,6 +160,15 @@ def test_a_reference_needs_no_loops(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "none was found: control.current_loop" in " ".join(capsys.readouterr().out.split())
     assert "There are no control loops" in (tmp_path / "out" / "report.html").read_text()
     assert '"gains": null' in (tmp_path / "out" / "result.json").read_text()
+
+
+def test_a_dent_is_smoothed_by_itself(tmp_path: Path) -> None:
+    design = load_design(mapped_design(tmp_path, SATURATED, dented_points()))
+    fit = design.flux_evidence[0].fit
+    assert fit.used == "smooth"
+    assert fit.fault_count > 0
+    assert "the plain spline is not admissible" in " ".join(design.assumptions)
+    assert solve_gains(design).i_d.kp > 0.0
 
 
 def test_what_needs_gains_refuses_to_do_without(tmp_path: Path) -> None:
@@ -156,11 +183,16 @@ def test_the_price_of_smoothing_is_told_everywhere_alike(tmp_path: Path, capsys:
     (evidence,) = design.flux_evidence
     price = next(s for s in evidence.sentences() if s.startswith("price of smoothing"))
     with pytest.raises(SystemExit):
-        cli.main(["run", str(path), "-o", str(tmp_path / "out"), "--no-verify"])
-    shown = " ".join(capsys.readouterr().out.split())
-    assert price in shown
-    assert price.replace(" ", "") in (tmp_path / "out" / "report.html").read_text().replace(" ", "")
-    assert any(price in sentence for sentence in design.assumptions)
-    assert f"at most {1e3 * evidence.torque_residual[1]:.3g} mN m" in (tmp_path / "out" / "mapped.h").read_text() or (
-        f"at most {evidence.torque_residual[1]:.3g} N m" in (tmp_path / "out" / "mapped.h").read_text()
-    )
+        cli.main(["check", str(path)])
+    assert price in " ".join(capsys.readouterr().out.split())
+    with pytest.raises(SystemExit):
+        cli.main(["check", str(path), "--json"])
+    (plain,) = json.loads(capsys.readouterr().out)["result"]["input"]["flux_maps"]
+    assert plain["fit"]["used"] == "smooth"
+    assert plain["fit"]["torque_largest"] == evidence.torque_residual[1]
+    solution = solve(design)
+    largest = format_quantity(evidence.torque_residual[1], "N m", 3)
+    assert f"at most {largest} from that of the plain spline" in render("header.h.j2", header_context(solution))
+    (row,) = (row for table in run_tables(solution, None) for row in table.rows if "price of smoothing" in row[1])
+    assert price in row[1]
+    assert any(price in sentence for sentence in other_assumptions(design))
