@@ -248,7 +248,7 @@ class WrittenHeaders:
 
     files: dict[str, bytes]
     prefix: str
-    reference: Reference
+    reference: Emitted
     vectors: int
     further: tuple[Programme, ...] = ()
 

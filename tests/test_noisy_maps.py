@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from drives import make_design
 from noisy import NOISE, grid_points, mapped_design, noisy, scattered_points
 
 from dqforge import cli
@@ -21,6 +23,7 @@ from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.solution import gains_or_reason, solve, solve_curves, solve_gains
 from dqforge.reports.header import header_context
 from dqforge.reports.html_tables import other_assumptions
+from dqforge.reports.run import run_design
 from dqforge.reports.tables import run_tables
 from dqforge.reports.templating import render
 
@@ -141,7 +144,7 @@ def dented_points() -> tuple[FloatArray, ...]:
     return i_d, i_q, dented.ravel(), psi_q
 
 
-def test_a_reference_needs_no_loops(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_reference_needs_no_loops(tmp_path: Path) -> None:
     """No gains hold for one negative inductance; without a section control the header holds the reference."""
     plain = ", fit: interpolate"
     wanted = load_design(mapped_design(tmp_path, SATURATED, dented_points(), keys=plain))
@@ -149,17 +152,31 @@ def test_a_reference_needs_no_loops(tmp_path: Path, capsys: pytest.CaptureFixtur
         gains_or_reason(wanted)
     unwanted = mapped_design(tmp_path, SATURATED, dented_points(), keys=plain, control="control: {gains: false}\n")
     assert gains_or_reason(load_design(unwanted)) == (None, "control.gains is false")
-    path = mapped_design(tmp_path, SATURATED, dented_points(), keys=plain, control=NO_CONTROL)
-    with pytest.raises(SystemExit) as done:
-        cli.main(["run", str(path), "-o", str(tmp_path / "out"), "--no-verify"])
-    assert done.value.code == 0
-    header = (tmp_path / "out" / "mapped.h").read_text()
-    assert "mapped_current_reference(" in header
+    unasked = mapped_design(tmp_path, SATURATED, dented_points(), keys=plain, control=NO_CONTROL)
+    loops, reason = gains_or_reason(load_design(unasked))
+    assert loops is None
+    assert reason.startswith("no loop was asked for and none was found: control.current_loop")
+
+
+def test_a_run_without_loops_says_so_and_holds_the_reference() -> None:
+    """A linear machine, for speed, with gains that cannot be; the header is compiled and compared as any other."""
+    design = make_design(prefix="alone")
+    loop = replace(design.control.current_loop, method="damping", bandwidth=1.0)
+    control = replace(design.control, current_loop=loop, speed_loop=None, observer=None)
+    with pytest.raises(NoSolutionError, match="gives the i_d loop kp = -"):
+        solve(replace(design, control=control))
+    output = run_design(replace(design, control=replace(control, gains="optional")), verify=True)
+    header = output.files["alone.h"].decode()
+    assert "alone_current_reference(" in header
     assert "_KP_" not in header
     assert "No controllers" in header
-    assert "none was found: control.current_loop" in " ".join(capsys.readouterr().out.split())
-    assert "There are no control loops" in (tmp_path / "out" / "report.html").read_text()
-    assert '"gains": null' in (tmp_path / "out" / "result.json").read_text()
+    assert "There are no control loops" in output.files["report.html"].decode()
+    assert 'id="loops"' not in output.files["report.html"].decode()
+    assert '"gains": null' in output.files["result.json"].decode()
+    (row,) = (row for table in run_tables(output.solution, None) for row in table.rows if row[0] == "no loops")
+    assert "none was found: control.current_loop" in row[1]
+    with pytest.raises(InputError, match="this needs gains"):
+        _ = output.solution.gains
 
 
 def test_a_dent_is_smoothed_by_itself(tmp_path: Path) -> None:
@@ -187,9 +204,9 @@ def test_the_price_of_smoothing_is_told_everywhere_alike(tmp_path: Path, capsys:
     assert price in " ".join(capsys.readouterr().out.split())
     with pytest.raises(SystemExit):
         cli.main(["check", str(path), "--json"])
-    (plain,) = json.loads(capsys.readouterr().out)["result"]["input"]["flux_maps"]
+    (plain,) = json.loads(capsys.readouterr().out)["input"]["flux_maps"]
     assert plain["fit"]["used"] == "smooth"
-    assert plain["fit"]["torque_largest"] == evidence.torque_residual[1]
+    assert plain["fit"]["torque_largest"] == pytest.approx(evidence.torque_residual[1], rel=1e-8)
     solution = solve(design)
     largest = format_quantity(evidence.torque_residual[1], "N m", 3)
     assert f"at most {largest} from that of the plain spline" in render("header.h.j2", header_context(solution))

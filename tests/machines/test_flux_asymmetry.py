@@ -68,9 +68,8 @@ def test_the_key_undoes_a_misaligned_encoder(degrees: float, tmp_path: Path) -> 
 
 def test_a_scattered_map_is_turned_too() -> None:
     i_d, i_q = np.random.default_rng(1).uniform(-50.0, 50.0, (2, 400))
-    points = np.array([i_d, i_q])
-    seen = (0.1 * np.exp(1j * 0.05)) + 1e-3 * (points[0] + 1j * points[1])
-    found = build_flux_map(FluxPoints("map.csv", *points, seen.real, seen.imag), frame_angle=0.05)
+    seen = (0.1 * np.exp(1j * 0.05)) + 1e-3 * (i_d + 1j * i_q)
+    found = build_flux_map(FluxPoints("map.csv", i_d, i_q, seen.real, seen.imag), frame_angle=0.05)
     psi_d, psi_q = found.flux_map.flux(np.array([0.0, 10.0]), np.array([0.0, 20.0]))
     np.testing.assert_allclose(psi_d, [0.1, 0.11], atol=1e-6)
     np.testing.assert_allclose(psi_q, [0.0, 0.02], atol=1e-6)
