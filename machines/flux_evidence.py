@@ -53,8 +53,8 @@ class FluxAsymmetry:
 
     At ``current`` A (peak), at the angle of the largest torque of the averaged map, the halves make ``positive`` and
     ``negative`` N m (magnitudes); ``torque_most`` is the largest difference at any angle of that current, to which the
-    best one is blind where the frame is turned. ``largest`` and ``rms`` in Wb are half the distances of mirrored points.
-    Turning the frame by ``angle`` rad (electrical) leaves ``rms_left`` Wb, ``torque_left`` N m of difference, and
+    best one is blind where the frame is turned. ``largest`` and ``rms`` in Wb are half the distances of mirrored
+    points. Turning the frame by ``angle`` rad (electrical) leaves ``rms_left`` Wb, ``torque_left`` N m of difference, and
     ``torque_most_left``.
     """
 
@@ -194,10 +194,14 @@ _DONE = {
 
 def _asymmetry_sentences(found: FluxAsymmetry) -> tuple[str, ...]:
     size = f"{format_quantity(abs(found.torque), 'N m', 3)}, {100.0 * abs(found.share):.2g} %"
+    most, rms, largest = (
+        format_quantity(value, unit, 3)
+        for value, unit in ((found.torque_most, "N m"), (found.rms, "Wb"), (found.largest, "Wb"))
+    )
     first = (
         f"asymmetry of the halves at the {found.current_name} of {format_quantity(found.current, 'A', 4)} (peak): "
-        f"{_torques(found)}: {size}, at most {format_quantity(found.torque_most, 'N m', 3)} at any angle; in flux linkage {format_quantity(found.rms, 'Wb', 3)} r.m.s., "
-        f"{format_quantity(found.largest, 'Wb', 3)} at most; {_DONE[found.symmetry]} (flux_map.symmetry)"
+        f"{_torques(found)}: {size}, at most {most} at any angle; in flux linkage {rms} r.m.s., {largest} at most; "
+        f"{_DONE[found.symmetry]} (flux_map.symmetry)"
     )
     degrees = f"{found.angle * _DEGREES:.3g} deg electrical"
     left = (

@@ -229,7 +229,7 @@ class _Sites:
         return cls(found[0], found[1])
 
     def violations(self, coefficients: FloatArray, floor: float) -> FloatArray:
-        """Rows of u' L u for the worst places and their eigenvectors u where that is below ``floor`` H, shape (K, C)."""
+        """Rows of u' L u below ``floor`` H, for the worst places and their eigenvectors u, shape (K, C)."""
         table = coefficients.reshape(self.d[0].shape[1], self.q[0].shape[1])
         l_dd, l_dq, l_qq = (self.d[2 - k] @ table @ self.q[k].T for k in (0, 1, 2))
         half = 0.5 * (l_dd - l_qq)

@@ -226,7 +226,7 @@ def summary(solution: Solution, verification: Verification | None) -> Markup:
     if half is not None:
         proof = "sampled" if half.certificate is None else f"proven: {proven_text(half.certificate, 3)}"
         sentences.append(
-            f"Negative torques have a reference of their own, up to {quantity(half.fit.torque_max, 'N m')}, whose torque "
+            f"Negative torques have a reference of their own, up to {quantity(half.fit.torque_max, 'N m')}; its torque "
             f"errs by at most {quantity(ceiling(half.fit.errors.torque), 'N m', 3)} ({proof})."
         )
     saving = copper_saving(solution)

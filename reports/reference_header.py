@@ -163,7 +163,7 @@ def _negative_text(solution: Solution) -> list[str]:
     if half is None:
         return []
     return [
-        f"Negative torques, 0 to -{half.fit.torque_max:.6g} N m, whose currents are those of the other half of the map:",
+        f"Negative torques, 0 to -{half.fit.torque_max:.6g} N m, by the other half of the flux map:",
         *_error_lines(half.fit, half.certificate, solution.design.strategy),
     ]
 
