@@ -54,8 +54,8 @@ class FluxAsymmetry:
     At ``current`` A (peak), at the angle of the largest torque of the averaged map, the halves make ``positive`` and
     ``negative`` N m (magnitudes); ``torque_most`` is the largest difference at any angle of that current, to which the
     best one is blind where the frame is turned. ``largest`` and ``rms`` in Wb are half the distances of mirrored
-    points. Turning the frame by ``angle`` rad (electrical) leaves ``rms_left`` Wb, ``torque_left`` N m of difference, and
-    ``torque_most_left``.
+    points. Turning the frame by ``angle`` rad (electrical) leaves ``rms_left`` Wb, ``torque_left`` N m of difference,
+    and ``torque_most_left``.
     """
 
     symmetry: FluxSymmetry

@@ -117,11 +117,10 @@ def fit_flux(data: FluxData, wanted: FluxFitName, source: str, *, even: bool = T
     """
     plain = FluxMap(data.i_d, data.i_q, data.psi[0], data.psi[1])
     faults, count = _faults(data)
-    noise, found = data.noise, None
+    noise = data.noise
     try:
         if noise is None and wanted != "interpolate":
-            found = smooth_co_energy(data.at_d, data.at_q, data.values, None, even=even)
-            noise = found.noise
+            noise = smooth_co_energy(data.at_d, data.at_q, data.values, None, even=even, positive=False).noise
         share = 0.0 if noise is None else _inductance_noise(data, noise)
         if wanted == "interpolate" or (wanted == "auto" and count == 0 and share <= NOISE_LIMIT):
             return plain, FluxFit(wanted, "interpolate", noise, share, faults, count)

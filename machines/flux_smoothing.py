@@ -30,10 +30,13 @@ LEAST_SHARE = 0.05
 _LEAST_NOISE = 1e-6
 """Noise over the largest flux linkage below which nothing is fitted closer."""
 
+_MOST_FREEDOM = 0.6
+"""Effective parameters over the number of values beyond which a fit says nothing of its noise."""
+
 _MAGNET_SHARE = 0.03
 """Flux linkage at zero current over the largest one from which on it belongs to magnets, however noisy the points."""
 
-_MOST_CUTS = 30
+_MOST_CUTS, _DROPPING = 30, 5
 _MOST_ROUNDS = 8
 _OUTLIER, _OUTLIER_SHARE = 8.0, 0.05
 
@@ -202,6 +205,7 @@ def _solved(problem: _Problem, *, known: bool) -> tuple[float, float, float, Flo
     freedom = np.sum(of_data / bend, axis=1) - 1.0
     left = np.maximum(problem.count - freedom, 1.0)
     score = squares + 2.0 * freedom if known else squares / left**2
+    score[:-1][freedom[:-1] > _MOST_FREEDOM * problem.count] = np.inf
     best = int(np.argmin(score))
     found = solve_triangular(lower.T, vectors @ scaled[best], lower=False)
     return float(_STRENGTHS[best]), float(freedom[best]), float(squares[best]), np.asarray(found)
@@ -266,7 +270,7 @@ def _constrained(
     settings.verbose = False
     settings.max_threads = 1
     found = start
-    for _ in range(_MOST_CUTS):
+    for step in range(_MOST_CUTS):
         rows, limits = csc_matrix(-cuts / floor), -np.ones(cuts.shape[0])
         solver = clarabel.DefaultSolver(
             upper, right, rows, limits, [clarabel.NonnegativeConeT(cuts.shape[0])], settings
@@ -275,7 +279,8 @@ def _constrained(
         if str(solution.status) not in ("Solved", "AlmostSolved"):
             break
         found = np.array(solution.x)
-        cuts = cuts[cuts @ found < 1.5 * floor]
+        # Cuts that do not bind are dropped at first, to be quick; later all stay, so that none returns for ever.
+        cuts = cuts[cuts @ found < 1.5 * floor] if step < _DROPPING else cuts
         more = sites.violations(found, floor)
         if more.shape[0] == 0:
             return found, cuts.shape[0]
@@ -293,7 +298,13 @@ def _mean_inductance(i_d: FloatArray, i_q: FloatArray, psi: FloatArray) -> float
 
 
 def smooth_co_energy(
-    i_d: FloatArray, i_q: FloatArray, psi: FloatArray, noise: FluxNoise | None, *, even: bool = True
+    i_d: FloatArray,
+    i_q: FloatArray,
+    psi: FloatArray,
+    noise: FluxNoise | None,
+    *,
+    even: bool = True,
+    positive: bool = True,
 ) -> CoEnergy:
     """Co-energy of points anywhere, as smooth as their noise allows.
 
@@ -307,6 +318,8 @@ def smooth_co_energy(
         Standard deviation of single points; None lets generalised cross-validation find it.
     even:
         psi_d even and psi_q odd in i_q; else both halves are kept as they are.
+    positive:
+        Hold the incremental inductances positive definite; not needed to see the noise alone.
 
     Where psi_d at zero current is less than the noise there are no magnets, and psi_d is made odd, psi_q even in i_d.
 
@@ -315,11 +328,11 @@ def smooth_co_energy(
     NoSolutionError
         No positive definite inductances come near the points.
     """
-    with_magnets = _fitted((_axis_basis(i_d, even=False), _axis_basis(i_q, even=even)), i_d, i_q, psi, noise)
+    with_magnets = _fitted((_axis_basis(i_d, even=False), _axis_basis(i_q, even=even)), i_d, i_q, psi, noise, positive)
     rest = abs(float(with_magnets.flux_at(np.zeros(1), np.zeros(1))[0, 0]))
     if rest > min(with_magnets.noise.d, _MAGNET_SHARE * float(np.max(np.abs(psi)))):
         return with_magnets
-    return _fitted((_axis_basis(i_d, even=True), _axis_basis(i_q, even=even)), i_d, i_q, psi, noise)
+    return _fitted((_axis_basis(i_d, even=True), _axis_basis(i_q, even=even)), i_d, i_q, psi, noise, positive)
 
 
 def _axis_basis(current: FloatArray, *, even: bool) -> _Basis:
@@ -331,7 +344,12 @@ def _axis_basis(current: FloatArray, *, even: bool) -> _Basis:
 
 
 def _fitted(
-    bases: tuple[_Basis, _Basis], i_d: FloatArray, i_q: FloatArray, psi: FloatArray, noise: FluxNoise | None
+    bases: tuple[_Basis, _Basis],
+    i_d: FloatArray,
+    i_q: FloatArray,
+    psi: FloatArray,
+    noise: FluxNoise | None,
+    positive: bool,
 ) -> CoEnergy:
     """The smooth co-energy of given bases; parameters as in `smooth_co_energy`."""
     known, weights = noise is not None, (1.0, 1.0)
@@ -343,7 +361,7 @@ def _fitted(
     if noise is None:
         size = float(np.sqrt(squares / max(problem.count - freedom, 1.0)))
         noise = FluxNoise(size, size, "residual")
-    floor = LEAST_SHARE * _mean_inductance(i_d, i_q, psi)
+    floor = LEAST_SHARE * _mean_inductance(i_d, i_q, psi) if positive else 0.0
     found, cuts = (start, 0) if floor <= 0.0 else _constrained(problem, strength, start, _Sites.of(bases), floor)
     return CoEnergy(*bases, found.reshape(bases[0].size, bases[1].size), strength, freedom, noise, cuts)
 
