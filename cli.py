@@ -256,19 +256,22 @@ def mtpa(
         else:
             _show(reply.tables)
         return
-    from dqforge.optimizer.solution import solve_curves
+    from dqforge.optimizer.solution import signed_designs, solve_curves
     from dqforge.reports.result_json import plain_curves
     from dqforge.reports.tables import mtpa_tables
 
-    curves = solve_curves(loaded)
+    positive, negative = signed_designs(loaded)
+    curves = solve_curves(positive)
+    mirrored = None if negative is None else solve_curves(negative)
     if plot is not None:
         from dqforge.reports.figures import plot_mtpa
 
-        _plot(lambda: plot_mtpa(loaded, curves), plot)
+        _plot(lambda: plot_mtpa(positive, curves), plot)
     if json:
-        _print_json("mtpa", loaded.name, {"mtpa": plain_curves(curves)})
+        further = {} if mirrored is None else {"mtpa_negative": plain_curves(mirrored)}
+        _print_json("mtpa", loaded.name, {"mtpa": plain_curves(curves)} | further)
     else:
-        _show(mtpa_tables(loaded, curves))
+        _show(mtpa_tables(loaded, curves, mirrored))
 
 
 @app.command()
@@ -276,34 +279,38 @@ def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = Non
     """Fit the current references and show their errors beside the alternatives."""
     from dqforge.optimizer.certificate import certify
     from dqforge.optimizer.fit_alternatives import alternatives
-    from dqforge.optimizer.solution import current_choice, solve_fit, solve_weakening
+    from dqforge.optimizer.solution import current_choice, signed_designs, solve_fit, solve_negative, solve_weakening
     from dqforge.reports.console import status
-    from dqforge.reports.result_json import plain_fit, plain_weakening_fit
-    from dqforge.reports.tables import fit_tables
+    from dqforge.reports.result_json import plain_fit, plain_negative, plain_weakening_fit
+    from dqforge.reports.tables import fit_tables, negative_tables
     from dqforge.reports.weakening_tables import weakening_tables
 
     loaded = _load_for(design, plot)
     with status("fitting"):
-        chosen = solve_fit(loaded)
+        positive = signed_designs(loaded)[0]
+        chosen = solve_fit(positive)
         found = chosen.fit
-        rows = alternatives(current_choice(loaded), found)
-        proof = certify(current_choice(loaded), found.reference, found.errors)
+        rows = alternatives(current_choice(positive), found)
+        proof = certify(current_choice(positive), found.reference, found.errors)
+        negative = solve_negative(loaded)
         weakening = solve_weakening(loaded)
     if plot is not None:
         from dqforge.reports.figures import plot_fit
 
-        _plot(lambda: plot_fit(loaded, found), plot)
+        _plot(lambda: plot_fit(positive, found), plot)
     if json:
         _print_json(
             "fit",
             loaded.name,
             {
                 "fit": plain_fit(found, rows, chosen.trials, proof, chosen.data),
+                **plain_negative(negative),
                 "weakening": plain_weakening_fit(weakening),
             },
         )
     else:
-        _show([*fit_tables(loaded, found, rows, chosen.trials, proof, chosen.data), *weakening_tables(weakening)])
+        tables = [*fit_tables(loaded, found, rows, chosen.trials, proof, chosen.data), *negative_tables(negative)]
+        _show([*tables, *weakening_tables(weakening)])
 
 
 @app.command()

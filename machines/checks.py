@@ -183,6 +183,22 @@ def _check_schedule(loop: CurrentLoopSection, machine: Machine, document: YamlDo
         raise document.error(message, path)
 
 
+def check_halves(sections: DesignFile, document: YamlDocument) -> None:
+    """Refuse what cannot keep the halves of a flux map apart."""
+    section = sections.machine.flux_map
+    if section is None or section.symmetry != "keep":
+        return
+    budget = any(
+        part is not None for part in (sections.fit.torque_error, sections.fit.loss_penalty, sections.fit.flash)
+    )
+    if budget or sections.fit.format in ("q15", "q31"):
+        raise document.error(
+            "machine.flux_map.symmetry: keep needs references in float32 of a given form; write fit: format: float32 "
+            "and leave the budget out, or symmetry: average",
+            ("machine", "flux_map", "symmetry"),
+        )
+
+
 def check_fit(sections: DesignFile, machine: Machine, i_max: float, document: YamlDocument) -> None:
     """Check strategy, form and domain of the current references; raises `InputError` with a position."""
     strategy, fit = sections.operation.strategy, sections.fit

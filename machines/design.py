@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from dqforge.machines.flux_evidence import FluxEvidence
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
@@ -59,6 +60,9 @@ class Design:
     ``modulation_choice`` for a choice of modulator and switching frequency.
     ``winding`` says how warm the losses make the winding, None where its temperature is given. ``simulation`` asks for
     a simulation in the time domain. ``given`` is what it was read from, None where it was made in Python.
+    ``flux_evidence`` is what was found about each file of a flux map. ``halves`` are
+    the machines that the current references of positive and of negative torque are made for, the second one mirrored in
+    i_q and in the torque; None where one machine serves both.
     """
 
     name: str
@@ -81,6 +85,8 @@ class Design:
     simulation: Scenario | None = None
     modulation_choice: ChoiceSettings | None = None
     given: DesignFiles | None = None
+    flux_evidence: tuple[FluxEvidence, ...] = ()
+    halves: tuple[Machine, Machine] | None = None
 
     @property
     def strategy(self) -> Strategy:

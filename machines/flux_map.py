@@ -269,6 +269,18 @@ def complete_by_symmetry(
     return axis, 0.5 * (psi_d + psi_d[:, ::-1]), 0.5 * (psi_q - psi_q[:, ::-1])
 
 
+def mirrored(flux_map: FluxMap) -> FluxMap:
+    """The map of the machine with i_q, psi_q and the torque counted the other way."""
+    return FluxMap(
+        flux_map.i_d,
+        -flux_map.i_q[::-1],
+        flux_map.psi_d[:, ::-1],
+        -flux_map.psi_q[:, ::-1],
+        flux_map.extrapolate,
+        flux_map.hull,
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class SaturatedMachine(MachineFormulas):
     """A machine whose flux linkages are a map; parameters as in `LinearMachine`, but for ``flux_map``."""

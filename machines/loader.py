@@ -36,6 +36,7 @@ from dqforge.machines.settings import (
     ExportSettings,
     FitBudget,
     FitSettings,
+    GainWish,
     ObserverSettings,
     OperationSettings,
     PerUnitBases,
@@ -109,6 +110,7 @@ class _Build:
         checks.check_loops(sections, machine, document)
         inverter = self.inverter(sections.inverter, machine.i_max)
         i_max = machine.i_max if inverter.i_max is None else min(machine.i_max, inverter.i_max)
+        checks.check_halves(sections, document)
         checks.check_fit(sections, machine, i_max, document)
         checks.check_waveform(sections, document)
         checks.check_comparison(sections, machine, document)
@@ -139,6 +141,8 @@ class _Build:
             winding=read_winding_heat(sections.machine, inverter.coolant_temperature),
             simulation=read_scenario(sections, machine, inverter, control, self.reading),
             modulation_choice=choice,
+            flux_evidence=tuple(self.reading.flux_evidence),
+            halves=found.halves,
         )
         return replace(design, assumptions=(*design.assumptions, *implausibilities(design, sections)))
 
@@ -178,7 +182,23 @@ class _Build:
             observer=None if section.observer is None else _observer(section.observer),
             bases=self.bases(section, machine, inverter, i_max),
             tolerances=read_tolerances(self.sections, machine, inverter, i_max, self.reading),
+            gains=self.gain_wish(section),
         )
+
+    def gain_wish(self, section: ControlSection) -> GainWish:
+        """Whether the design can do without gains, checked against what needs them."""
+        named = "control" in self.sections.model_fields_set
+        needed = bool(self.sections.export.control) or self.sections.simulation is not None
+        if section.gains:
+            return "required" if named or needed else "optional"
+        wants = (section.speed_loop, section.observer, section.tolerances)
+        if needed or section.current_loop.schedule or any(part is not None for part in wants):
+            raise self.document.error(
+                "control.gains is false, but the speed loop, observer, schedule, tolerances, export.control or "
+                "simulation of this design need gains; leave it out, or those",
+                ("control", "gains"),
+            )
+        return "none"
 
     def bases(self, section: ControlSection, machine: Machine, inverter: Inverter, i_max: float) -> PerUnitBases:
         """Bases of the per-unit gains; what the file leaves open is stated among the assumptions."""

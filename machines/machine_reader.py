@@ -13,8 +13,8 @@ from dqforge.machines.delta import check_connection
 from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import DqforgeError
-from dqforge.machines.flux_map import FluxMap, SaturatedMachine
-from dqforge.machines.flux_map_reader import read_flux_map
+from dqforge.machines.flux_map import FluxMap, SaturatedMachine, mirrored
+from dqforge.machines.flux_map_reader import FluxMaps, read_flux_maps
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machine_reader import read_phase_machine
 from dqforge.machines.quantities import format_quantity
@@ -48,10 +48,14 @@ _OWN: dict[str, MachineModel] = {
 
 @dataclass(frozen=True, slots=True)
 class MachineReading:
-    """The machine in dq coordinates; ``phases`` holds its back-EMF where that is not sinusoidal."""
+    """The machine in dq coordinates; ``phases`` holds its back-EMF where that is not sinusoidal.
+
+    ``halves`` as in `Design`.
+    """
 
     machine: Machine
     phases: PhaseMachine | None = None
+    halves: tuple[Machine, Machine] | None = None
 
 
 def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
@@ -95,14 +99,18 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
     _refuse_magnet_coefficient(section, reading)
     if section.saturation is not None:
         _refuse_constants(section, reading)
-        flux_map = _saturation_map(section.saturation, common["i_max"], reading)
+        maps = FluxMaps(_saturation_map(section.saturation, common["i_max"], reading))
     else:
         known = any((section.magnet_flux, section.back_emf_constant, section.torque_constant))
         expected = _magnet_flux(section, pole_pairs, reading) if known else None
-        flux_map = read_flux_map(section, pole_pairs, reading, expected)
-    machine = SaturatedMachine(flux_map=flux_map, **common)
+        maps = read_flux_maps(section, pole_pairs, reading, expected, common["i_max"])
+    machine = SaturatedMachine(flux_map=maps.symmetric, **common)
     _check_range(machine, reading)
-    return MachineReading(machine)
+    if section.flux_map is None or section.flux_map.symmetry != "keep" or maps.whole is None:
+        return MachineReading(machine)
+    both = (maps.whole, mirrored(maps.whole))
+    positive, negative = (SaturatedMachine(flux_map=half, **common) for half in both)
+    return MachineReading(machine, halves=(positive, negative))
 
 
 def _check_model(section: MachineSection, reading: Reading) -> None:

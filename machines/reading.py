@@ -11,6 +11,7 @@ from dqforge.machines.datasheet import Connection
 from dqforge.machines.design import DesignFiles, InputValue
 from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import InputError
+from dqforge.machines.flux_evidence import FluxEvidence
 from dqforge.machines.input_files import read_regular_file
 from dqforge.machines.yaml_source import KeyPath, YamlDocument, dotted
 
@@ -32,7 +33,8 @@ class Reading:
 
     ``converted`` holds for paths of converted values what is used and what was done, ``derived`` values that follow
     from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names,
-    ``names`` the names of these. ``connection`` is that of the machine's windings.
+    ``names`` the names of these, ``flux_evidence`` what was found about its flux maps. ``connection`` is that of the
+    machine's windings.
     """
 
     document: YamlDocument
@@ -42,6 +44,7 @@ class Reading:
     derived: list[InputValue] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     files: list[bytes] = field(default_factory=list)
+    flux_evidence: list[FluxEvidence] = field(default_factory=list)
     connection: Connection = "star"
     names: list[str] = field(default_factory=list)
 

@@ -214,6 +214,7 @@ class ControlSection(Section):
     tolerances: TolerancesSection | None = Field(
         default=None, description="how far the drive may be from its data; every loop must hold throughout"
     )
+    gains: bool = Field(default=True, description="false: no loops are tuned, the header holds the references alone")
 
 
 class OperationSection(Section):

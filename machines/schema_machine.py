@@ -37,7 +37,14 @@ from dqforge.machines.schema_entries import (
     Torque,
     TorqueConstant,
 )
-from dqforge.machines.settings import FluxAxes, FluxScaling, FluxTorque, MachineModel
+from dqforge.machines.settings import (
+    FluxAxes,
+    FluxFitName,
+    FluxScaling,
+    FluxSymmetry,
+    FluxTorque,
+    MachineModel,
+)
 
 
 class RatedSection(Section):
@@ -120,6 +127,19 @@ class FluxMapSection(Section):
     )
     extrapolate: bool = Field(
         default=False, description="permit currents beyond the map; results that use them are marked"
+    )
+    fit: FluxFitName = Field(
+        default="auto",
+        description="interpolate: a spline through the points; smooth: a smooth co-energy near them; auto: smooth "
+        "where noise makes more than 3 % of the incremental inductances or one is not positive",
+    )
+    symmetry: FluxSymmetry = Field(
+        default="average",
+        description="of the halves i_q > 0 and i_q < 0: average; keep: a current reference for each sign of the "
+        "torque; positive, negative: one half, mirrored",
+    )
+    frame_angle: Angle | None = Field(
+        default=None, description="turn of the file's frame (rad electrical; write deg), against a misaligned sensor"
     )
 
 

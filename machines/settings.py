@@ -14,6 +14,8 @@ WaveformForm = Literal["cheapest", "table", "harmonics"]
 FluxAxes = Literal["magnet-d", "reluctance"]
 FluxScaling = Literal["peak", "rms", "power-invariant"]
 FluxTorque = Literal["air-gap", "shaft", "per-pole-pair", "ignore"]
+FluxFitName = Literal["interpolate", "smooth", "auto"]
+FluxSymmetry = Literal["average", "keep", "positive", "negative"]
 FitMethod = Literal["lagrange", "least-squares", "minimax"]
 FitForm = Literal["polynomial", "even-odd", "torque-exact", "closed-form"]
 NumberFormat = Literal["float32", "q15", "q31"]
@@ -25,6 +27,7 @@ ObserverMethodName = Literal[
     "reduced-order", "extended-emf", "flux", "open-loop-flux", "matsui-voltage", "matsui-current", "ekf"
 ]
 ObserverTuningName = Literal["named", "optimised"]
+GainWish = Literal["required", "optional", "none"]
 QFormats = tuple[int, int] | Literal["auto"]
 ModulationName = Literal[
     "spwm",
@@ -222,7 +225,8 @@ class PerUnitBases:
 class ControlSettings:
     """Sampling and controllers; ``t_s`` is the current-control sampling period in s.
 
-    ``tolerances`` is the box in which every loop must hold, None where only the data themselves count.
+    ``tolerances`` is the box in which every loop must hold, None where only the data themselves count. ``gains`` are
+    ``optional`` where the design says nothing of control: a machine without them still has its current references.
     """
 
     t_s: float
@@ -231,6 +235,7 @@ class ControlSettings:
     observer: ObserverSettings | None
     bases: PerUnitBases
     tolerances: Tolerances | None = None
+    gains: GainWish = "required"
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dqforge.machines.design import Design
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.settings import Strategy
 from dqforge.machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.optimizer.certificate import Certificate, certify
@@ -14,12 +15,14 @@ from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.choice_solution import ModulationChoice, solve_choice
 from dqforge.optimizer.complete_losses import complete_comparison
 from dqforge.optimizer.current_choice import CurrentChoice, OperatingPoints, SpeedPoint
+from dqforge.optimizer.current_reference import Emitted, SignedReference
 from dqforge.optimizer.data_use import COVERED, DataUse, data_use
 from dqforge.optimizer.drive_budget import BudgetOptions
 from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.fit_alternatives import Alternative, alternatives
 from dqforge.optimizer.fit_choice import FitChoice, Trial, choose_fit
 from dqforge.optimizer.fixed_design import FixedControlFit, fit_controls
+from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.gain_schedule import GainSchedule, schedule_gains
 from dqforge.optimizer.gains import LoopGains, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loop_batch import PlantBatch
@@ -74,6 +77,16 @@ class GainSet:
 
 
 @dataclass(frozen=True, slots=True)
+class NegativeHalf:
+    """The reference of negative torques where the halves of a machine are kept, as that of the mirrored machine."""
+
+    design: Design
+    curves: Curves
+    fit: ReferenceFit
+    certificate: Certificate | None
+
+
+@dataclass(frozen=True, slots=True)
 class Solution:
     """Everything that a design asks for.
 
@@ -82,14 +95,16 @@ class Solution:
     ``trials`` are the forms that were tried for a budget. ``weakening`` is None where no
     two-dimensional reference, ``choice`` where no choice of modulator and switching frequency, ``mission`` where
     no mission is asked for. ``fixed`` are control functions in fixed point. ``data`` says where the reference is held
-    by the data of a flux map, or leaves them.
+    by the data of a flux map, or leaves them. ``loops`` is None where none are wanted, or
+    where a design without a section ``control`` has none that hold; ``gains_left_out`` then says why. ``negative`` is
+    None where one reference serves torques of both signs; else ``fit`` and ``certificate`` are those of positive ones.
     """
 
     design: Design
     curves: Curves
     fit: ReferenceFit
     alternatives: tuple[Alternative, ...]
-    gains: GainSet
+    loops: GainSet | None
     losses: LossComparison | None
     waveforms: WaveformComparison | None = None
     phases: PhaseFit | None = None
@@ -100,6 +115,28 @@ class Solution:
     mission: MissionComparison | None = None
     fixed: tuple[FixedControlFit, ...] = ()
     data: DataUse = COVERED
+    gains_left_out: str = ""
+    negative: NegativeHalf | None = None
+
+    @property
+    def reference(self) -> Emitted:
+        """What the firmware evaluates for torques of both signs."""
+        if self.negative is None:
+            return self.fit.reference
+        return signed_reference(self.fit, self.negative.fit)
+
+    @property
+    def gains(self) -> GainSet:
+        """The gains, for what needs them.
+
+        Raises
+        ------
+        InputError
+            There are none.
+        """
+        if self.loops is None:
+            raise InputError(f"this needs gains, and there are none: {self.gains_left_out}")
+        return self.loops
 
 
 def current_choice(design: Design) -> CurrentChoice:
@@ -110,6 +147,37 @@ def current_choice(design: Design) -> CurrentChoice:
     limit = voltage_limit(design.inverter, operation.modulation, operation.voltage_margin)
     point = SpeedPoint(operation.omega_m, limit.v_max)
     return CurrentChoice(design.machine, operation.strategy, design.i_max, point)
+
+
+def signed_reference(positive: ReferenceFit, negative: ReferenceFit) -> SignedReference:
+    """The references of both signs of the torque as one.
+
+    Raises
+    ------
+    InputError
+        One of them is in fixed point.
+    """
+    if isinstance(positive.reference, FixedReference) or isinstance(negative.reference, FixedReference):
+        raise InputError("machine.flux_map.symmetry: keep needs references in float32; write fit: format: float32")
+    return SignedReference(positive.reference, negative.reference)
+
+
+def signed_designs(design: Design) -> tuple[Design, Design | None]:
+    """The design as positive torques see it, and its mirror image as negative ones do; None where that is the same."""
+    if design.halves is None:
+        return design, None
+    positive, negative = (replace(design, machine=half) for half in design.halves)
+    return positive, negative
+
+
+def solve_negative(design: Design) -> NegativeHalf | None:
+    """Reference of negative torques of a design that keeps the halves of its machine apart; else None."""
+    mirrored = signed_designs(design)[1]
+    if mirrored is None:
+        return None
+    found = solve_fit(mirrored).fit
+    proof = certify(current_choice(mirrored), found.reference, found.errors)
+    return NegativeHalf(mirrored, solve_curves(mirrored), found, proof)
 
 
 def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
@@ -275,6 +343,24 @@ def solve_weakening(design: Design) -> WeakeningFit | None:
     return fit_weakening(design.machine, design.i_max, limit.v_max, design.weakening)
 
 
+def gains_or_reason(design: Design) -> tuple[GainSet | None, str]:
+    """Gains of the design, or None and why there are none where it can do without.
+
+    Raises
+    ------
+    NoSolutionError
+        As `solve_gains`, of a design that asks for control.
+    """
+    if design.control.gains == "none":
+        return None, "control.gains is false"
+    try:
+        return solve_gains(design), ""
+    except NoSolutionError as error:
+        if design.control.gains == "required":
+            raise
+        return None, f"no loop was asked for and none was found: {error}"
+
+
 def solve_fixed(design: Design, gains: GainSet) -> tuple[FixedControlFit, ...]:
     """Control functions in the fixed-point formats that the design asks for; errors as `fit_control`."""
     return fit_controls(design, (gains.i_d, gains.i_q, gains.speed), gains.observer)
@@ -288,22 +374,25 @@ def solve(design: Design) -> Solution:
     InputError, NoSolutionError
         As the single steps do; the message names the section of the design.
     """
-    chosen = solve_fit(design)
-    fit, gains = chosen.fit, solve_gains(design)
+    positive = signed_designs(design)[0]
+    chosen = solve_fit(positive)
+    fit, (gains, left_out) = chosen.fit, gains_or_reason(design)
     return Solution(
         design=design,
-        curves=solve_curves(design),
+        curves=solve_curves(positive),
         fit=fit,
-        certificate=certify(current_choice(design), fit.reference, fit.errors),
+        certificate=certify(current_choice(positive), fit.reference, fit.errors),
         trials=chosen.trials,
-        alternatives=alternatives(current_choice(design), fit),
-        gains=gains,
+        alternatives=alternatives(current_choice(positive), fit),
+        loops=gains,
         losses=solve_losses(design),
         waveforms=None if design.phase_machine is None else compare_waveforms(design),
         phases=None if design.phase_machine is None else solve_phases(design),
         weakening=solve_weakening(design),
         choice=solve_choice(design),
         mission=solve_mission(design),
-        fixed=solve_fixed(design, gains),
+        fixed=() if gains is None else solve_fixed(design, gains),
         data=chosen.data,
+        gains_left_out=left_out,
+        negative=solve_negative(design),
     )

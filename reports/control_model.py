@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.settings import ModulationName
-from dqforge.optimizer.current_reference import CurrentReference
+from dqforge.optimizer.current_reference import FloatReference
 from dqforge.optimizer.drop_reference import DropReference
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.reports.control_types_model import clarke, clarke_inverse, park, park_inverse, rotation, wrap
@@ -143,7 +143,7 @@ class ControlModel:
     gains: Mapping[str, Any]
     ratio: int
     modulation: ModulationName
-    reference: CurrentReference
+    reference: FloatReference
     weakening: DropReference | None = None
     modulator: Modulator = field(init=False)
 

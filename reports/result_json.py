@@ -11,6 +11,7 @@ import numpy as np
 
 from dqforge import __version__
 from dqforge.machines.design import Design
+from dqforge.machines.flux_evidence import FluxEvidence
 from dqforge.machines.settings import QFormats
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.certificate import Certificate
@@ -23,7 +24,7 @@ from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import ReferenceFit
-from dqforge.optimizer.solution import Curves, GainSet, Solution
+from dqforge.optimizer.solution import Curves, GainSet, NegativeHalf, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
 from dqforge.reports.choice_tables import plain_choice
@@ -80,7 +81,23 @@ def plain_design(design: Design) -> PlainData:
         "digest": design.digest,
         "values": [asdict(value) for value in design.values],
         "assumptions": list(design.assumptions),
+        **(
+            {"flux_maps": [plain_flux_map(evidence) for evidence in design.flux_evidence]}
+            if design.flux_evidence
+            else {}
+        ),
     }
+
+
+def plain_flux_map(evidence: FluxEvidence) -> PlainData:
+    """Fit and asymmetry of the flux map of one file, in Wb, A, N m and rad; the asymmetry None for a half plane."""
+    fit, found = evidence.fit, evidence.asymmetry
+    rms, most = evidence.torque_residual
+    plain = asdict(fit) | {"torque_rms": rms, "torque_largest": most}
+    asymmetry = None
+    if found is not None:
+        asymmetry = asdict(found) | {"torque": found.torque, "share": found.share, "share_left": found.share_left}
+    return {"file": evidence.source, "fit": plain, "asymmetry": asymmetry}
 
 
 def plain_drive(design: Design) -> PlainData:
@@ -273,21 +290,34 @@ def _plain_fixed(solution: Solution) -> PlainData:
     return {"control_fixed": evidence} | headers
 
 
+def plain_negative(half: NegativeHalf | None) -> PlainData:
+    """Currents and fit of negative torques, mirrored; nothing where one reference serves both signs."""
+    if half is None:
+        return {}
+    return {
+        "mtpa_negative": plain_curves(half.curves),
+        "fit_negative": plain_fit(half.fit, (), (), half.certificate),
+    }
+
+
 def plain_solution(solution: Solution) -> PlainData:
     """Everything that a run found, with what `dqforge verify` needs under ``header``."""
-    design, weakening, schedule = solution.design, solution.weakening, solution.gains.schedule
-    observer = emitted(solution.gains.position)
+    design, weakening, gains = solution.design, solution.weakening, solution.loops
+    schedule = None if gains is None else gains.schedule
+    observer = None if gains is None else emitted(gains.position)
     return {
         "input": plain_design(design),
         "drive": plain_drive(design),
         "header": {
             "prefix": design.export.prefix,
             "vectors": design.export.vectors,
-            "reference": to_plain(solution.fit.reference),
+            "reference": to_plain(solution.reference),
         },
         "mtpa": plain_curves(solution.curves),
         "fit": plain_fit(solution.fit, solution.alternatives, solution.trials, solution.certificate, solution.data),
-        "gains": plain_gains(design, solution.gains),
+        **plain_negative(solution.negative),
+        "gains": None if gains is None else plain_gains(design, gains),
+        **({} if gains is not None else {"gains_left_out": solution.gains_left_out}),
         "losses": plain_losses(solution.losses),
         "mission": None if solution.mission is None else plain_mission(solution.mission),
         "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),
@@ -300,5 +330,5 @@ def plain_solution(solution: Solution) -> PlainData:
         "modulation_header": None if solution.choice is None else plain_emitted(choice_model(solution.choice)),
         "gains_header": None if schedule is None else plain_evaluator(schedule.fit.evaluator),
         "observer_header": None if observer is None else plain_observer(observer),
-        "speed_observer_header": plain_speed_observer(design.machine, solution.gains.observer),
+        "speed_observer_header": plain_speed_observer(design.machine, None if gains is None else gains.observer),
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from dqforge.optimizer.observer import steady_state_error
 from dqforge.optimizer.observer_proof import ObserverProof
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.reference_fit import ReferenceFit
-from dqforge.optimizer.solution import Curves, GainSet, Solution
+from dqforge.optimizer.solution import Curves, GainSet, NegativeHalf, Solution
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.choice_text import choice_rows
@@ -102,8 +102,11 @@ def _held_by(points: OperatingPoints, k: int) -> str:
     return "current limit" if points.limited[k] else ""
 
 
-def mtpa_tables(design: Design, curves: Curves) -> list[Table]:
-    """Currents over torque for the design's strategy, and what i_d = 0 would draw at the end of the domain."""
+def mtpa_tables(design: Design, curves: Curves, negative: Curves | None = None) -> list[Table]:
+    """Currents over torque for the design's strategy, and what i_d = 0 would draw at the end of the domain.
+
+    ``negative`` are those of negative torques, mirrored, where these have their own.
+    """
     notes = [f"limit {design.i_max:.4g} A (peak); currents are peak of phase"]
     if curves.id0 is not None and design.strategy == "mtpa":
         chosen = float(np.hypot(curves.chosen.i_d[-1], curves.chosen.i_q[-1]))
@@ -120,7 +123,11 @@ def mtpa_tables(design: Design, curves: Curves) -> list[Table]:
     if base is not None:
         notes.append(f"per unit of {base.current:.5g} A and {base.torque:.5g} N m (the bases of the MTPA curve)")
     columns = ("torque N m", "i_d A", "i_q A", "|i| A", *per_unit_columns, "limited by")
-    return [Table(f"{design.name}: {design.strategy}", columns, _point_rows(curves.chosen, base), tuple(notes))]
+    tables = [Table(f"{design.name}: {design.strategy}", columns, _point_rows(curves.chosen, base), tuple(notes))]
+    if negative is not None:
+        rows = _point_rows(replace(negative.chosen, torque=-negative.chosen.torque, i_q=-negative.chosen.i_q), None)
+        tables.append(Table(f"{design.name}: {design.strategy}, negative torques", columns, rows))
+    return tables
 
 
 def _error_cells(errors: ReferenceErrors) -> tuple[str, ...]:
@@ -148,6 +155,14 @@ def _voltage_notes(design: Design, fit: ReferenceFit) -> tuple[str, ...]:
     if excess is None:
         return ()
     return (f"for {where}; the fit takes at most {rounded_up(100.0 * excess)} % more voltage",)
+
+
+def negative_tables(half: NegativeHalf | None) -> list[Table]:
+    """Fit of negative torques, mirrored, where they have their own; else nothing."""
+    if half is None:
+        return []
+    tables = fit_tables(half.design, half.fit, (), (), half.certificate)
+    return [replace(table, title=f"{table.title}, negative torques (mirrored)") for table in tables]
 
 
 def trial_table(trials: tuple[Trial, ...], core: Core) -> Table:
@@ -355,7 +370,7 @@ def _poor_fit_text(design: Design, fit: ReferenceFit) -> str:
 
 def run_tables(solution: Solution, verification: Verification | None) -> list[Table]:
     """The short summary of a run."""
-    fit, gains, where = solution.fit, solution.gains, operation_text(solution.design)
+    fit, gains, where = solution.fit, solution.loops, operation_text(solution.design)
     polynomial = fit.d or fit.q
     plural = "" if polynomial is None or polynomial.segments == 1 else "s"
     shape = "" if polynomial is None else f", degree {polynomial.degree}, {polynomial.segments} segment{plural}"
@@ -369,6 +384,7 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
     limits = " ".join(data_lines(solution.data, fit.torque_max))
     if limits:
         rows.append(("  end of the data", limits))
+    rows += _negative_rows(solution)
     if fit.errors.loss_relative > POOR_FIT:
         rows.append(("  warning", _poor_fit_text(solution.design, fit)))
     if solution.weakening is not None:
@@ -377,17 +393,31 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
         proven = proof_text(solution.weakening)
         if proven is not None:
             rows.append(("  proven bounds", proven))
-    rows += [
-        (f"{loop.loop} loop", loop_words(loop)) for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None
-    ]
+    loops = () if gains is None else (gains.i_d, gains.i_q, gains.speed)
+    rows += [(f"{loop.loop} loop", loop_words(loop)) for loop in loops if loop is not None]
+    rows += [("no loops", solution.gains_left_out)] if gains is None else []
     if solution.losses is not None:
         rows += _best_rows(solution.losses)
     rows += [] if solution.choice is None else choice_rows(solution.choice)
     formats = format_text(not_simulated(solution)) if verification is not None else ""
     if solution.design.simulation is not None and formats:
         rows.append(("simulation", formats))
+    told = [f"{evidence.source}: {text}" for evidence in solution.design.flux_evidence for text in evidence.sentences()]
+    rows += [("flux map", sentence) for sentence in told]
     rows.append(("verification", verification_text(verification)))
     return [Table(solution.design.name, ("", ""), tuple(rows))]
+
+
+def _negative_rows(solution: Solution) -> list[tuple[str, str]]:
+    """What holds for negative torques where they have a reference of their own."""
+    half = solution.negative
+    if half is None:
+        return []
+    rows = [
+        ("  negative torques", f"{half.fit.form}, 0 to -{half.fit.torque_max:.4g} N m"),
+        ("  largest errors", _errors_text(half.fit.errors)),
+    ]
+    return rows if half.certificate is None else [*rows, ("  proven bounds", proven_text(half.certificate))]
 
 
 def _watts(value: float) -> str:
