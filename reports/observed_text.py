@@ -12,11 +12,6 @@ def _hertz(omega: float) -> str:
     return f"{omega / (2.0 * math.pi):.4g} Hz"
 
 
-def loop_name(gains: LoopGains) -> str:
-    """The loop, with its observer where it runs on one."""
-    return gains.loop if gains.observed is None else f"{gains.loop}, on the observer"
-
-
 def loop_words(gains: LoopGains) -> str:
     """Crossover and phase margin in a few words; with the observer's lag, and what the observer leaves."""
     crossover, margin = _hertz(gains.crossover), math.degrees(gains.phase_margin)

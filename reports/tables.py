@@ -33,7 +33,7 @@ from dqforge.reports.choice_text import choice_rows
 from dqforge.reports.cross import TargetVerification
 from dqforge.reports.data_text import data_lines
 from dqforge.reports.labels import core_name, obstacle, operation_text, part_label, shown_parts
-from dqforge.reports.observed_text import loop_name, loop_words, margin_words, observed_notes
+from dqforge.reports.observed_text import loop_words, margin_words, observed_notes
 from dqforge.reports.observer_text import position_parts
 from dqforge.reports.robustness_text import FORM_COLUMNS, ROBUST_COLUMNS, form_rows, robust_notes, robust_rows
 from dqforge.reports.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
@@ -216,7 +216,7 @@ def fit_tables(
 
 def _loop_row(gains: LoopGains, unit: str, per_unit_text: str) -> tuple[str, ...]:
     return (
-        loop_name(gains),
+        gains.loop,
         gains.method,
         f"{gains.kp:.5g} {unit}",
         f"{gains.ki:.5g}",
