@@ -30,7 +30,8 @@ def position_errors(path: Path) -> None:
             known = conditions(design, omega_max)
             judged = tune_position_observer(machine, wanted, t_s, design.inverter.v_dc, omega_max, known).judgement
             shown = (judged.omega <= omega_max) & np.isfinite(judged.steady)
-            ax.loglog(judged.omega[shown] / (2.0 * np.pi), np.degrees(judged.steady[shown]), label=name)
+            error = np.where(shown, np.degrees(judged.steady), np.nan)  # a gap where it is lost
+            ax.loglog(judged.omega / (2.0 * np.pi), error, label=name)
         ax.axhline(10.0, color="0.7", linewidth=0.8)
         ax.set(title=tuning, xlabel="Electrical frequency in Hz", ylim=(0.3, 200.0))
     axes[0].set_ylabel("Angle error in deg r.m.s.")
