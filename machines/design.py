@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
 from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.places import Places
 from dqforge.machines.scenario import Scenario
 from dqforge.machines.settings import (
     ChoiceSettings,
@@ -50,7 +51,8 @@ class Design:
     ``digest`` is the SHA-256 of the file's bytes in hexadecimal. ``weakening`` asks for two-dimensional references,
     ``modulation_choice`` for a choice of modulator and switching frequency.
     ``winding`` says how warm the losses make the winding, None where its temperature is given. ``simulation`` asks for
-    a simulation in the time domain.
+    a simulation in the time domain. ``places`` says where its keys stand in its file, None for designs made by hand;
+    it is no part of what makes two designs equal.
     """
 
     name: str
@@ -72,6 +74,7 @@ class Design:
     winding: WindingHeat | None = None
     simulation: Scenario | None = None
     modulation_choice: ChoiceSettings | None = None
+    places: Places | None = field(default=None, compare=False, repr=False)
 
     @property
     def strategy(self) -> Strategy:

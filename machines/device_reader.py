@@ -6,11 +6,11 @@ from dqforge.machines.checks import si_of
 from dqforge.machines.device import DeviceModel
 from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import SwitchDevice
+from dqforge.machines.places import KeyPath
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.schema import InverterSection
 from dqforge.machines.schema_device import DeviceReference, DeviceSection
-from dqforge.machines.yaml_source import KeyPath
 
 _DEFAULT_JUNCTION = 175.0  # degC, usual for the power modules of today
 _DEFAULT_GUESS = 100.0  # degC, between a warm heat sink and the limit

@@ -18,13 +18,13 @@ from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machine_reader import read_phase_machine
+from dqforge.machines.places import KeyPath
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.saturation import SaturationModel
 from dqforge.machines.schema_machine import FluxMapSection, MachineSection, SaturationSection
 from dqforge.machines.settings import MachineModel
 from dqforge.machines.synchronous import LinearMachine, Machine
-from dqforge.machines.yaml_source import KeyPath
 
 _COPPER = 0.00393
 """Relative change of the resistance of copper per kelvin, at 20 degC (IEC 60034-1 uses 1/(235 + 20) K)."""

@@ -10,7 +10,8 @@ from dqforge.machines import datasheet
 from dqforge.machines.datasheet import Connection
 from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
-from dqforge.machines.yaml_source import KeyPath, YamlDocument, dotted
+from dqforge.machines.places import KeyPath, dotted
+from dqforge.machines.yaml_source import YamlDocument
 
 MAX_FILE_BYTES = 200_000_000
 

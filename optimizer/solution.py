@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqforge.machines.design import Design
+from dqforge.machines.numerical import on_design
 from dqforge.machines.settings import Strategy
 from dqforge.machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.optimizer.certificate import Certificate, certify
@@ -106,6 +107,7 @@ def current_choice(design: Design) -> CurrentChoice:
     return CurrentChoice(design.machine, operation.strategy, design.i_max, point)
 
 
+@on_design("operation")
 def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     """Operating points on an even grid of torques up to ``torque_max`` N m, or to the end of the fit's domain."""
     choice, machine = current_choice(design), design.machine
@@ -118,6 +120,7 @@ def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     return Curves(choice.points(torque), id0, per_unit_base(linear) if linear is not None and has_base else None)
 
 
+@on_design("fit")
 def solve_fit(design: Design) -> FitChoice:
     """Current reference of the design: as set, or the cheapest that keeps its budget."""
     choice, budget = current_choice(design), design.fit.budget
@@ -158,6 +161,7 @@ def _solve_observer(design: Design) -> tuple[ReducedOrderObserver | None, Positi
     return None, tune_position_observer(linearised(machine), wanted, control.t_s, design.inverter.v_dc, omega_max)
 
 
+@on_design("control")
 def solve_gains(design: Design) -> GainSet:
     """Gains of the design, every loop checked as it is sampled, and over the tolerances where it names any."""
     machine, control = design.machine, design.control
@@ -196,6 +200,7 @@ def solve_gains(design: Design) -> GainSet:
     return GainSet(i_d, i_q, speed, observer, robust, schedule, position)
 
 
+@on_design("losses")
 def solve_losses(design: Design) -> LossComparison | None:
     """Loss comparison of the design, or None where it asks for none.
 
@@ -218,6 +223,7 @@ def solve_losses(design: Design) -> LossComparison | None:
     return complete_comparison(design.machine, design.inverter, losses, currents, options)
 
 
+@on_design("losses.mission")
 def solve_mission(design: Design) -> MissionComparison | None:
     """Energies over the mission of the design, None where it names none.
 
@@ -240,12 +246,14 @@ def solve_mission(design: Design) -> MissionComparison | None:
     )
 
 
+@on_design("waveform")
 def solve_phases(design: Design) -> PhaseFit:
     """Phase currents per torque of a design whose machine has a non-sinusoidal back-EMF."""
     machine = require_phases(design)
     return fit_phases(machine, limits_of(design, design.waveform, 0.0), design.waveform)
 
 
+@on_design("field_weakening")
 def solve_weakening(design: Design) -> WeakeningFit | None:
     """Two-dimensional reference of the design, None where it asks for none.
 
@@ -261,11 +269,13 @@ def solve_weakening(design: Design) -> WeakeningFit | None:
     return fit_weakening(design.machine, design.i_max, limit.v_max, design.weakening)
 
 
+@on_design("export.control")
 def solve_fixed(design: Design, gains: GainSet) -> tuple[FixedControlFit, ...]:
     """Control functions in the fixed-point formats that the design asks for; errors as `fit_control`."""
     return fit_controls(design, (gains.i_d, gains.i_q, gains.speed), gains.observer)
 
 
+@on_design("machine")
 def solve(design: Design) -> Solution:
     """Solve everything that the design asks for.
 

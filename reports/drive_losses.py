@@ -14,6 +14,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.mission import Mission, read_mission
 from dqforge.machines.modulation import linear_limit
+from dqforge.machines.numerical import on_design
 from dqforge.machines.quantities import parse_quantity
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray
@@ -120,6 +121,7 @@ def _margin(text: str) -> float:
     return share
 
 
+@on_design("losses")
 def answer(design: Design, request: LossRequest) -> LossReply:
     """Compare what the options ask for, over a map or a mission.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dqforge.machines.design import Design
+from dqforge.machines.numerical import on_design
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control_fixed_header import control_fixed_files
 from dqforge.reports.control_header import control_files
@@ -39,6 +40,7 @@ def _verified(solution: Solution, files: dict[str, bytes], plain: PlainData) -> 
     return verify_files(files, export.prefix, solution.fit.reference, export.vectors, further)
 
 
+@on_design("export")
 def export_design(design: Design, *, verify: bool) -> RunOutput:
     """Header, test vectors and ``result.json`` of a design; nothing else is computed for show.
 
@@ -71,6 +73,7 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
     return RunOutput(solution, verification, files)
 
 
+@on_design("machine")
 def run_design(design: Design, *, verify: bool) -> RunOutput:
     """Everything that the design asks for, the report included.
 
