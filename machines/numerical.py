@@ -89,9 +89,7 @@ def located(places: Places | None, section: str) -> Iterator[None]:
 
 def on_design(
     section: str,
-) -> Callable[
-    [Callable[Concatenate[Design, _Arguments], _Result]], Callable[Concatenate[Design, _Arguments], _Result]
-]:
+) -> Callable[[Callable[Concatenate[Design, _Arguments], _Result]], Callable[Concatenate[Design, _Arguments], _Result]]:
     """Mark a function of a design as an entry: its errors name file, line, column and key, ``section`` by default."""
 
     def marked(

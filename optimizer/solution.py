@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqforge.machines.design import Design
+from dqforge.machines.errors import InputError
 from dqforge.machines.numerical import on_design
-from dqforge.machines.settings import Strategy
 from dqforge.machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.optimizer.certificate import Certificate, certify
 from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.choice_solution import ModulationChoice, solve_choice
-from dqforge.optimizer.complete_losses import complete_comparison
 from dqforge.optimizer.current_choice import CurrentChoice, OperatingPoints, SpeedPoint
 from dqforge.optimizer.drive_budget import BudgetOptions
 from dqforge.optimizer.drive_comparison import Alternatives
@@ -23,13 +22,13 @@ from dqforge.optimizer.fixed_design import FixedControlFit, fit_controls
 from dqforge.optimizer.gain_schedule import GainSchedule, schedule_gains
 from dqforge.optimizer.gains import LoopGains, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loop_batch import PlantBatch
-from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.mission_budget import MissionComparison, compare_mission
 from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
 from dqforge.optimizer.mtpa_locus import mtpa_locus
 from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_observer
 from dqforge.optimizer.observer_tuning import PositionObserver, tune_position_observer
 from dqforge.optimizer.phase_reference import PhaseFit, fit_phases
+from dqforge.optimizer.point_losses import LossComparison, compare_points
 from dqforge.optimizer.reference_fit import ReferenceFit, domain_end, fit_reference
 from dqforge.optimizer.robustness import RobustSet, current_robustness, speed_robustness, turning_robustness
 from dqforge.optimizer.surface_fit import WeakeningFit, fit_weakening
@@ -204,23 +203,30 @@ def solve_gains(design: Design) -> GainSet:
 def solve_losses(design: Design) -> LossComparison | None:
     """Loss comparison of the design, or None where it asks for none.
 
-    Raises
-    ------
-    NoSolutionError
-        A strategy cannot make a torque of the comparison within the current limit, or a junction runs away.
+    What a strategy cannot make within the limits is marked in the comparison, and so are junctions that run away.
     """
     losses = design.losses
     if losses is None or not losses.points:
         return None
-    torque = np.array([point.torque for point in losses.points])
-    currents: dict[Strategy, tuple[np.ndarray, np.ndarray]] = {}
-    for strategy in losses.strategies:
-        choice = CurrentChoice(design.machine, strategy, design.i_max)
-        choice.require(float(np.max(np.abs(torque))), "losses.points")
-        points = choice.points(torque)
-        currents[strategy] = (points.i_d, points.i_q)
-    options = BudgetOptions(design.machine_loss, design.winding, design.inverter.capacitor_esr)
-    return complete_comparison(design.machine, design.inverter, losses, currents, options)
+    return compare_points(
+        design.machine,
+        design.inverter,
+        losses,
+        i_max=design.i_max,
+        options=BudgetOptions(design.machine_loss, design.winding, design.inverter.capacitor_esr),
+        margin=design.operation.voltage_margin,
+    )
+
+
+@on_design("losses")
+def require_losses(design: Design) -> LossComparison:
+    """Loss comparison of the design; raises `InputError` where it asks for none."""
+    found = solve_losses(design)
+    if found is None:
+        raise InputError(
+            "the design asks for no comparison; add a section 'losses' with 'points', or ask with --map or --mission"
+        )
+    return found
 
 
 @on_design("losses.mission")
