@@ -193,8 +193,6 @@ def test_ripple_current_is_that_of_the_ripple_module(name: ModulationName) -> No
 
 
 def test_wrong_requests_are_refused() -> None:
-    with pytest.raises(InputError, match="no device is given"):
-        drive_budget(MACHINE, replace(INVERTER, device=None), 0.0, 1.0, 1.0, ("spwm",))
     with pytest.raises(InputError, match="positive carrier frequencies"):
         drive_budget(MACHINE, INVERTER, 0.0, 1.0, 1.0, ("spwm",), [0.0])
     with pytest.raises(InputError, match="positive carrier frequencies"):

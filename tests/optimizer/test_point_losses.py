@@ -15,7 +15,7 @@ from dqforge.machines.inverter import Inverter, SwitchDevice
 from dqforge.machines.loader import load_text
 from dqforge.machines.machine_loss import MachineLoss
 from dqforge.machines.settings import LoadPoint, LossSettings, LossStrategy, ModulationName
-from dqforge.machines.synchronous import LinearMachine
+from dqforge.machines.synchronous import LinearMachine, linearised
 from dqforge.optimizer.drive_budget import PARTS, BudgetOptions, drive_budget
 from dqforge.optimizer.drive_comparison import least
 from dqforge.optimizer.mtpa import mtpa_currents
@@ -126,12 +126,13 @@ def test_points_weaken_the_field_within_the_limit_of_each_modulator(torque: floa
 @pytest.mark.parametrize("speed", ["3000 rpm", "6000 rpm", "8500 rpm"])
 def test_points_agree_with_the_operating_point_of_the_same_torque_and_speed(speed: str) -> None:
     design = catalogue.load("paper000-ipmsm-100kw")
-    reply = answer(design, Request(speed, "60 N m", None, "svpwm", "0 %"))
+    reply = answer(design, Request(speed, "60 N m", None, "svpwm", "dead-time"))
     point = LoadPoint(60.0, float(speed.split(maxsplit=1)[0]) * math.pi / 30.0)
     found = solve_losses(replace(design, losses=LossSettings((point,), ("mtpa",), ("svpwm",))))
     assert found is not None
-    single = reply.plain["point"]
-    assert found.budget.copper[0, 0, 0] == pytest.approx(single["copper_W"], rel=1e-6)
+    single = reply.plain["operating_points"]["points"]
+    copper = 1.5 * linearised(design.machine).r_s * np.hypot(single["i_d_A"], single["i_q_A"]) ** 2
+    assert found.budget.copper[0, 0] == pytest.approx(copper, rel=1e-6)
 
 
 def test_a_strategy_that_cannot_make_a_point_loses_its_row_alone() -> None:
