@@ -18,7 +18,7 @@ from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machine_reader import read_phase_machine
-from dqforge.machines.places import KeyPath
+from dqforge.machines.places import KeyPath, about
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.saturation import SaturationModel
@@ -193,6 +193,7 @@ def _refuse_constants(section: MachineSection, reading: Reading) -> None:
             raise reading.document.error(message, ("machine", key), key=True)
 
 
+@about("machine.saturation")
 def _saturation_map(section: SaturationSection, i_max: float, reading: Reading) -> FluxMap:
     bridge = section.bridge
     try:
