@@ -96,7 +96,7 @@ def on_design(
         function: Callable[Concatenate[Design, _Arguments], _Result],
     ) -> Callable[Concatenate[Design, _Arguments], _Result]:
         @functools.wraps(function)
-        def entry(design: Design, *arguments: _Arguments.args, **options: _Arguments.kwargs) -> _Result:
+        def entry(design: Design, /, *arguments: _Arguments.args, **options: _Arguments.kwargs) -> _Result:
             with located(design.places, section):
                 return function(design, *arguments, **options)
 

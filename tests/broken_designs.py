@@ -15,16 +15,48 @@ from dqforge.machines.entries import CountRule, QuantityRule
 from dqforge.machines.schema import DesignFile
 
 Path = tuple[str | int, ...]
-_OFTEN_WRONG: tuple[object, ...] = (None, True, -1, 0, "word", "1 furlong", 1e300, [], {}, [1, 2, 3], "nan", "3 V", 1e-9)
+_OFTEN_WRONG: tuple[object, ...] = (
+    None,
+    True,
+    -1,
+    0,
+    "word",
+    "1 furlong",
+    1e300,
+    [],
+    {},
+    [1, 2, 3],
+    "nan",
+    "3 V",
+    1e-9,
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A design of the library with one key changed; ``what`` names the change."""
+    """A design of the library with one key changed; ``what`` names the change. Its text is made on demand."""
 
     drive: str
     what: str
-    text: bytes
+    base: dict[str, Any]
+    path: Path
+    value: object
+    leave_out: bool = False
+
+    @property
+    def text(self) -> bytes:
+        """The changed file."""
+        changed = copy.deepcopy(self.base)
+        inner: Any = changed
+        for part in self.path[:-1]:
+            if isinstance(inner, dict) and not isinstance(inner.get(str(part)), (dict, list)):
+                inner[str(part)] = {}
+            inner = inner[part]
+        if self.leave_out:
+            del inner[self.path[-1]]
+        else:
+            inner[self.path[-1]] = self.value
+        return yaml.safe_dump(changed, sort_keys=False, allow_unicode=True).encode()
 
 
 def document(drive: str) -> dict[str, Any]:
@@ -73,18 +105,7 @@ def _scaled(drive: str, base: dict[str, Any], path: Path, factor: float) -> Iter
 def _change(
     drive: str, base: dict[str, Any], path: Path, what: str, value: object, *, leave_out: bool = False
 ) -> Change:
-    changed = copy.deepcopy(base)
-    inner: Any = changed
-    for part in path[:-1]:
-        if isinstance(inner, dict) and not isinstance(inner.get(str(part)), (dict, list)):
-            inner[str(part)] = {}
-        inner = inner[part]
-    if leave_out:
-        del inner[path[-1]]
-    else:
-        inner[path[-1]] = value
-    text = yaml.safe_dump(changed, sort_keys=False, allow_unicode=True)
-    return Change(drive, f"{'.'.join(map(str, path))} {what}", text.encode())
+    return Change(drive, f"{'.'.join(map(str, path))} {what}", base, path, value, leave_out)
 
 
 def _at(base: Any, path: Path) -> Any:

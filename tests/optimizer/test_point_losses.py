@@ -95,7 +95,9 @@ def weakened(torque: float, omega_m: float, v_max: float) -> float:
         return torque / (6.0 * (IPM.psi_pm + (IPM.l_d - IPM.l_q) * i_d))
 
     def voltage(i_d: float) -> float:
-        return math.hypot(*(float(part) for part in IPM.voltage(np.array(i_d), np.array(i_q(i_d)), 4.0 * omega_m)))
+        return math.hypot(
+            *(float(part) for part in IPM.voltage(np.array(i_d), np.array(i_q(i_d)), np.array(4.0 * omega_m)))
+        )
 
     grid = np.linspace(-280.0, 0.0, 20001)
     sizes = [math.hypot(d, i_q(d)) if voltage(d) <= v_max else math.inf for d in grid]
