@@ -95,7 +95,7 @@ class FluxMapSection(Section):
 
 
 Exponent = Annotated[Nonnegative, Field(le=20.0)]
-"""Published exponents are at most 7; far beyond, powers of flux linkages below 1 Wb vanish, and the magnets with them."""
+"""Published exponents are at most 7; far beyond, powers of flux linkages vanish, and the magnets with them."""
 
 
 class BridgeSection(Section):
