@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +20,7 @@ from dqforge import __version__
 
 if TYPE_CHECKING:
     from dqforge.machines.design import Design
+    from dqforge.machines.errors import DqforgeError
     from dqforge.reports.tables import Table
 
 app = typer.Typer(
@@ -58,13 +61,25 @@ ObjectiveOption = Annotated[
 ]
 
 
+_loaded: ContextVar[tuple[Design, ...]] = ContextVar("_loaded", default=())
+"""Designs that the command under way has loaded: its refusals name their place in the file."""
+
+
 def _load(design: str) -> Design:
     """Load a design file, or a library drive when no such file exists and the text can be its name."""
     from dqforge.machines import catalogue, loader
 
-    if not Path(design).exists() and design in catalogue.names():
-        return catalogue.load(design)
-    return loader.load_design(design)
+    from_library = not Path(design).exists() and design in catalogue.names()
+    loaded = catalogue.load(design) if from_library else loader.load_design(design)
+    _loaded.set((*_loaded.get(), loaded))
+    return loaded
+
+
+def _locate(error: DqforgeError) -> None:
+    """Give a refusal its place in the design of the command; of two designs their own solutions have done so."""
+    designs = _loaded.get()
+    if len(designs) == 1 and designs[0].places is not None:
+        designs[0].places.locate(error)
 
 
 def _show(tables: Sequence[Table]) -> None:
@@ -373,7 +388,7 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
 
         if (chart, mission, strategies, modulations, frequencies) != (None,) * 5 or margin != "0 %":
             raise InputError("--choice takes what the section 'modulation_choice' says; leave the other options out")
-        found = answer_choice(loaded, design)
+        found = answer_choice(loaded)
         _plot(found.figure, plot)
         if json:
             _print_json("losses", loaded.name, found.plain)
@@ -392,16 +407,11 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
         return
     if strategies is not None or modulations is not None or frequencies is not None:
         raise InputError("--strategies, --modulations and --frequencies go with --map or --mission; add one of them")
-    from dqforge.optimizer.solution import solve_losses
+    from dqforge.optimizer.solution import require_losses
     from dqforge.reports.result_json import plain_losses
     from dqforge.reports.tables import losses_tables
 
-    comparison = solve_losses(loaded)
-    if comparison is None:
-        raise InputError(
-            "the design asks for no comparison; add a section 'losses' with 'points', or ask with --map or --mission",
-            source=design,
-        )
+    comparison = require_losses(loaded)
     if plot is not None:
         from dqforge.reports.figures import plot_losses
 
@@ -621,11 +631,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     _open_streams()
     command = typer.main.get_command(app)
+    _loaded.set(())
     given = None if arguments is None else list(arguments)
     try:
-        code = command.main(args=given, prog_name="dqforge", standalone_mode=False)
+        with warnings.catch_warnings():
+            # Numerical trouble ends in a message; what libraries remark on themselves is nobody's business.
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", RuntimeWarning)
+            code = command.main(args=given, prog_name="dqforge", standalone_mode=False)
         sys.stdout.flush()
     except DqforgeError as error:
+        _locate(error)
         _tell(str(error))
         code = error.exit_code
     except TyperException as error:
@@ -643,6 +659,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _tell(_system_line(error))
         code = 1
         _drop_output()
+    except (ArithmeticError, RuntimeWarning, ValueError) as error:
+        from dqforge.machines.numerical import refusal_of
+
+        refusal = refusal_of(error)
+        if refusal is None:
+            raise
+        _locate(refusal)
+        _tell(str(refusal))
+        code = refusal.exit_code
     sys.exit(code if isinstance(code, int) else 0)
 
 

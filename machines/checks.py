@@ -8,13 +8,14 @@ import numpy as np
 
 from dqforge.machines import datasheet
 from dqforge.machines.entries import Quantity
+from dqforge.machines.places import KeyPath
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.schema import CurrentLoopSection, DesignFile, ObserverSection, SpeedLoopSection
 from dqforge.machines.schema_machine import MachineSection
 from dqforge.machines.settings import Strategy
 from dqforge.machines.speed_remarks import bare_speed_hint
 from dqforge.machines.synchronous import LinearMachine, Machine
-from dqforge.machines.yaml_source import KeyPath, YamlDocument
+from dqforge.machines.yaml_source import YamlDocument
 
 # A torque that is written as the limit itself, rounded, is meant to be the limit.
 _ROUNDING = 1e-3

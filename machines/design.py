@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from dqforge.machines.flux_evidence import FluxEvidence
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
 from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.places import Places
 from dqforge.machines.scenario import Scenario
 from dqforge.machines.settings import (
     ChoiceSettings,
@@ -62,7 +63,8 @@ class Design:
     a simulation in the time domain. ``given`` is what it was read from, None where it was made in Python.
     ``flux_evidence`` is what was found about each file of a flux map. ``halves`` are
     the machines that the current references of positive and of negative torque are made for, the second one mirrored in
-    i_q and in the torque; None where one machine serves both.
+    i_q and in the torque; None where one machine serves both. ``places`` says
+    where its keys stand in its file, None for designs made by hand; it is no part of what makes two designs equal.
     """
 
     name: str
@@ -87,6 +89,7 @@ class Design:
     given: DesignFiles | None = None
     flux_evidence: tuple[FluxEvidence, ...] = ()
     halves: tuple[Machine, Machine] | None = None
+    places: Places | None = field(default=None, compare=False, repr=False)
 
     @property
     def strategy(self) -> Strategy:

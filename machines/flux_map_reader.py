@@ -13,9 +13,9 @@ from dqforge.machines.delta import at_the_terminals
 from dqforge.machines.design import InputValue
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_map import FluxMap
+from dqforge.machines.places import KeyPath
 from dqforge.machines.reading import Reading
 from dqforge.machines.schema_machine import FluxMapSection, MachineSection
-from dqforge.machines.yaml_source import KeyPath
 
 if TYPE_CHECKING:  # the readers are needed for maps only
     from dqforge.machines.flux_map_torque import TorqueCheck

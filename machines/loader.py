@@ -11,9 +11,12 @@ from dqforge.machines.checks import si_of
 from dqforge.machines.choice_reader import read_choice
 from dqforge.machines.design import Design
 from dqforge.machines.device_reader import read_inverter_device
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.loss_reader import read_losses, read_machine_loss, read_winding_heat
 from dqforge.machines.machine_reader import read_machine
+from dqforge.machines.numerical import located
+from dqforge.machines.places import Places, about
 from dqforge.machines.plausibility import implausibilities
 from dqforge.machines.provenance import input_values, kind_assumptions
 from dqforge.machines.quantities import format_quantity
@@ -84,7 +87,13 @@ def load_text(text: bytes, source: str, folder: Path | None = None) -> Design:
         The content is wrong; with the position of the first fault.
     """
     document = parse_yaml(text, source)
-    return _Build(document, read_sections(document), Reading(document, text, folder)).design()
+    places = Places(source, document.keys, document.values, tuple(DesignFile.model_fields))
+    try:
+        with located(places, "machine"):
+            return _Build(document, read_sections(document), Reading(document, text, folder), places).design()
+    except NoSolutionError as error:
+        # Nothing has been asked of the design yet: what it says is wrong.
+        raise InputError(error.message, source=error.source, line=error.line, column=error.column) from error
 
 
 @dataclass(slots=True)
@@ -94,6 +103,7 @@ class _Build:
     document: YamlDocument
     sections: DesignFile
     reading: Reading
+    places: Places
 
     @property
     def remarks(self) -> list[str]:
@@ -143,9 +153,11 @@ class _Build:
             modulation_choice=choice,
             flux_evidence=tuple(self.reading.flux_evidence),
             halves=found.halves,
+            places=self.places,
         )
         return replace(design, assumptions=(*design.assumptions, *implausibilities(design, sections)))
 
+    @about("inverter")
     def inverter(self, section: InverterSection, machine_limit: float) -> Inverter:
         """Inverter in SI units; the machine's current limit in A is where tables of a device are made constants."""
         limit = section.max_current
@@ -165,6 +177,7 @@ class _Build:
             capacitor_esr=si_of(section.capacitor_esr) or 0.0,
         )
 
+    @about("control")
     def control(self, section: ControlSection, machine: Machine, inverter: Inverter, i_max: float) -> ControlSettings:
         """Controllers in SI units, with the bases that the file leaves open."""
         f_s = si_of(section.sampling_frequency)
@@ -231,6 +244,7 @@ class _Build:
         omega_m = inverter.v_dc / math.sqrt(3.0) / (machine.pole_pairs * machine.psi_pm)
         return omega_m, "where the back-EMF reaches v_dc/sqrt(3)"
 
+    @about("fit")
     def fit(self, section: FitSection, machine: Machine, bases: PerUnitBases) -> FitSettings:
         """Settings of the fit; what the machine or the number format cannot have is no default."""
         form, budget = section.form, _budget(section)

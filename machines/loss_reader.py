@@ -87,15 +87,12 @@ def read_losses(sections: DesignFile, machine: Machine, reading: Reading) -> Los
         points=tuple(LoadPoint(torque=point.torque.si, omega_m=point.speed.si) for point in section.points),
         strategies=section.strategies,
         modulations=section.modulations,
-        mission=None if section.mission is None else _mission(section.mission, sections, machine, reading),
+        mission=None if section.mission is None else _mission(section.mission, machine, reading),
     )
 
 
-def _mission(name: str, sections: DesignFile, machine: Machine, reading: Reading) -> Mission:
+def _mission(name: str, machine: Machine, reading: Reading) -> Mission:
     path = ("losses", "mission")
-    if sections.inverter.device is None:
-        message = "losses.mission needs the switch; write the section inverter.device"
-        raise reading.document.error(message, path, key=True)
     content = reading.read_beside(name, path)
     if len(content) > _MOST_MISSION_BYTES:
         message = f"losses.mission: '{name}' has more than {_MOST_MISSION_BYTES // 1_000_000} MB; resample it"

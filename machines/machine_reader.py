@@ -17,6 +17,7 @@ from dqforge.machines.flux_map import FluxMap, SaturatedMachine, mirrored
 from dqforge.machines.flux_map_reader import FluxMaps, read_flux_maps
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machine_reader import read_phase_machine
+from dqforge.machines.places import about
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.saturation import SaturationModel
@@ -199,6 +200,7 @@ def _refuse_constants(section: MachineSection, reading: Reading) -> None:
             raise reading.document.error(message, ("machine", key), key=True)
 
 
+@about("machine.saturation")
 def _saturation_map(section: SaturationSection, i_max: float, reading: Reading) -> FluxMap:
     bridge = section.bridge
     try:

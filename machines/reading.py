@@ -13,7 +13,8 @@ from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_evidence import FluxEvidence
 from dqforge.machines.input_files import read_regular_file
-from dqforge.machines.yaml_source import KeyPath, YamlDocument, dotted
+from dqforge.machines.places import KeyPath, dotted
+from dqforge.machines.yaml_source import YamlDocument
 
 MAX_FILE_BYTES = 200_000_000
 

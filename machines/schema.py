@@ -60,6 +60,7 @@ from dqforge.machines.settings import (
     FitMethod,
     FitSettings,
     LossSettings,
+    LossStrategy,
     ModulationName,
     NumberFormat,
     ObserverMethodName,
@@ -283,8 +284,8 @@ class LossSection(Section):
         default=None,
         description="text file beside the design with time, speed and torque, over which energy is counted",
     )
-    strategies: Annotated[Listing[Strategy], Field(min_length=1, max_length=10)] = Field(
-        default=_LOSSES.strategies, description="strategies to compare"
+    strategies: Annotated[Listing[LossStrategy], Field(min_length=1, max_length=10)] = Field(
+        default=_LOSSES.strategies, description="strategies to compare: mtpa, id0, least-loss"
     )
     modulations: Annotated[Listing[ModulationName], Field(min_length=1, max_length=12)] = Field(
         default=_LOSSES.modulations, description="modulations to compare"

@@ -143,6 +143,10 @@ class FluxMapSection(Section):
     )
 
 
+Exponent = Annotated[Nonnegative, Field(le=20.0)]
+"""Published exponents are at most 7; far beyond, powers of flux linkages vanish, and the magnets with them."""
+
+
 class BridgeSection(Section):
     """Magnets and their saturable bridges; the coefficients are those of Lelli et al. 2024."""
 
@@ -150,7 +154,7 @@ class BridgeSection(Section):
     a_b: Nonnegative = Field(description="coefficient of the inverse inductance (1/H at 1 Wb)")
     a_bp: Nonnegative = Field(description="coefficient of its saturation (at 1 Wb)")
     k_q: Nonnegative = Field(description="share of the q flux linkage, squared")
-    w: Nonnegative = Field(description="exponent")
+    w: Exponent = Field(description="exponent")
 
 
 class SaturationSection(Section):
@@ -158,13 +162,13 @@ class SaturationSection(Section):
 
     a_d0: Positive = Field(description="1/H")
     a_dd: Nonnegative = Field(description="coefficient of |psi_d|^s")
-    s: Nonnegative = Field(description="exponent")
+    s: Exponent = Field(description="exponent")
     a_q0: Positive = Field(description="1/H")
     a_qq: Nonnegative = Field(description="coefficient of |psi_q|^t")
-    t: Nonnegative = Field(description="exponent")
+    t: Exponent = Field(description="exponent")
     a_dq: Nonnegative = Field(description="coefficient of the cross-saturation")
-    u: Nonnegative = Field(description="exponent of |psi_d| there")
-    v: Nonnegative = Field(description="exponent of |psi_q| there")
+    u: Exponent = Field(description="exponent of |psi_d| there")
+    v: Exponent = Field(description="exponent of |psi_q| there")
     bridge: BridgeSection | None = Field(default=None, description="magnets and bridges, if there are any")
 
 

@@ -8,6 +8,9 @@ from typing import Literal, get_args
 from dqforge.machines.mission import Mission
 
 Strategy = Literal["mtpa", "id0"]
+LossStrategy = Literal["mtpa", "id0", "least-loss"]
+"""``mtpa``: least copper loss, the field weakened where the voltage asks for it; ``id0``: no d current; ``least-loss``:
+least loss of machine and inverter together, within the same limits."""
 MachineModel = Literal["linear", "flux-map", "saturation", "waveform"]
 OpenPhase = Literal["a", "b", "c"]
 WaveformForm = Literal["cheapest", "table", "harmonics"]
@@ -271,7 +274,7 @@ class LossSettings:
     """Which alternatives are compared, and where: at points, and over a mission where there is one."""
 
     points: tuple[LoadPoint, ...]
-    strategies: tuple[Strategy, ...] = ("id0", "mtpa")
+    strategies: tuple[LossStrategy, ...] = ("id0", "mtpa")
     modulations: tuple[ModulationName, ...] = ("spwm", "svpwm", "ddt-gdpwm")
     mission: Mission | None = None
 

@@ -8,12 +8,11 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.settings import Strategy
+from dqforge.machines.numerical import on_design
 from dqforge.machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.optimizer.certificate import Certificate, certify
 from dqforge.optimizer.characteristics import voltage_limit
 from dqforge.optimizer.choice_solution import ModulationChoice, solve_choice
-from dqforge.optimizer.complete_losses import complete_comparison
 from dqforge.optimizer.current_choice import CurrentChoice, OperatingPoints, SpeedPoint
 from dqforge.optimizer.current_reference import Emitted, SignedReference
 from dqforge.optimizer.data_use import COVERED, DataUse, data_use
@@ -26,7 +25,6 @@ from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.gain_schedule import GainSchedule, schedule_gains
 from dqforge.optimizer.gains import LoopGains, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loop_batch import PlantBatch
-from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.mission_budget import MissionComparison, compare_mission
 from dqforge.optimizer.mtpa import PerUnitBase, per_unit_base
 from dqforge.optimizer.mtpa_locus import mtpa_locus
@@ -35,6 +33,7 @@ from dqforge.optimizer.observer import ReducedOrderObserver, reduced_order_obser
 from dqforge.optimizer.observer_conditions import conditions
 from dqforge.optimizer.observer_tuning import PositionObserver, tune_position_observer
 from dqforge.optimizer.phase_reference import PhaseFit, fit_phases
+from dqforge.optimizer.point_losses import LossComparison, compare_points
 from dqforge.optimizer.reference_fit import ReferenceFit, domain_end, fit_reference
 from dqforge.optimizer.robustness import RobustSet, current_robustness, speed_robustness, turning_robustness
 from dqforge.optimizer.surface_fit import WeakeningFit, fit_weakening
@@ -180,6 +179,7 @@ def solve_negative(design: Design) -> NegativeHalf | None:
     return NegativeHalf(mirrored, solve_curves(mirrored), found, proof)
 
 
+@on_design("operation")
 def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     """Operating points on an even grid of torques up to ``torque_max`` N m, or to the end of the fit's domain."""
     choice, machine = current_choice(design), design.machine
@@ -192,6 +192,7 @@ def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     return Curves(choice.points(torque), id0, per_unit_base(linear) if linear is not None and has_base else None)
 
 
+@on_design("fit")
 def solve_fit(design: Design) -> FitChoice:
     """Current reference of the design: as set, or the cheapest that keeps its budget."""
     choice, budget = current_choice(design), design.fit.budget
@@ -237,6 +238,7 @@ def _solve_observer(design: Design) -> tuple[ReducedOrderObserver | None, Positi
     )
 
 
+@on_design("control")
 def solve_gains(design: Design) -> GainSet:
     """Gains of the design, every loop checked as it is sampled, and over the tolerances where it names any."""
     machine, control = design.machine, design.control
@@ -278,28 +280,37 @@ def solve_gains(design: Design) -> GainSet:
     return GainSet(i_d, i_q, speed, observer, robust, schedule, position)
 
 
+@on_design("losses")
 def solve_losses(design: Design) -> LossComparison | None:
     """Loss comparison of the design, or None where it asks for none.
 
-    Raises
-    ------
-    NoSolutionError
-        A strategy cannot make a torque of the comparison within the current limit, or a junction runs away.
+    What a strategy cannot make within the limits is marked in the comparison, and so are junctions that run away.
     """
     losses = design.losses
     if losses is None or not losses.points:
         return None
-    torque = np.array([point.torque for point in losses.points])
-    currents: dict[Strategy, tuple[np.ndarray, np.ndarray]] = {}
-    for strategy in losses.strategies:
-        choice = CurrentChoice(design.machine, strategy, design.i_max)
-        choice.require(float(np.max(np.abs(torque))), "losses.points")
-        points = choice.points(torque)
-        currents[strategy] = (points.i_d, points.i_q)
-    options = BudgetOptions(design.machine_loss, design.winding, design.inverter.capacitor_esr)
-    return complete_comparison(design.machine, design.inverter, losses, currents, options)
+    return compare_points(
+        design.machine,
+        design.inverter,
+        losses,
+        i_max=design.i_max,
+        options=BudgetOptions(design.machine_loss, design.winding, design.inverter.capacitor_esr),
+        margin=design.operation.voltage_margin,
+    )
 
 
+@on_design("losses")
+def require_losses(design: Design) -> LossComparison:
+    """Loss comparison of the design; raises `InputError` where it asks for none."""
+    found = solve_losses(design)
+    if found is None:
+        raise InputError(
+            "the design asks for no comparison; add a section 'losses' with 'points', or ask with --map or --mission"
+        )
+    return found
+
+
+@on_design("losses.mission")
 def solve_mission(design: Design) -> MissionComparison | None:
     """Energies over the mission of the design, None where it names none.
 
@@ -322,12 +333,14 @@ def solve_mission(design: Design) -> MissionComparison | None:
     )
 
 
+@on_design("waveform")
 def solve_phases(design: Design) -> PhaseFit:
     """Phase currents per torque of a design whose machine has a non-sinusoidal back-EMF."""
     machine = require_phases(design)
     return fit_phases(machine, limits_of(design, design.waveform, 0.0), design.waveform)
 
 
+@on_design("field_weakening")
 def solve_weakening(design: Design) -> WeakeningFit | None:
     """Two-dimensional reference of the design, None where it asks for none.
 
@@ -361,11 +374,13 @@ def gains_or_reason(design: Design) -> tuple[GainSet | None, str]:
         return None, f"no loop was asked for and none was found: {error}"
 
 
+@on_design("export.control")
 def solve_fixed(design: Design, gains: GainSet) -> tuple[FixedControlFit, ...]:
     """Control functions in the fixed-point formats that the design asks for; errors as `fit_control`."""
     return fit_controls(design, (gains.i_d, gains.i_q, gains.speed), gains.observer)
 
 
+@on_design("machine")
 def solve(design: Design) -> Solution:
     """Solve everything that the design asks for.
 

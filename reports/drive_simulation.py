@@ -11,6 +11,7 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.numerical import on_design
 from dqforge.machines.scenario import Profile, Scenario
 from dqforge.machines.settings import NumberFormat
 from dqforge.machines.synchronous import FloatArray
@@ -111,6 +112,7 @@ def observers_of(solution: Solution) -> tuple[dict[str, bytes], tuple[str, ...]]
     return {}, ()
 
 
+@on_design("simulation")
 def require_scenario(design: Design, *, switched: bool = False) -> Scenario:
     """The simulation that a design asks for.
 
@@ -127,6 +129,7 @@ def require_scenario(design: Design, *, switched: bool = False) -> Scenario:
     return replace(design.simulation, inverter="switched") if switched else design.simulation
 
 
+@on_design("simulation")
 def simulate_design(
     design: Design,
     *,

@@ -18,16 +18,18 @@ from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_gains import pi_integers
 from dqforge.optimizer.gains import LoopGains, per_unit
-from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.observer import ObserverError, steady_state_error
 from dqforge.optimizer.observer_tuning import PositionObserver
+from dqforge.optimizer.point_losses import LossComparison
 from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.html_text import NARROW, decibel, degrees, number, quantity, raised, share, symbols, unit_text
 from dqforge.reports.labels import (
     MODULATION_LABELS,
+    WITHOUT_BRIDGE,
     core_name,
+    friction_text,
     obstacle,
     part_label,
     point_text,
@@ -41,7 +43,7 @@ from dqforge.reports.reference_ir import PlainData
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-STRATEGY_TEXT = {"mtpa": "MTPA", "id0": "i_d = 0"}
+STRATEGY_TEXT = {"mtpa": "MTPA", "id0": "i_d = 0", "least-loss": "least loss"}
 LOOP_TEXT = {"i_d": "i_d", "i_q": "i_q", "speed": "speed"}
 _KP_UNITS = {"i_d": "V/A", "i_q": "V/A", "speed": f"N{NARROW}m{NARROW}s/rad"}
 _KI_UNITS = {"i_d": "V/(A s)", "i_q": "V/(A s)", "speed": f"N{NARROW}m/rad"}
@@ -375,6 +377,16 @@ def _speed_error_text(error: ObserverError) -> str:
     return f"{quantity(error.total, 'rpm', 3)} ({share(error.relative, 2)})"
 
 
+def _known(*values: tuple[float, str]) -> list[str]:
+    """Values with their units, a dash for those that are not known."""
+    return [
+        (f"{number(value, 3)}{NARROW}{unit}" if unit == "\u00b0C" else quantity(value, unit, 3))
+        if math.isfinite(value)
+        else "\u2013"
+        for value, unit in values
+    ]
+
+
 def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
     """One table per operating point."""
     budget = comparison.budget
@@ -388,7 +400,7 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
                 index = (s, m, p)
                 best = (comparison.best_strategy[p], comparison.best_modulation[p]) == (s, m)
                 label = f"{STRATEGY_TEXT[strategy]}, {MODULATION_LABELS[modulation]}"
-                reason = obstacle(budget, index)
+                reason = obstacle(comparison, index)
                 parts = (*(getattr(budget, kind) for kind in kinds), budget.total)
                 cells = (
                     symbols(f"{label}: {reason}" if reason else label),
@@ -396,9 +408,12 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
                     f"{comparison.saving[index] + 0.0:.1f}{NARROW}%"
                     if math.isfinite(comparison.saving[index])
                     else "\u2013",
-                    f"{number(budget.junction_temperature[index], 3)}{NARROW}\u00b0C",
-                    quantity(float(budget.voltage[index]), "V", 3),
+                    *_known(
+                        (float(budget.junction_temperature[index]), "\u00b0C"), (float(budget.voltage[index]), "V")
+                    ),
                 )
                 rows.append(Row(cells, "muted" if reason else "best" if best else ""))
-        tables.append(HtmlTable(point_text(point), _headings(*columns), tuple(rows)))
+        notes = [point_text(point), friction_text(comparison, p), "" if comparison.scope == "drive" else WITHOUT_BRIDGE]
+        title = ". ".join(note for note in notes if note)
+        tables.append(HtmlTable(title, _headings(*columns), tuple(rows)))
     return tables

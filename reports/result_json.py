@@ -21,8 +21,8 @@ from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_gains import pi_integers
 from dqforge.optimizer.gains import LoopGains, per_unit
-from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.piecewise import PiecewisePolynomial
+from dqforge.optimizer.point_losses import LossComparison
 from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, NegativeHalf, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
@@ -247,7 +247,9 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
             "total_W": budget.total[index],
             "junction_degC": budget.junction_temperature[index],
             "voltage_V": budget.voltage[index],
-            "feasible": budget.feasible[index],
+            "friction_W": budget.friction[index],
+            "feasible": comparison.usable[index],
+            "reached": comparison.reached[index],
             "saving_percent": comparison.saving[index],
         }
         for p, point in enumerate(comparison.points)
@@ -256,7 +258,7 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
         for index in [(s, m, p)]
     ]
     best = [None if labels is None else list(labels) for labels in comparison.best_labels]
-    return {"rows": rows, "best": best}
+    return {"scope": comparison.scope, "rows": rows, "best": best}
 
 
 def plain_weakening_fit(fit: WeakeningFit | None) -> PlainData | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dqforge.machines.design import Design
+from dqforge.machines.numerical import on_design
 from dqforge.optimizer.solution import GainSet, Solution, solve
 from dqforge.reports.control_fixed_header import control_fixed_files
 from dqforge.reports.control_header import control_files
@@ -51,6 +52,7 @@ def _loop_files(design: Design, gains: GainSet) -> dict[str, bytes]:
     return files
 
 
+@on_design("export")
 def export_design(design: Design, *, verify: bool) -> RunOutput:
     """Header, test vectors and ``result.json`` of a design; nothing else is computed for show.
 
@@ -79,6 +81,7 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
     return RunOutput(solution, verification, files)
 
 
+@on_design("machine")
 def run_design(design: Design, *, verify: bool) -> RunOutput:
     """Everything that the design asks for, the report included.
 

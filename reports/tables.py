@@ -20,11 +20,11 @@ from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_gains import pi_integers
 from dqforge.optimizer.gains import LoopGains, per_unit
-from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.mtpa import PerUnitBase
 from dqforge.optimizer.observer import steady_state_error
 from dqforge.optimizer.observer_proof import ObserverProof
 from dqforge.optimizer.piecewise import PiecewisePolynomial
+from dqforge.optimizer.point_losses import LossComparison
 from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet, NegativeHalf, Solution
 from dqforge.reports.c_numbers import rounded_up
@@ -32,7 +32,15 @@ from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.choice_text import choice_rows
 from dqforge.reports.cross import TargetVerification
 from dqforge.reports.data_text import data_lines
-from dqforge.reports.labels import core_name, obstacle, operation_text, part_label, shown_parts
+from dqforge.reports.labels import (
+    WITHOUT_BRIDGE,
+    core_name,
+    friction_text,
+    obstacle,
+    operation_text,
+    part_label,
+    shown_parts,
+)
 from dqforge.reports.observed_text import loop_words, margin_words, observed_notes
 from dqforge.reports.observer_text import position_parts
 from dqforge.reports.robustness_text import FORM_COLUMNS, ROBUST_COLUMNS, form_rows, robust_notes, robust_rows
@@ -313,12 +321,13 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
         for s, strategy in enumerate(comparison.strategies):
             for m, modulation in enumerate(comparison.modulations):
                 index = (s, m, p)
-                mark = "best" if best == (strategy, modulation) else obstacle(budget, index)
+                mark = "best" if best == (strategy, modulation) else obstacle(comparison, index)
                 cells = [*(getattr(budget, kind) for kind in kinds), budget.total, budget.junction_temperature]
                 texts = [_fixed(float(cell[index])) for cell in [*cells, comparison.saving]]
                 rows.append((strategy, modulation, *texts, mark))
         title = f"{design.name}: losses at {point.torque:.4g} N m, {point.omega_m * 30.0 / math.pi:.5g} rpm"
-        tables.append(Table(title, columns, tuple(rows)))
+        notes = [friction_text(comparison, p), WITHOUT_BRIDGE if comparison.scope != "drive" else ""]
+        tables.append(Table(title, columns, tuple(rows), tuple(note for note in notes if note)))
     return tables
 
 
@@ -433,8 +442,10 @@ def _best_rows(comparison: LossComparison) -> list[tuple[str, str]]:
             continue
         index = (int(comparison.best_strategy[p]), int(comparison.best_modulation[p]), p)
         budget = comparison.budget
-        chosen = f"{_watts(float(budget.total[index]))}, {budget.junction_temperature[index]:.0f} degC"
-        first_loss = _watts(float(budget.total[0, 0, p])) if budget.feasible[0, 0, p] else "not feasible"
+        known = comparison.scope == "drive"
+        heat = f", {budget.junction_temperature[index]:.0f} degC" if known else " without the bridge"
+        chosen = f"{_watts(float(budget.total[index]))}{heat}"
+        first_loss = _watts(float(budget.total[0, 0, p])) if comparison.usable[0, 0, p] else "not feasible"
         first = f"{comparison.strategies[0]} with {comparison.modulations[0]}: {first_loss}"
         rows.append((label, f"{best[0]} with {best[1]}: {chosen} ({first})"))
     return rows

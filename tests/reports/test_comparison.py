@@ -312,3 +312,12 @@ def test_faults_of_names_are_one_line(run: Run, written: Path, tmp_path: Path) -
         code, out, err = run("compare", written, name)
         assert (code, out, err.count("\n")) == (2, "", 1)
         assert words in err
+
+
+def test_losses_with_and_without_the_bridge_are_not_compared() -> None:
+    """A total without the bridge is smaller by what nobody knows; that is no saving."""
+    base = make_design()
+    bare = replace(base, inverter=replace(base.inverter, device=None))
+    found = compare_sides(solved_side("a", base), solved_side("b", bare))
+    assert found.losses == ()
+    assert any("those of B are without the bridge" in note for note in found.alone)
