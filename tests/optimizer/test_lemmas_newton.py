@@ -277,6 +277,13 @@ def test_worst_of_all_conditions_counts(monkeypatch: pytest.MonkeyPatch) -> None
     best, may_fall = certificate._bounds(task, interval(task, 2.0, 2.6), np.full(6, math.inf))
     np.testing.assert_array_equal(best, [1, 20, 0.3, 40, 5, 60])
     assert not may_fall
+    # Or below it: 0.3 below 3.2, beyond the kink; the losses of less torque count.
+    best, may_fall = certificate._bounds(task, interval(task, 3.25, 3.5), np.full(6, math.inf))
+    np.testing.assert_array_equal(best, [10, 2, 0.2, 4, 50, 6])
+    assert not may_fall
+    best, may_fall = certificate._bounds(task, interval(task, 3.15, 3.5), np.full(6, math.inf))
+    np.testing.assert_array_equal(best, [10, 2, 0.2, 40, 50, 6])
+    assert may_fall
     fake_newton(monkeypatch, {"loss": (1, 20, 0.3, 40, 5, 60), "voltage": None})
     best, _ = certificate._bounds(task, interval(task, 2.0, 2.8), np.full(6, math.inf))
     np.testing.assert_array_equal(best, [1, 20, 0.3, math.inf, math.inf, 60])
@@ -323,3 +330,29 @@ def test_refinement_covers_the_domain(monkeypatch: pytest.MonkeyPatch) -> None:
     assert parts[-1].interval.high == 6.0
     assert all(a.interval.high == b.interval.low for a, b in itertools.pairwise(parts))
     assert max(part.interval.high - part.interval.low for part in parts) <= 0.101
+
+
+def test_certificate_states_the_worst_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The largest of each bound over all intervals, none below what was found; shares rounded upwards."""
+    task = task_of()
+    bounds = [np.array([1.0, 5.0, 0.7, 4.0, 0.3, 0.0]), np.array([2.0, 3.0, 0.4, math.inf, 0.6, 0.0])]
+    place = Interval(pieces(task.reference)[0], 0.0, 1.0, 0, UNKNOWN.values())
+    parts = [certificate._Open(0.0, number, place, bound, False) for number, bound in enumerate(bounds)]
+    monkeypatch.setattr(certificate, "_refine", lambda *_: parts)
+    found = certificate._certify(task, errors(i_d=9.0, i_q=0.2))
+    assert found is not None
+    assert (found.i_d, found.i_q, found.torque, found.loss, found.loss_relative) == (9.0, 5.0, 0.7, None, 0.6)
+    assert found.torque_relative > 0.7 / 6.0
+    close(found.torque_relative, 0.7 / 6.0, 1e-12)
+    assert (found.model, found.voltage_excess, found.intervals) == ("equations", None, 2)
+    bounds[0][2] = math.inf
+    assert certificate._certify(task, errors()) is None
+
+
+def test_series_are_long_enough_for_the_remainder_and_settings_come_back() -> None:
+    before = ctx.prec, ctx.cap
+    ctx.prec, ctx.cap = 53, 3
+    with certificate._ball_arithmetic():
+        assert (ctx.prec, ctx.cap) == (80, ORDER + 1)
+    assert (ctx.prec, ctx.cap) == (53, 3)
+    ctx.prec, ctx.cap = before
