@@ -13,7 +13,7 @@ import pytest
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer import fixed_arithmetic as fixed
 from dqforge.optimizer import fixed_ranges
-from dqforge.optimizer.fixed_arithmetic import Integers, Range, Ranges, Reach
+from dqforge.optimizer.fixed_arithmetic import Integers, Pair, Range, Ranges, Reach
 from dqforge.optimizer.fixed_control import FixedObserver, FixedPi, ObserverState, VelocityState
 from dqforge.optimizer.fixed_gains import FixedGain, given, quantise, scaled
 from dqforge.optimizer.fixed_ranges import (
@@ -26,7 +26,6 @@ from dqforge.optimizer.fixed_ranges import (
     require,
     with_fraction,
 )
-from dqforge.optimizer.fixed_transforms import Pair
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.single_precision import (
     SinglePolynomial,

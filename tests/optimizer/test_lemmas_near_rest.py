@@ -168,7 +168,8 @@ def test_exact_currents_that_may_vanish_leave_all_of_the_loss(monkeypatch: pytes
 def test_distance_from_currents_enclosed_for_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
     """|i - i*| with both as balls; torque, loss and voltage from their own bounds, no share at low load."""
     task = task_of()
-    exact, passed = (arb(-2.0, 0.125), arb(3.0, 0.25)), {}
+    exact = arb(-2.0, 0.125), arb(3.0, 0.25)
+    passed: dict[str, Any] = {}
 
     def loss(_task: Task, _interval: object, currents: tuple[arb, arb], error: arb) -> tuple[float, float]:
         passed.update(currents=currents, error=error)
