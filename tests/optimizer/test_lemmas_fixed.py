@@ -301,3 +301,13 @@ def test_roots_are_exact_beside_every_square() -> None:
     for off in (-1, 0, 1, 2):
         squares = roots.astype(np.int64) ** 2 + off
         np.testing.assert_array_equal(numbers.root(squares), [isqrt(int(one)) for one in squares])
+
+
+@pytest.mark.parametrize("width", [8, 16])
+def test_state_keeps_two_bits_less_than_a_word(monkeypatch: pytest.MonkeyPatch, width: int) -> None:
+    """Were nothing to overflow, the fraction would end two bits below the word."""
+    monkeypatch.setattr(fixed_ranges, "with_fraction", lambda pi, fraction: replace(pi, fraction=fraction))
+    monkeypatch.setattr(fixed_ranges, "pi_ranges", lambda *_: Ranges(64))
+    found = finest(width, "x", PI, "parallel", 99)
+    assert found is not None
+    assert found.fraction == width - 2
