@@ -242,7 +242,7 @@ def test_defaults_of_all_machines_are_within_one_percent_of_a_sweep(degree: int)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("segments", [3, 4])
-@pytest.mark.parametrize("degree", DEGREES)
+@pytest.mark.parametrize("degree", [2, 5])
 @pytest.mark.parametrize("machine", [extremes()[1], ArctanMachine()], ids=["linear", "saturated"])
 def test_defaults_are_within_one_percent_of_evolution(machine: Machine, degree: int, segments: int) -> None:
     """Differential evolution over the breakpoints, seeded; candidates that the bound excludes cost no programme."""
@@ -399,20 +399,29 @@ def test_breakpoint_of_other_methods_is_best(ratio: float, form: FitForm, degree
 @pytest.mark.parametrize("degree", [1, *DEGREES])
 @pytest.mark.parametrize("form", FORM_AXES)
 def test_breakpoint_is_best_from_tiny_to_huge_torques(form: FitForm, degree: int) -> None:
-    for ratio in np.geomspace(0.05, 30.0, 40).tolist():
-        breakpoints_are_best(ratio, form, degree, "minimax", 160)
+    for ratio in np.geomspace(0.05, 30.0, 6).tolist():
+        breakpoints_are_best(ratio, form, degree, "minimax", 50)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["least-squares", "lagrange"])
 @pytest.mark.parametrize("form", FORM_AXES)
 def test_breakpoint_of_other_methods_is_best_from_tiny_to_huge_torques(form: FitForm, method: FitMethod) -> None:
-    for ratio in np.geomspace(0.05, 30.0, 10).tolist():
+    for ratio in (0.05, 1.2246, 7.24, 30.0):
         for degree in DEGREES:
-            breakpoints_are_best(ratio, form, degree, method, 160)
+            breakpoints_are_best(ratio, form, degree, method, 80)
 
 
-def breakpoints_are_best_of_many(ratio: float, form: FitForm, degree: int, segments: int) -> None:
+TORQUES = (0.05, 0.5, 1.2246, 3.5568, 7.24, 10.33, 21.03, 30.0)
+
+
+VALLEYS: dict[FitForm, tuple[float, float]] = {"torque-exact": (0.0837, 0.331), "closed-form": (0.2263, 0.4607)}
+"""Breakpoints over the domain's end where others ended before; the method below begins there."""
+
+
+def breakpoints_are_best_of_many(
+    ratio: float, form: FitForm, degree: int, segments: int, more: Sequence[tuple[float, ...]] = ()
+) -> None:
     """More breakpoints against Nelder and Mead's method from segmentations all over the domain."""
     from scipy.optimize import minimize
 
@@ -430,12 +439,19 @@ def breakpoints_are_best_of_many(ratio: float, form: FitForm, degree: int, segme
         return fitted_error(curves, tried, degree, "minimax") / reached
 
     generator = np.random.default_rng([segments, degree])
-    starts = [edges[1:-1] / end * np.exp(0.3 * generator.normal(size=segments - 1)) for _ in range(6)]
+    starts = [edges[1:-1] / end * np.exp(0.3 * generator.normal(size=segments - 1)) for _ in range(2)]
+    starts += [np.array(start) for start in more]
     ends = [
-        minimize(cost, np.clip(start, 0.01, 0.98), method="Nelder-Mead", options={"maxfev": 150}) for start in starts
+        minimize(cost, np.clip(start, 0.01, 0.98), method="Nelder-Mead", options={"maxfev": 60}) for start in starts
     ]
     size = max(float(np.max(np.abs(curve(np.array([end]))))) for curve in curves)
     assert reached <= 1.01 * reached * min(found.fun for found in ends) + 1e-9 * size
+
+
+@pytest.mark.parametrize(("ratio", "form"), [(30.0, "torque-exact"), (3.5568, "closed-form")])
+def test_two_breakpoints_are_best_along_a_flat_valley(ratio: float, form: FitForm) -> None:
+    """Degree 4: the best ends of the low places alone are 1.6 % worse."""
+    breakpoints_are_best_of_many(ratio, form, 4, 3, [VALLEYS[form]])
 
 
 @pytest.mark.slow
@@ -443,5 +459,7 @@ def breakpoints_are_best_of_many(ratio: float, form: FitForm, degree: int, segme
 @pytest.mark.parametrize("degree", [1, *DEGREES])
 @pytest.mark.parametrize("form", FORM_AXES)
 def test_breakpoints_are_best_from_tiny_to_huge_torques(form: FitForm, degree: int, segments: int) -> None:
-    for ratio in (0.05, 0.5, 1.2246, 3.5568, 7.24, 10.33, 21.03, 30.0):
+    """Of eight torques two for each form and number of segments, others for other degrees."""
+    place = degree + 2 * segments + 3 * list(FORM_AXES).index(form)
+    for ratio in (TORQUES[place % 8], TORQUES[(place + 4) % 8]):
         breakpoints_are_best_of_many(ratio, form, degree, segments)

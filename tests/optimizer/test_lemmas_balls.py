@@ -260,3 +260,12 @@ def test_library_balls_are_taken_with_their_radius() -> None:
     assert float(Balls.of(inexact).rad) == UNIT
     assert Balls.of(third) is third
     assert float(Balls.of(2).mid) == 2.0
+
+
+@pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (0.1, 0.3), (1.0, 1.0 + 2.0**-52), (-0.3, 0.7), (-0.7, -0.3)])
+def test_an_interval_holds_its_ends_and_what_rounds_to_them(low: float, high: float) -> None:
+    """Half the width and 1e-15 of the middle, neither half nor twice of it."""
+    half, middle = (Fraction(high) - Fraction(low)) / 2, abs(Fraction(high) + Fraction(low)) / 2
+    radius = Fraction(float(Expansion(low, high).radius))
+    extra = Fraction(1, 10**15) * (middle + half)
+    assert half + Fraction(9, 10) * extra <= radius <= half + Fraction(3, 2) * extra + Fraction(1, 10**16) * half

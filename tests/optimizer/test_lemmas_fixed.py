@@ -12,10 +12,20 @@ import pytest
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer import fixed_arithmetic as fixed
-from dqforge.optimizer.fixed_arithmetic import Integers, Range, Ranges, Reach
-from dqforge.optimizer.fixed_control import FixedPi
-from dqforge.optimizer.fixed_gains import FixedGain, given, quantise
-from dqforge.optimizer.fixed_ranges import DeadBand, codes, dead_band, finest, pi_ranges, require, with_fraction
+from dqforge.optimizer import fixed_ranges
+from dqforge.optimizer.fixed_arithmetic import Integers, Pair, Range, Ranges, Reach
+from dqforge.optimizer.fixed_control import FixedObserver, FixedPi, ObserverState, VelocityState
+from dqforge.optimizer.fixed_gains import FixedGain, given, quantise, scaled
+from dqforge.optimizer.fixed_ranges import (
+    DeadBand,
+    codes,
+    dead_band,
+    finest,
+    observer_ranges,
+    pi_ranges,
+    require,
+    with_fraction,
+)
 from dqforge.optimizer.piecewise import PiecewisePolynomial
 from dqforge.optimizer.single_precision import (
     SinglePolynomial,
@@ -246,3 +256,58 @@ def test_odd_continuation() -> None:
     found = shifted.evaluate(np.abs(signed[:2]), multiply_add, signed[:2])
     np.testing.assert_array_equal(found, [-3.0, 3.0])
     np.testing.assert_array_equal(shifted.evaluate(np.array([0.5], np.float32), multiply_add), [2.0])
+
+
+@pytest.mark.parametrize("width", [8, 16])
+def test_controllers_are_met_by_any_error_and_any_past(monkeypatch: pytest.MonkeyPatch, width: int) -> None:
+    """Errors of two codes, limits up to full scale, states within it and with the fraction's bits more."""
+    asked: list[tuple[object, ...]] = []
+    monkeypatch.setattr(fixed_ranges, "pi_step", lambda *given: asked.append(given))
+    monkeypatch.setattr(fixed_ranges, "pi_velocity", lambda *given: asked.append(given))
+    pi, top = replace(PI, fraction=3), 2 ** (width - 1) - 1
+    pi_ranges(width, "x", pi, "parallel")
+    *_, state, error, limit = asked[-1]
+    assert asked[-1][1:3] == (width, pi)
+    assert state == Range(-8 * top, 8 * top)
+    assert error == Range(1 - 2**width, 2**width - 1)
+    assert limit == Range(0, top)
+    pi_ranges(width, "x", pi, "velocity")
+    _, used, past, error, limit = asked[-1]
+    assert used is pi
+    assert isinstance(past, VelocityState)
+    assert past.output == Range(-8 * top, 8 * top)
+    assert past.proportional == scaled(Ranges(32), "kp e", pi.kp, Range(1 - 2**width, 2**width - 1))
+    assert error == Range(1 - 2**width, 2**width - 1)
+    assert limit == Range(0, top)
+
+
+def test_observer_is_met_by_any_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[object, ...]] = []
+    monkeypatch.setattr(fixed_ranges, "observe", lambda *given: asked.append(given))
+    part = FixedObserver(PI.kp, PI.kp, PI.kp, PI.kp, PI.kp, fraction=2, reach=3)
+    observer_ranges(8, part)
+    _, width, used, state, voltage, current = asked[0]
+    assert (width, used) == (8, part)
+    assert isinstance(state, ObserverState)
+    assert state.zeta == Range(-127 * 3 * 4, 127 * 3 * 4)
+    every = Range(-128, 127)
+    assert (state.omega, state.current, voltage, current) == (every, *[Pair(every, every)] * 3)
+
+
+def test_roots_are_exact_beside_every_square() -> None:
+    """The double of a large integer is rounded: one below a square its root would be one too large."""
+    numbers = Integers()
+    roots = np.concatenate([np.arange(1, 300), 2**31 - 1 - np.arange(300), 94906265 + np.arange(-200, 200)])
+    for off in (-1, 0, 1, 2):
+        squares = roots.astype(np.int64) ** 2 + off
+        np.testing.assert_array_equal(numbers.root(squares), [isqrt(int(one)) for one in squares])
+
+
+@pytest.mark.parametrize("width", [8, 16])
+def test_state_keeps_two_bits_less_than_a_word(monkeypatch: pytest.MonkeyPatch, width: int) -> None:
+    """Were nothing to overflow, the fraction would end two bits below the word."""
+    monkeypatch.setattr(fixed_ranges, "with_fraction", lambda pi, fraction: replace(pi, fraction=fraction))
+    monkeypatch.setattr(fixed_ranges, "pi_ranges", lambda *_: Ranges(64))
+    found = finest(width, "x", PI, "parallel", 99)
+    assert found is not None
+    assert found.fraction == width - 2

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from drives import RELUCTANCE
 from flint import arb, ctx
+from lemma_cases import LINE, MACHINE, close, interval, local, plain, task_of
 
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer import certificate, interval_newton, near_rest
@@ -22,7 +23,7 @@ from dqforge.optimizer.current_reference import (
     ReferenceErrors,
     ReluctanceClosedForm,
 )
-from dqforge.optimizer.exact_conditions import Condition, Local, Task
+from dqforge.optimizer.exact_conditions import Condition, Task
 from dqforge.optimizer.interval_newton import UNKNOWN, Bounds, Interval, newton
 from dqforge.optimizer.rounding import pieces
 from dqforge.optimizer.single_precision import SinglePolynomial
@@ -34,43 +35,6 @@ def ball_context() -> Iterator[None]:
     ctx.prec, ctx.cap = 80, ORDER + 1
     yield
     ctx.prec, ctx.cap = before
-
-
-def close(value: float, expected: float, rel: float = 1e-7) -> None:
-    """Not below what is expected, and above it by little."""
-    assert expected * (1.0 - 1e-12) <= value <= expected * (1.0 + rel) + 1e-20
-
-
-LINE = Polynomials(
-    SinglePolynomial(np.array([0.0], np.float32), np.array([[0.0, -0.25]], np.float32)),
-    SinglePolynomial(np.array([0.0], np.float32), np.array([[0.0, 1.25]], np.float32)),
-)
-"""i_d = -T/4 and i_q = 5 T/4: roughly what the machine below needs for small torques."""
-
-MACHINE = LinearMachine(pole_pairs=2, r_s=0.5, l_d=0.05, l_q=0.15, psi_pm=0.25, i_max=20.0)
-
-
-def task_of(speed: SpeedPoint | None = None, machine: LinearMachine = MACHINE, form: Any = LINE) -> Task:
-    return Task.of(CurrentChoice(machine, "mtpa", machine.i_max, speed), CurrentReference(form, np.float32(6.0)))
-
-
-def interval(task: Task, low: float, high: float) -> Interval:
-    return Interval(pieces(task.reference)[0], low, high, 0, UNKNOWN.values())
-
-
-def plain(machine: LinearMachine, i_d: float, i_q: float) -> dict[str, float]:
-    """Torque with its derivatives, and the condition of least loss with its own, of constant inductances."""
-    k, s, psi = 1.5 * machine.pole_pairs, machine.l_d - machine.l_q, machine.psi_pm
-    t_d, t_q = k * s * i_q, k * (psi + s * i_d)
-    return {
-        "torque": k * (psi + s * i_d) * i_q,
-        "t_d": t_d,
-        "t_q": t_q,
-        "t_dq": k * s,
-        "c": t_q * i_d - t_d * i_q,
-        "c_d": t_q + k * s * i_d,
-        "c_q": -t_d - k * s * i_q,
-    }
 
 
 def near_exact(scale: float) -> tuple[Task, float]:
@@ -113,11 +77,6 @@ def test_newton_is_sharp_beside_the_exact_currents(scale: float) -> None:
     penalty = loss - 1.5 * MACHINE.r_s * (best[0] ** 2 + best[1] ** 2)
     assert penalty <= found.loss <= 1.3 * penalty + 1e-9
     assert penalty / (loss - penalty) <= found.loss_relative <= 1.3 * penalty / (loss - penalty) + 1e-9
-
-
-def local(**values: float) -> Local:
-    """Numbers without radius; those that are not given are zero."""
-    return Local(*(arb(values.get(name, 0.0)) for name in Local.__dataclass_fields__))
 
 
 def test_penalty_at_a_free_optimum_is_the_hessian_of_the_lagrangian() -> None:
@@ -318,6 +277,13 @@ def test_worst_of_all_conditions_counts(monkeypatch: pytest.MonkeyPatch) -> None
     best, may_fall = certificate._bounds(task, interval(task, 2.0, 2.6), np.full(6, math.inf))
     np.testing.assert_array_equal(best, [1, 20, 0.3, 40, 5, 60])
     assert not may_fall
+    # Or below it: 0.3 below 3.2, beyond the kink; the losses of less torque count.
+    best, may_fall = certificate._bounds(task, interval(task, 3.25, 3.5), np.full(6, math.inf))
+    np.testing.assert_array_equal(best, [10, 2, 0.2, 4, 50, 6])
+    assert not may_fall
+    best, may_fall = certificate._bounds(task, interval(task, 3.15, 3.5), np.full(6, math.inf))
+    np.testing.assert_array_equal(best, [10, 2, 0.2, 40, 50, 6])
+    assert may_fall
     fake_newton(monkeypatch, {"loss": (1, 20, 0.3, 40, 5, 60), "voltage": None})
     best, _ = certificate._bounds(task, interval(task, 2.0, 2.8), np.full(6, math.inf))
     np.testing.assert_array_equal(best, [1, 20, 0.3, math.inf, math.inf, 60])
@@ -364,3 +330,29 @@ def test_refinement_covers_the_domain(monkeypatch: pytest.MonkeyPatch) -> None:
     assert parts[-1].interval.high == 6.0
     assert all(a.interval.high == b.interval.low for a, b in itertools.pairwise(parts))
     assert max(part.interval.high - part.interval.low for part in parts) <= 0.101
+
+
+def test_certificate_states_the_worst_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The largest of each bound over all intervals, none below what was found; shares rounded upwards."""
+    task = task_of()
+    bounds = [np.array([1.0, 5.0, 0.7, 4.0, 0.3, 0.0]), np.array([2.0, 3.0, 0.4, math.inf, 0.6, 0.0])]
+    place = Interval(pieces(task.reference)[0], 0.0, 1.0, 0, UNKNOWN.values())
+    parts = [certificate._Open(0.0, number, place, bound, False) for number, bound in enumerate(bounds)]
+    monkeypatch.setattr(certificate, "_refine", lambda *_: parts)
+    found = certificate._certify(task, errors(i_d=9.0, i_q=0.2))
+    assert found is not None
+    assert (found.i_d, found.i_q, found.torque, found.loss, found.loss_relative) == (9.0, 5.0, 0.7, None, 0.6)
+    assert found.torque_relative > 0.7 / 6.0
+    close(found.torque_relative, 0.7 / 6.0, 1e-12)
+    assert (found.model, found.voltage_excess, found.intervals) == ("equations", None, 2)
+    bounds[0][2] = math.inf
+    assert certificate._certify(task, errors()) is None
+
+
+def test_series_are_long_enough_for_the_remainder_and_settings_come_back() -> None:
+    before = ctx.prec, ctx.cap
+    ctx.prec, ctx.cap = 53, 3
+    with certificate._ball_arithmetic():
+        assert (ctx.prec, ctx.cap) == (80, ORDER + 1)
+    assert (ctx.prec, ctx.cap) == (53, 3)
+    ctx.prec, ctx.cap = before
