@@ -228,7 +228,7 @@ def test_large_tables_are_read_in_blocks_without_looking_at_cells(monkeypatch: p
     rows = np.random.default_rng(2).normal(size=(200_000, 4))
     stream = io.StringIO()
     np.savetxt(stream, rows, fmt="%.17g", delimiter=";", header="t_s;u1_V;u2_V;u3_V", comments="")
-    monkeypatch.setattr("dqforge.machines.text_table._cell_by_cell", None)
+    monkeypatch.setattr("dqforge.machines.text_cells._cell_by_cell", None)
     table = read(stream.getvalue().replace(".", ","))
     np.testing.assert_array_equal(table.values, rows)
     assert table.lines[-1] == 200_001
