@@ -466,7 +466,10 @@ def simulate(
 
 @app.command()
 def bemf(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Text file with time, or angle, and three phases.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="Capture with time, or angle, and three phases; or a file per channel."),
+    ],
     json: JsonOption = False,
     plot: PlotOption = None,
     line_to_line: Annotated[bool, typer.Option("--line-to-line", help="The channels are ab, bc and ca.")] = False,
@@ -481,16 +484,21 @@ def bemf(
         str | None, typer.Option("--columns", metavar="T,A,B,C", help="Names or numbers of the columns.")
     ] = None,
     harmonics: Annotated[int, typer.Option("--harmonics", metavar="N", help="Highest order.")] = 25,
+    interval: Annotated[
+        str | None, typer.Option("--interval", metavar="TIME", help="Between two samples, e.g. '2 us'.")
+    ] = None,
 ) -> None:
     """Say what a capture of the back-EMF holds: harmonics, symmetry, noise, and the magnet flux."""
     from dqforge.reports.bemf import CaptureRequest, capture_tables, plain_capture, read_capture
+    from dqforge.reports.console import progress
 
     if plot is not None:
         from dqforge.reports.files import check_figure_path
 
         check_figure_path(plot)
-    request = CaptureRequest(line_to_line, pole_pairs, speed, scale, columns, harmonics)
-    reading = read_capture(file, request)
+    request = CaptureRequest(line_to_line, pole_pairs, speed, scale, columns, harmonics, interval)
+    with progress("reading the capture") as report:
+        reading = read_capture(files, request, report)
     if plot is not None:
         from dqforge.reports.figures_bemf import plot_capture
 

@@ -13,6 +13,7 @@ Problems 19(2), 2003, doi:10.1088/0266-5611/19/2/201.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +28,10 @@ _BLOCK = 128
 
 _CHUNK = 16
 """Blocks whose design matrix is held at a time: a long record needs no more memory than a short one."""
+
+_LONG = 1 << 20
+"""Samples from which on spectra are taken in single precision, and residuals kept so: a record of 8e6 samples shall
+take less than 1 GiB."""
 
 _ITERATIONS = 12
 
@@ -76,8 +81,11 @@ class Motion:
 
     def thinned(self, stride: int) -> Motion:
         """Every ``stride``-th sample of it."""
-        given = None if self.given is None else self.given[::stride]
-        return replace(self, u=self.u[::stride], given=given)
+        return self.part(slice(None, None, stride))
+
+    def part(self, samples: slice) -> Motion:
+        """Some of its samples."""
+        return replace(self, u=self.u[samples], given=None if self.given is None else self.given[samples])
 
     @property
     def frequency(self) -> float:
@@ -138,9 +146,13 @@ def rough_frequency(time: FloatArray, voltages: FloatArray) -> tuple[float, floa
     With it the share of the channels' power that lies within 15 % of it: nearly all of a machine's, little of noise.
     """
     length = time.size * sample_interval(time)
-    even = _evenly(time, voltages)
-    even = even - np.mean(even, axis=1, keepdims=True)
-    power = np.sum(np.abs(np.fft.rfft(even * np.hanning(time.size), axis=1)) ** 2, axis=0)
+    count = _spectrum_size(time.size)
+    length *= count / time.size
+    window = np.hanning(count)
+    power = np.zeros(count // 2 + 1)
+    for row in voltages:
+        even = _evenly(time, row[None])[0, :count]
+        power += _spectrum((even - np.mean(even)) * window)
     peak = 1 + int(np.argmax(power[1:-1]))
     if peak < _SHORT + 1.0:
         return _searched_frequency(time, voltages)
@@ -149,6 +161,24 @@ def rough_frequency(time: FloatArray, voltages: FloatArray) -> tuple[float, floa
     wide = 3 + int(0.15 * peak)
     share = float(np.sum(power[max(1, peak - wide) : peak + wide + 1]) / np.sum(power[1:]))
     return float(peak + (0.5 * (left - right) / bend if bend < 0.0 else 0.0)) / length, share
+
+
+def _spectrum_size(count: int) -> int:
+    """Samples of a record that its spectrum is taken of: all, or nearly all of a long one, for which it is quick."""
+    if count <= _LONG:
+        return count
+    step = 1 << (count.bit_length() - 11)
+    return count // step * step
+
+
+def _spectrum(values: FloatArray) -> FloatArray:
+    """Squared magnitudes of the spectrum of samples, shape (N,); result shape (N / 2 + 1,)."""
+    if values.size <= _LONG:
+        return np.asarray(np.abs(np.fft.rfft(values)) ** 2)
+    from scipy.fft import rfft  # in single precision, unlike NumPy's
+
+    lines = rfft(values.astype(np.float32))
+    return np.asarray(lines.real**2 + lines.imag**2, dtype=np.float64)
 
 
 def _searched_frequency(time: FloatArray, voltages: FloatArray) -> tuple[float, float]:
@@ -182,9 +212,19 @@ def rough_motion(time: FloatArray, voltages: FloatArray, frequency: float) -> Mo
     window = round(time.size / periods)
     if periods < _SHORT:
         return start
+    if time.size > _LONG:
+        places, phase = _long_phase(time, voltages, omega * half, window)
+    else:
+        places, phase = _phase(time, voltages, omega * half, window)
+    bends = np.polynomial.polynomial.polyfit(places, phase, degree)
+    return replace(start, powers=start.powers + bends[1:])
+
+
+def _phase(time: FloatArray, voltages: FloatArray, speed: float, window: int) -> tuple[FloatArray, FloatArray]:
+    """Some 2048 places from -1 to 1, and the phase in rad by which the best channel leads ``speed`` times the place."""
     grid = np.linspace(-1.0, 1.0, time.size)
     even = _evenly(time, voltages - np.mean(voltages, axis=1, keepdims=True))
-    slow = even * np.exp(-1j * omega * half * grid)
+    slow = even * np.exp(-1j * speed * grid)
     for _ in range(2):
         total = np.cumsum(np.pad(slow, ((0, 0), (1, 0))), axis=1)
         slow = (total[:, window:] - total[:, :-window]) / window
@@ -193,32 +233,65 @@ def rough_motion(time: FloatArray, voltages: FloatArray, frequency: float) -> Mo
     inner = slice(window - 1, window - 1 + slow.shape[1])
     stride = max(1, slow.shape[1] // 2048)
     phase = np.unwrap(np.angle(slow[int(np.argmax(share))]))[::stride]
-    bends = np.polynomial.polynomial.polyfit(grid[inner][::stride], phase, degree)
-    return replace(start, powers=start.powers + bends[1:])
+    return grid[inner][::stride], phase
 
 
-def _gram(motion: Motion, voltages: FloatArray, harmonics: int, coefficients: ComplexArray | None) -> FloatArray:
+def _long_phase(time: FloatArray, voltages: FloatArray, speed: float, window: int) -> tuple[FloatArray, FloatArray]:
+    """Like `_phase` for long records: of not many more samples to the period than that needs, once a period."""
+    stride = max(1, window // 64)
+    wide = max(1, window // stride)
+    grid = np.linspace(-1.0, 1.0, time.size)[::stride]
+    # Two running means over a period weigh its samples by a triangle of two.
+    weights = np.minimum(np.arange(1.0, 2 * wide), np.arange(2.0 * wide - 1.0, 0.0, -1.0)) / wide**2
+    firsts = np.arange(0, grid.size - weights.size + 1, wide)
+    found, best = np.empty((0,)), -1.0
+    for row in voltages:
+        even = _evenly(time, row[None])[0, ::stride]
+        even = even - np.mean(even)
+        slow = np.empty(firsts.size, np.complex128)
+        for begin in range(0, firsts.size, 2048):
+            samples = firsts[begin : begin + 2048, None] + np.arange(weights.size)
+            slow[begin : begin + 2048] = (even[samples] * np.exp(-1j * speed * grid[samples])) @ weights
+        share = float(np.mean(np.abs(slow) ** 2) / (np.mean(even**2) + 1e-300))
+        if share > best:
+            found, best = np.unwrap(np.angle(slow)), share
+    return grid[firsts + wide - 1], found
+
+
+def _gram(
+    motion: Motion,
+    voltages: FloatArray,
+    harmonics: int,
+    coefficients: ComplexArray | None,
+    progress: Callable[[float], None] | None = None,
+) -> FloatArray:
     """Inner products of all columns of the model: cosines, sines, constant; slopes by the powers, (K, P); channels."""
     powers = np.arange(motion.powers.size)[:, None]
-    angle, rate, one, u = _blocked(np.stack([motion.angle(), motion.rate(), np.ones_like(motion.u), motion.u]))
-    channels = _blocked(voltages).transpose(1, 0, 2)
     gram = np.zeros(())
-    for start in range(0, one.shape[0], _CHUNK):
-        part = slice(start, start + _CHUNK)
-        turn, speed = _turns(angle[part], harmonics), rate[part, None]
-        rows = [turn.real * speed, turn.imag * speed, one[part, None]]
+    for part in _parts(voltages.shape[1]):
+        some = motion.part(part)
+        angle, rate, one, u = _blocked(np.stack([some.angle(), some.rate(), np.ones_like(some.u), some.u]))
+        turn, speed = _turns(angle, harmonics), rate[:, None]
+        rows = [turn.real * speed, turn.imag * speed, one[:, None]]
         if coefficients is not None and powers.size:
-            u_powers = u[part, None] ** powers * one[part, None]  # (B, P, n)
+            u_powers = u[:, None] ** powers * one[:, None]  # (B, P, n)
             shape = (coefficients @ turn).real
             slope = (coefficients * (1j * np.arange(1, harmonics + 1)) @ turn).real
             by_rate = (powers + 1) * u_powers / (motion.half * motion.unit_speed)
-            by_angle = speed * u[part, None] * u_powers
+            by_angle = speed * u[:, None] * u_powers
             both = shape[:, :, None] * by_rate[:, None] + slope[:, :, None] * by_angle[:, None]  # (B, K, P, n)
             rows.append(both.reshape(both.shape[0], -1, _BLOCK))
-        rows.append(channels[part])
+        rows.append(_blocked(voltages[:, part]).transpose(1, 0, 2))
         block = np.concatenate(rows, axis=1)
         gram = gram + np.sum(block @ block.transpose(0, 2, 1), axis=0)
+        if progress is not None:
+            progress(min(part.stop / voltages.shape[1], 1.0))
     return gram
+
+
+def _parts(count: int) -> list[slice]:
+    """Samples that are looked at together."""
+    return [slice(start, start + _CHUNK * _BLOCK) for start in range(0, count, _CHUNK * _BLOCK)]
 
 
 def _blocked(rows: FloatArray) -> FloatArray:
@@ -279,12 +352,17 @@ def _solve(gram: FloatArray, harmonics: int, channels: int, powers: int, count: 
 
 
 def fit_harmonics(
-    motion: Motion, voltages: FloatArray, harmonics: int, coefficients: ComplexArray | None = None
+    motion: Motion,
+    voltages: FloatArray,
+    harmonics: int,
+    coefficients: ComplexArray | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> HarmonicFit:
     """Harmonics 1..H and offsets of channels, shape (K, N), and the angle that suits all of them best.
 
     Unequal sampling, fractions of a period and drifting speed are part of the model. ``motion`` is where the search
     begins, with the first ``coefficients``, shape (K, up to H), if they are known; an angle that was recorded is kept.
+    ``progress`` is told the share that is done, as if each further step were half as likely as the one before.
     """
     channels, count = voltages.shape
     degree = motion.powers.size
@@ -292,8 +370,13 @@ def fit_harmonics(
         step = _solve(_gram(motion, voltages, harmonics, None), harmonics, channels, degree, count)
         coefficients = step.coefficients()
     coefficients = np.pad(coefficients, ((0, 0), (0, harmonics - coefficients.shape[1])))
-    for _ in range(_ITERATIONS if degree else 0):
-        step = _solve(_gram(motion, voltages, harmonics, coefficients), harmonics, channels, degree, count)
+    for place in range(_ITERATIONS if degree else 0):
+
+        def tell(share: float, place: int = place) -> None:
+            if progress is not None:
+                progress(1.0 - 0.5 ** (place + share))
+
+        step = _solve(_gram(motion, voltages, harmonics, coefficients, tell), harmonics, channels, degree, count)
         coefficients = step.coefficients()
         size = float(np.sum(np.abs(step.change)))
         # Beyond a radian the model is not linear any more, and the step would overshoot.
@@ -311,18 +394,21 @@ def _completed(motion: Motion, voltages: FloatArray, step: _Step) -> HarmonicFit
     channels, count = voltages.shape
     coefficients, offsets = step.coefficients(), step.linear[-1]
     harmonics = coefficients.shape[1]
-    angle = _blocked(motion.angle()[None])[0]
-    parts = [angle[start : start + _CHUNK] for start in range(0, angle.shape[0], _CHUNK)]
-    shape = np.concatenate([(coefficients @ _turns(part, harmonics)).real for part in parts])  # (B, K, n)
-    shape = shape.transpose(1, 0, 2).reshape(channels, -1)[:, :count]
-    residual = voltages - offsets[:, None] - shape * motion.rate()
-    left = np.sum(residual**2, axis=1)
+    residual = np.empty((channels, count), np.float64 if count <= _LONG else np.float32)
+    left = np.zeros(channels)
+    for part in _parts(count):
+        some = motion.part(part)
+        shape = (coefficients @ _turns(_blocked(some.angle()[None])[0], harmonics)).real  # (B, K, n)
+        shape = shape.transpose(1, 0, 2).reshape(channels, -1)[:, : some.u.size]
+        rest = voltages[:, part] - offsets[:, None] - shape * some.rate()
+        left += np.sum(rest**2, axis=1)
+        residual[:, part] = rest
     freedom = max(count - step.linear.shape[0] - motion.powers.size / channels, 1.0)
     noise = np.sqrt(left / freedom)
     through_powers = np.einsum("skp,pq,skq->sk", step.leverage, step.spread, step.leverage)
     variance = step.unit_variance[:, None] * noise**2 + through_powers
     deviation = np.sqrt(np.maximum(np.maximum(variance[:harmonics], variance[harmonics : 2 * harmonics]), 0.0)).T
-    total = np.maximum(np.var(voltages, axis=1) * count, 1e-300)
+    total = np.maximum(np.array([np.var(row) for row in voltages]) * count, 1e-300)
     return HarmonicFit(
         motion, coefficients, offsets, residual, noise, 1.0 - left / total, np.asarray(deviation), step.condition
     )
@@ -340,23 +426,24 @@ def uncertainty(fit: HarmonicFit, periods: float) -> tuple[FloatArray, bool]:
     excess, lines = np.ones_like(fit.deviation), np.full(harmonics, float(fit.residual.shape[1]))
     known = fit.motion.given is not None
     if not known:
-        residual = _evenly(fit.motion.u, fit.residual)
-        power = np.abs(np.fft.rfft(residual, axis=1)) ** 2
-        power /= np.mean(power, axis=1, keepdims=True) + 1e-300
-        order = np.arange(power.shape[1]) / periods
+        size = _spectrum_size(fit.residual.shape[1])
+        order = np.arange(size // 2 + 1) / (periods * size / fit.residual.shape[1])
         # The fit has taken out what lies within about a line of each harmonic.
         hole = np.abs(order - np.round(order)) * periods < 0.75
         free = np.where(hole & (order < harmonics + 0.5), 0.0, 1.0)
         wide = min(1.5, 16.0 / periods)
         centre = np.arange(1, harmonics + 1)
         first, last = np.searchsorted(order, centre - wide), np.searchsorted(order, centre + wide)
-        sums = np.concatenate([np.zeros((power.shape[0], 1)), np.cumsum(power * free, axis=1)], axis=1)
         counts = np.concatenate([[0.0], np.cumsum(free)])
         found = counts[last] - counts[first]
         known = bool(np.min(found) >= 4.0)
         if known:
             lines = found
-            excess = np.maximum((sums[:, last] - sums[:, first]) / found, 1.0)
+            for row, channel in zip(excess, fit.residual, strict=True):
+                power = _spectrum(_evenly(fit.motion.u, channel[None])[0, :size])
+                power /= np.mean(power) + 1e-300
+                sums = np.concatenate([[0.0], np.cumsum(power * free)])
+                row[:] = np.maximum((sums[last] - sums[first]) / found, 1.0)
     freedom = 2.0 * lines
     return fit.deviation * np.sqrt(excess * freedom * (_MISS ** (-2.0 / freedom) - 1.0)), known
 

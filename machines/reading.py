@@ -13,7 +13,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.input_files import read_regular_file
 from dqforge.machines.yaml_source import KeyPath, YamlDocument
 
-MAX_FILE_BYTES = 200_000_000
+MAX_FILE_BYTES = 256_000_000
 
 
 @dataclass(slots=True)
@@ -30,7 +30,8 @@ class Reading:
         Where the files lie that it names, or None where it may name none.
 
     ``converted`` holds for paths of converted values what is used and what was done, ``derived`` values that follow
-    from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names.
+    from others, ``remarks`` sentences on what the file leaves open, ``files`` the SHA-256 digests of the files that it
+    names.
     """
 
     document: YamlDocument
@@ -45,8 +46,7 @@ class Reading:
         """SHA-256 of the design file, or of its bytes and the digests of the files that it names, in their order."""
         if not self.files:
             return hashlib.sha256(self.text).hexdigest()
-        whole = self.text + b"".join(hashlib.sha256(content).digest() for content in self.files)
-        return hashlib.sha256(whole).hexdigest()
+        return hashlib.sha256(self.text + b"".join(self.files)).hexdigest()
 
     def peak(self, quantity: Quantity, path: str) -> float:
         """Peak of a current entry, with a note when it was converted."""
@@ -61,6 +61,10 @@ class Reading:
         if quantity.kind == "line-to-line":
             self.converted[path] = (value, "half of the line-to-line value (star connection)")
         return value
+
+    def is_beside(self, name: str) -> bool:
+        """Whether there is such a file in the folder of the design or below it."""
+        return self.folder is not None and (self.folder / name).is_file()
 
     def read_beside(self, name: str, path: KeyPath) -> bytes:
         """Content of a file that the design names, from its own folder or one below it.
@@ -91,5 +95,5 @@ class Reading:
             if error.source != name:
                 raise
             raise self.document.error(f"the file '{name}': {error.message}", path) from None
-        self.files.append(content)
+        self.files.append(hashlib.sha256(content).digest())  # the file itself may be large
         return content

@@ -18,7 +18,7 @@ from dqforge.machines.errors import InputError
 
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
-MOST_BYTES = 200_000_000
+MOST_BYTES = 256_000_000
 SAMPLE = 300
 NUMBER, TEXT, GARBLED = 0, 1, 2
 # Delimiters inside quotes are no delimiters; they are kept as characters that no file uses until the cells are split.
@@ -103,11 +103,16 @@ class Layout:
         return [self.form.number(cell) for cell in self.form.split(self.lines[line])]
 
 
+def check_size(content: bytes, source: str) -> None:
+    """Refuse a text of more than `MOST_BYTES`; raises `InputError`."""
+    if len(content) > MOST_BYTES:
+        message = f"the file has {len(content) / 1e6:.4g} MB, at most {MOST_BYTES / 1e6:.0f} MB can be read"
+        raise InputError(f"{message}; save fewer columns or samples", source=source)
+
+
 def decoded_text(content: bytes, source: str) -> str:
     """Text of a file with line feeds at the ends of lines, without quotes."""
-    if len(content) > MOST_BYTES:
-        message = f"the file has {len(content) / 1e6:.0f} MB, at most {MOST_BYTES / 1e6:.0f} MB can be read"
-        raise InputError(f"{message}; save fewer columns or samples", source=source)
+    check_size(content, source)
     wide = content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     try:
         text = content.decode("utf-16" if wide else "utf-8-sig")

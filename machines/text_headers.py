@@ -23,6 +23,7 @@ _BRACKETED = re.compile(r"(.*?)(?:\[([^\[\]]*)\]|\(([^()]*)\))")
 _SEPARATED = re.compile(r"(.+?)\s*(?:/|,|\sin\s)\s*(.+)")
 _WRAPPED = re.compile(r"[\[(](.*)[\])]")
 _OPENING = re.compile(r" (?=[\[(])")
+_CHANNEL_UNIT = re.compile(r"\b[A-Za-z]+\d+:([^\s,;:]+)")
 _SCOPE_UNITS = re.compile(r"(horizontal|vertical) units?\W*[,;:=\t ]\s*(.*)", re.IGNORECASE)
 
 
@@ -45,14 +46,27 @@ def read_header(layout: Layout, start: int, kept: IndexArray) -> Header:
         row, found = None, _title_line(layout, above, kept)
     place, titles = found or (None, [""] * kept.size)
     used = {place, above[-1] if row else None}
+    settings = _settings_beside(
+        layout, [line for line in (place, above[-1] if row else None) if line is not None], kept
+    )
     parts = [_name_and_unit(title.translate(SHOW), titles) for title in titles]
     given = [_WRAPPED.sub(r"\1", cell).strip("-") for cell in row or [""] * kept.size]
     return Header(
         kept,
         tuple(name or f"column {column + 1}" for (name, _), column in zip(parts, kept, strict=True)),
         tuple(unit or own for unit, (_, own) in zip(given, parts, strict=True)),
-        tuple(layout.lines[line].translate(SHOW).strip() for line in above if line not in used),
+        (*(layout.lines[line].translate(SHOW).strip() for line in above if line not in used), *settings),
     )
+
+
+def _settings_beside(layout: Layout, lines: Sequence[int], kept: IndexArray) -> list[str]:
+    """What a title and perhaps a unit line hold beside the columns: 'Increment,2e-5' or 'tInc = 2e-5'."""
+    if layout.form.delimiter == " ":
+        return []
+    rows = [layout.form.split(layout.lines[line].lstrip("#% ")) for line in lines]
+    others = sorted(set(range(max(map(len, rows), default=0))) - set(kept.tolist()))
+    texts = [",".join(row[column] for row in rows if column < len(row) and row[column]) for column in others]
+    return [text.translate(SHOW) for text in texts if any(map(str.isdigit, text))]
 
 
 def _title_line(layout: Layout, above: Sequence[int], kept: IndexArray) -> tuple[int, list[str]] | None:
@@ -78,7 +92,8 @@ def titles_in(layout: Layout, line: int, kept: IndexArray, *, loosely: bool) -> 
         others = [[cell.strip() for cell in text.split(mark)] for mark in ("\t", ";", "|", ",", "  ")]
         splits += [cells for cells in [*others, joined.split()] if len(cells) == layout.width]
     for cells in ([cell.rstrip(",;") for cell in split] for split in splits):
-        while cells and not cells[-1]:
+        # Some write settings behind the titles ('t0 = -1e-3').
+        while cells and (not cells[-1] or (len(cells) > layout.width and "=" in cells[-1])):
             cells.pop()
         if not kept[-1] < len(cells) <= layout.width:
             continue
@@ -142,7 +157,9 @@ def scope_units(preamble: Sequence[str], count: int) -> tuple[str, ...]:
     """Units that an oscilloscope gives as 'Horizontal Units' and 'Vertical Units', '' where there are none."""
     found = {match[1].lower(): match[2] for match in map(_SCOPE_UNITS.match, preamble) if match}
     time = re.split(r"[,;\t]", found.get("horizontal", ""))[0].strip(" \"'")
-    channels = [unit for part in re.split(r"[,;\t]", found.get("vertical", "")) if (unit := part.strip(" \"'"))]
+    vertical = found.get("vertical", "")
+    channels = _CHANNEL_UNIT.findall(vertical) or re.split(r"[,;\t]", vertical)
+    channels = [unit for part in channels if (unit := part.strip(" \"'"))]
     if len(channels) == 1:
         channels *= count - 1
     return (time, *channels) if len(channels) == count - 1 else (time, *[""] * (count - 1))

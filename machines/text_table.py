@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.synchronous import FloatArray
+from dqforge.machines.text_blocks import LARGE, Progress, read_in_blocks
 from dqforge.machines.text_cells import Cells, numeric_columns, parsed_rows
 from dqforge.machines.text_formats import (
     COMMAS,
@@ -19,6 +20,7 @@ from dqforge.machines.text_formats import (
     TEXT,
     IndexArray,
     Layout,
+    check_size,
     decoded_text,
     kind_of,
     layout_of,
@@ -57,7 +59,7 @@ class TextTable:
     preamble: tuple[str, ...]
 
 
-def read_table(content: bytes, source: str) -> TextTable:
+def read_table(content: bytes, source: str, progress: Progress | None = None) -> TextTable:
     """Numbers, names and units of a text table; delimiter, decimal sign, encoding and header are found out.
 
     Columns without a number, and those that hold text in most rows, are left out; blank lines, rulers and comments
@@ -70,13 +72,23 @@ def read_table(content: bytes, source: str) -> TextTable:
         Bytes of the file: UTF-8, UTF-16 with a byte order mark, or Latin-1.
     source:
         Name of the file, for messages.
+    progress:
+        Told the share of a large table that is read.
 
     Raises
     ------
     InputError
-        The file is empty, too large or no text, has fewer than two rows of numbers, a row with another number of
-        columns, or text where numbers belong; thousands separators are refused.
+        The file is empty, too large (256 MB, 40 million numbers) or no text, has fewer than two rows of numbers, a row
+        with another number of columns, or text where numbers belong; thousands separators are refused.
     """
+    if len(content) > LARGE:
+        check_size(content, source)
+        return read_in_blocks(content, source, _read_whole, progress)
+    return _read_whole(content, source)
+
+
+def _read_whole(content: bytes, source: str) -> TextTable:
+    """Table of a text that is classified and parsed in one piece."""
     lines = decoded_text(content, source).split("\n")
     layout = layout_of(lines, source)
     first = _first_row(layout, source)

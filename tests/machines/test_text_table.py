@@ -179,7 +179,7 @@ FAULTS: dict[str, tuple[bytes, int | None, str]] = {
     "one row": (b"a,b\n1,2\n", 2, "single row"),
     "binary": (b"a,b\n1,2\n\x89PNG\x00\x01\n", 3, "binary"),
     "damaged utf-16": (b"\xff\xfea\x00,", None, "UTF-16"),
-    "large": (bytes(200_000_001), None, "200 MB"),
+    "large": (bytes(256_000_001), None, "256 MB"),
     "short row": (b"a,b,c\n1,2,3\n4,5\n6,7,8\n", 3, "this line has 2 columns, the rows have 3: '4,5'"),
     "short first row": (b"a,b,c\n1,2\n4,5,6\n6,7,8\n", 2, "this line has 2 columns, the rows have 3"),
     "long row": (b"a;b\n1,5;2\n\n4;5;6\n6;7\n", 4, "this line has 3 columns, the rows have 2"),
