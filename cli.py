@@ -59,10 +59,12 @@ ObjectiveOption = Annotated[
 def _load(design: str) -> Design:
     """Load a design file, or a library drive when no such file exists and the text can be its name."""
     from dqforge.machines import catalogue, loader
+    from dqforge.reports.console import status
 
-    if not Path(design).exists() and design in catalogue.names():
-        return catalogue.load(design)
-    return loader.load_design(design)
+    with status("reading the design", after=1.0):
+        if not Path(design).exists() and design in catalogue.names():
+            return catalogue.load(design)
+        return loader.load_design(design)
 
 
 def _show(tables: Sequence[Table]) -> None:
@@ -365,9 +367,11 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
             _show(found.tables)
         return
     if chart is not None or mission is not None:
+        from dqforge.reports.console import status
         from dqforge.reports.drive_losses import LossRequest, answer
 
-        reply = answer(loaded, LossRequest(chart, mission, strategies, modulations, frequencies, margin))
+        with status("comparing the losses", after=1.0):
+            reply = answer(loaded, LossRequest(chart, mission, strategies, modulations, frequencies, margin))
         _plot(reply.figure, plot)
         if json:
             _print_json("losses", loaded.name, reply.plain)
@@ -465,7 +469,7 @@ def simulate(
 
 
 @app.command()
-def bemf(
+def bemf(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
     files: Annotated[
         list[Path],
         typer.Argument(metavar="FILE...", help="Capture with time, or angle, and three phases; or a file per channel."),

@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 
 from dqforge.machines import bemf_checks as checks
 from dqforge.machines import bemf_harmonics as numerics
+from dqforge.machines import bemf_motion as motions
 from dqforge.machines.bemf_checks import BemfSymmetry, Origin
 from dqforge.machines.bemf_columns import BemfCapture, Connection
-from dqforge.machines.bemf_harmonics import ComplexArray, HarmonicFit, Motion
+from dqforge.machines.bemf_harmonics import ComplexArray, HarmonicFit
+from dqforge.machines.bemf_motion import Motion
 from dqforge.machines.synchronous import FloatArray
 
 IntArray = NDArray[np.int64]
@@ -129,13 +131,13 @@ def analyse(
     findings: list[str] = []
     voltages = capture.voltages
     if timed:
-        frequency, share = numerics.rough_frequency(axis, voltages)
+        frequency, share = motions.rough_frequency(axis, voltages)
         tell(0.1)
         checks.check_line(share, origin)
-        samples = 1.0 / (frequency * numerics.sample_interval(axis))
+        samples = 1.0 / (frequency * motions.sample_interval(axis))
         checks.check_length(axis.size / samples, samples, origin)
         findings += checks.check_clipping(voltages, samples, origin)
-        motion = numerics.rough_motion(axis, voltages, frequency)
+        motion = motions.rough_motion(axis, voltages, frequency)
         tell(0.2)
     else:
         motion, samples = _given_motion(axis, origin)

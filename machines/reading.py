@@ -30,8 +30,7 @@ class Reading:
         Where the files lie that it names, or None where it may name none.
 
     ``converted`` holds for paths of converted values what is used and what was done, ``derived`` values that follow
-    from others, ``remarks`` sentences on what the file leaves open, ``files`` the SHA-256 digests of the files that it
-    names.
+    from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names.
     """
 
     document: YamlDocument
@@ -46,7 +45,8 @@ class Reading:
         """SHA-256 of the design file, or of its bytes and the digests of the files that it names, in their order."""
         if not self.files:
             return hashlib.sha256(self.text).hexdigest()
-        return hashlib.sha256(self.text + b"".join(self.files)).hexdigest()
+        whole = self.text + b"".join(hashlib.sha256(content).digest() for content in self.files)
+        return hashlib.sha256(whole).hexdigest()
 
     def peak(self, quantity: Quantity, path: str) -> float:
         """Peak of a current entry, with a note when it was converted."""
@@ -66,7 +66,7 @@ class Reading:
         """Whether there is such a file in the folder of the design or below it."""
         return self.folder is not None and (self.folder / name).is_file()
 
-    def read_beside(self, name: str, path: KeyPath) -> bytes:
+    def read_beside(self, name: str, path: KeyPath, most_bytes: int = MAX_FILE_BYTES) -> bytes:
         """Content of a file that the design names, from its own folder or one below it.
 
         Raises
@@ -88,12 +88,12 @@ class Reading:
         try:
             if not place.exists():
                 raise self.document.error(f"there is no file '{name}' beside the design file; check the name", path)
-            content = read_regular_file(place, MAX_FILE_BYTES, name)
+            content = read_regular_file(place, most_bytes, name)
         except OSError as error:
             raise self.document.error(f"the file '{name}' cannot be read: {error.strerror}", path) from None
         except InputError as error:
             if error.source != name:
                 raise
             raise self.document.error(f"the file '{name}': {error.message}", path) from None
-        self.files.append(hashlib.sha256(content).digest())  # the file itself may be large
+        self.files.append(content)
         return content
