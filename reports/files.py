@@ -29,7 +29,8 @@ def read_output(path: Path, wanted: str, most_bytes: int = LARGEST_FILE) -> byte
     try:
         return read_regular_file(path, most_bytes)
     except InputError as error:
-        raise InputError(f"{error.message}; give {wanted}", source=str(path)) from None
+        reason = error.message.partition(";")[0]
+        raise InputError(f"cannot be read ({reason}); give {wanted}", source=str(path)) from None
 
 
 def write_atomically(path: Path, content: bytes) -> None:

@@ -22,7 +22,7 @@ Files = dict[str, bytes]
 
 def emf() -> tuple[FloatArray, FloatArray]:
     """Times in s, shape (N,), and the voltages of three phases with 4 % of a fifth harmonic, shape (3, N)."""
-    time = START + STEP * np.arange(SAMPLES)
+    time: FloatArray = START + STEP * np.arange(SAMPLES, dtype=np.float64)
     omega = 2.0 * np.pi * 50.0
     theta = omega * time + 0.7 - np.arange(3)[:, None] * 2.0 * np.pi / 3.0
     noise = 0.01 * np.random.default_rng(3).standard_normal(theta.shape)
@@ -96,7 +96,7 @@ def rohde_schwarz_rto() -> Files:
         f"SignalFormat:Float:\nXStart:{START}:\nXStop:{-START}:\nResolution:{STEP:.6e}:\n"
         f"SignalRecordLength:{SAMPLES}:\nVerticalUnit:V:\nMultiChannelExport:C1W1,C2W1,C3W1:\n"
     )
-    return {"cap.Wfm.csv": rows(VOLTS).encode(), "cap.csv": head.encode()}
+    return {"cap.Wfm.csv": rows(list(VOLTS)).encode(), "cap.csv": head.encode()}
 
 
 def lecroy() -> Files:
@@ -158,7 +158,7 @@ def rigol_ds1000z() -> Files:
 
 def rigol_mso5000(end: str = "") -> Files:
     head = f"CH1V,CH2V,CH3V,t0 ={START:.6e}, tInc = {STEP:.6e},\n"
-    return {"RigolDS1.csv": (head + rows(VOLTS, end=end)).encode()}
+    return {"RigolDS1.csv": (head + rows(list(VOLTS), end=end)).encode()}
 
 
 def siglent(unit: str) -> Files:
@@ -176,7 +176,7 @@ def yokogawa() -> Files:
         f"BlockSize,{SAMPLES},{SAMPLES},{SAMPLES}\nVUnit,V,V,V\nSampleRate,50000,50000,50000\n"
         f"HResolution,{STEP:.6E},{STEP:.6E},{STEP:.6E}\nHOffset,{START},{START},{START}\nHUnit,s,s,s\n\n"
     )
-    return {"DL0001.csv": (head + "".join("," + line + "\n" for line in rows(VOLTS).splitlines())).encode()}
+    return {"DL0001.csv": (head + "".join("," + line + "\n" for line in rows(list(VOLTS)).splitlines())).encode()}
 
 
 def saleae() -> Files:
