@@ -133,7 +133,7 @@ def find_axis(
     if kind in ("time", "angle"):
         if interval is not None:
             title = table.names[column]
-            raise origin.error(f"the file has times of its own ('{title}'); leave the interval out", None)
+            raise origin.error(f"the file has {kind}s of its own ('{title}'); leave the interval out", None)
         found, scale = factor(table, column, time_unit, ("time", "angle"), origin)
         return Axis("angle" if found == "angle" else "time", table.values[:, column] * scale, column)
     stated = _stated_interval(table.preamble, origin)

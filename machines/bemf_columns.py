@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -160,6 +160,9 @@ def _part(table: TextTable, options: CaptureOptions) -> _Part:
     else:
         axis = find_axis(table, named[0], options.time_unit, None, origin)
         named = named[1:]
+    if axis.column is None and axis.ignored is None and kind_and_unit(table, 0)[0] == "time":
+        # What the heading calls the horizontal unit was laid upon the first channel.
+        table = replace(table, units=(table.units[-1], *table.units[1:]))
     channels = named if named is not None else _guessed(table, axis)
     scaled = [factor(table, column, options.voltage_unit, ("voltage", "flux"), origin) for column in channels]
     return _Part(table, origin, axis, channels, {kind for kind, _ in scaled}, [unit for _, unit in scaled])

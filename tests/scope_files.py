@@ -78,6 +78,11 @@ def tektronix_mdo() -> Files:
     return {"tek0001ALL.csv": (head + rows([TIME, *VOLTS])).encode()}
 
 
+def tektronix_without_times(titles: str) -> Files:
+    head = f"Horizontal Units,s,,\nVertical Units,V,,\nSample Interval,{STEP},,\n\n{titles}"
+    return {"tek.csv": (head + rows(list(VOLTS))).encode()}
+
+
 def keysight() -> Files:
     return {"scope_0.csv": ("x-axis,1,2,3\nsecond,Volt,Volt,Volt\n" + rows([TIME, *VOLTS])).encode()}
 
@@ -202,6 +207,8 @@ LAYOUTS: dict[str, Callable[[], Files]] = {
     "Tektronix, three blocks side by side": tektronix_all,
     "Tektronix, a file per channel": tektronix_single,
     "Tektronix MDO": tektronix_mdo,
+    "Tektronix without times": lambda: tektronix_without_times("CH1,CH2,CH3\n"),
+    "Tektronix without times and titles": lambda: tektronix_without_times(""),
     "Keysight": keysight,
     "Keysight Infiniium, a file per channel": keysight_single,
     "Rohde & Schwarz RTB": rohde_schwarz_rtb,

@@ -18,6 +18,7 @@ from dqforge.machines.bemf_capture import BemfResult, analyse
 from dqforge.machines.bemf_columns import BemfCapture
 from dqforge.machines.errors import InputError
 from dqforge.machines.loader import load_design
+from dqforge.machines.synchronous import FloatArray
 
 PSI = 10e-3
 DESIGN = """dqforge: 1
@@ -36,7 +37,7 @@ inverter: {{v_dc: 48 V, switching_frequency: 10 kHz}}
 def record(count: int, periods: float, noise: float = 0.0, drift: float = 0.0) -> BemfCapture:
     """Times from 0 at 50 Hz in the middle, speed rising by the share ``drift``, a fifth of 3 %."""
     length = periods / 50.0
-    time = np.arange(count) * (length / count)
+    time: FloatArray = np.arange(count, dtype=np.float64) * (length / count)
     share = time / length - 0.5
     theta = 2.0 * np.pi * 50.0 * (time + 0.5 * drift * length * share**2)
     theta = theta - np.arange(3)[:, None] * 2.0 * np.pi / 3.0
