@@ -5,8 +5,12 @@ Everything heavy is imported inside the command that needs it, so that ``dqforge
 
 from __future__ import annotations
 
+import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +20,7 @@ from dqforge import __version__
 
 if TYPE_CHECKING:
     from dqforge.machines.design import Design
+    from dqforge.machines.errors import DqforgeError
     from dqforge.reports.tables import Table
 
 app = typer.Typer(
@@ -56,15 +61,27 @@ ObjectiveOption = Annotated[
 ]
 
 
+_loaded: ContextVar[tuple[Design, ...]] = ContextVar("_loaded", default=())
+"""Designs that the command under way has loaded: its refusals name their place in the file."""
+
+
 def _load(design: str) -> Design:
     """Load a design file, or a library drive when no such file exists and the text can be its name."""
     from dqforge.machines import catalogue, loader
     from dqforge.reports.console import status
 
+    from_library = not Path(design).exists() and design in catalogue.names()
     with status("reading the design", after=1.0):
-        if not Path(design).exists() and design in catalogue.names():
-            return catalogue.load(design)
-        return loader.load_design(design)
+        loaded = catalogue.load(design) if from_library else loader.load_design(design)
+    _loaded.set((*_loaded.get(), loaded))
+    return loaded
+
+
+def _locate(error: DqforgeError) -> None:
+    """Give a refusal its place in the design of the command; of two designs their own solutions have done so."""
+    designs = _loaded.get()
+    if len(designs) == 1 and designs[0].places is not None:
+        designs[0].places.locate(error)
 
 
 def _show(tables: Sequence[Table]) -> None:
@@ -153,14 +170,14 @@ def check(design: DesignArgument, json: JsonOption = False) -> None:
 def run(design: DesignArgument, out: OutOption = Path("out"), no_verify: NoVerifyOption = False) -> None:
     """Do everything the design asks for: header, test vectors, verification, report.html and result.json."""
     from dqforge.reports.console import status
-    from dqforge.reports.files import write_all
+    from dqforge.reports.output_folder import RUN, write_output
     from dqforge.reports.run import run_design
     from dqforge.reports.tables import run_tables
 
     loaded = _load(design)
     with status("solving, emitting, compiling and comparing"):
         output = run_design(loaded, verify=not no_verify)
-    paths = write_all(out, output.files)
+    paths = write_output(out, RUN, output.files, loaded)
     _show(run_tables(output.solution, output.verification))
     typer.echo("written: " + " ".join(str(path) for path in paths))
 
@@ -168,12 +185,13 @@ def run(design: DesignArgument, out: OutOption = Path("out"), no_verify: NoVerif
 @app.command()
 def export(design: DesignArgument, out: OutOption = Path("out"), no_verify: NoVerifyOption = False) -> None:
     """Write the header and its test vectors, and verify them."""
-    from dqforge.reports.files import write_all
+    from dqforge.reports.output_folder import RUN, write_output
     from dqforge.reports.run import export_design
     from dqforge.reports.tables import verification_text
 
-    output = export_design(_load(design), verify=not no_verify)
-    paths = write_all(out, output.files)
+    loaded = _load(design)
+    output = export_design(loaded, verify=not no_verify)
+    paths = write_output(out, RUN, output.files, loaded)
     typer.echo(verification_text(output.verification))
     typer.echo("written: " + " ".join(str(path) for path in paths))
 
@@ -186,19 +204,25 @@ def verify(
         typer.Option("--target", metavar="CORE", help="Emulated core, too: cortex-m0plus, -m3, -m4, -m7 or -m33."),
     ] = None,
 ) -> None:
-    """Compile the emitted C as C99 and C++11, run it, and compare every bit with the float32 model."""
-    from dqforge.reports.tables import target_text, verification_text
-    from dqforge.reports.verify import read_folder, verify_folder
-
-    if target is None:
-        typer.echo(verification_text(verify_folder(folder)))
-        return
+    """Compute a folder again from its design and compare every value; compile the C, run it, compare every bit."""
+    from dqforge.reports.console import status
     from dqforge.reports.cross import target_of, verify_on_target
+    from dqforge.reports.recomputation import recompute
+    from dqforge.reports.recomputation_text import recomputation_text
+    from dqforge.reports.tables import target_text, verification_text
+    from dqforge.reports.verify import read_folder, verify_written
 
-    target_of(target)
-    found = read_folder(folder)
-    typer.echo(verification_text(verify_folder(folder)))
-    typer.echo(target_text(verify_on_target(found.files, found.prefix, target)))
+    if target is not None:
+        target_of(target)
+    with status("computing again, compiling and comparing"):
+        lines = [recomputation_text(recompute(folder))]
+        found = read_folder(folder)
+        lines.append(verification_text(verify_written(found)))
+    if target is not None:
+        with status(f"running on {target}"):
+            outcome = verify_on_target(found.files, found.prefix, target, found.programmes)
+        lines.append(target_text(outcome))
+    typer.echo("\n".join(lines))
 
 
 @app.command()
@@ -249,19 +273,22 @@ def mtpa(
         else:
             _show(reply.tables)
         return
-    from dqforge.optimizer.solution import solve_curves
+    from dqforge.optimizer.solution import signed_designs, solve_curves
     from dqforge.reports.result_json import plain_curves
     from dqforge.reports.tables import mtpa_tables
 
-    curves = solve_curves(loaded)
+    positive, negative = signed_designs(loaded)
+    curves = solve_curves(positive)
+    mirrored = None if negative is None else solve_curves(negative)
     if plot is not None:
         from dqforge.reports.figures import plot_mtpa
 
-        _plot(lambda: plot_mtpa(loaded, curves), plot)
+        _plot(lambda: plot_mtpa(positive, curves), plot)
     if json:
-        _print_json("mtpa", loaded.name, {"mtpa": plain_curves(curves)})
+        further = {} if mirrored is None else {"mtpa_negative": plain_curves(mirrored)}
+        _print_json("mtpa", loaded.name, {"mtpa": plain_curves(curves)} | further)
     else:
-        _show(mtpa_tables(loaded, curves))
+        _show(mtpa_tables(loaded, curves, mirrored))
 
 
 @app.command()
@@ -269,34 +296,38 @@ def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = Non
     """Fit the current references and show their errors beside the alternatives."""
     from dqforge.optimizer.certificate import certify
     from dqforge.optimizer.fit_alternatives import alternatives
-    from dqforge.optimizer.solution import current_choice, solve_fit, solve_weakening
+    from dqforge.optimizer.solution import current_choice, signed_designs, solve_fit, solve_negative, solve_weakening
     from dqforge.reports.console import status
-    from dqforge.reports.result_json import plain_fit, plain_weakening_fit
-    from dqforge.reports.tables import fit_tables
+    from dqforge.reports.result_json import plain_fit, plain_negative, plain_weakening_fit
+    from dqforge.reports.tables import fit_tables, negative_tables
     from dqforge.reports.weakening_tables import weakening_tables
 
     loaded = _load_for(design, plot)
     with status("fitting"):
-        chosen = solve_fit(loaded)
+        positive = signed_designs(loaded)[0]
+        chosen = solve_fit(positive)
         found = chosen.fit
-        rows = alternatives(current_choice(loaded), found)
-        proof = certify(current_choice(loaded), found.reference, found.errors)
+        rows = alternatives(current_choice(positive), found)
+        proof = certify(current_choice(positive), found.reference, found.errors)
+        negative = solve_negative(loaded)
         weakening = solve_weakening(loaded)
     if plot is not None:
         from dqforge.reports.figures import plot_fit
 
-        _plot(lambda: plot_fit(loaded, found), plot)
+        _plot(lambda: plot_fit(positive, found), plot)
     if json:
         _print_json(
             "fit",
             loaded.name,
             {
-                "fit": plain_fit(found, rows, chosen.trials, proof),
+                "fit": plain_fit(found, rows, chosen.trials, proof, chosen.data),
+                **plain_negative(negative),
                 "weakening": plain_weakening_fit(weakening),
             },
         )
     else:
-        _show([*fit_tables(loaded, found, rows, chosen.trials, proof), *weakening_tables(weakening)])
+        tables = [*fit_tables(loaded, found, rows, chosen.trials, proof, chosen.data), *negative_tables(negative)]
+        _show([*tables, *weakening_tables(weakening)])
 
 
 @app.command()
@@ -359,7 +390,7 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
 
         if (chart, mission, strategies, modulations, frequencies) != (None,) * 5 or margin != "0 %":
             raise InputError("--choice takes what the section 'modulation_choice' says; leave the other options out")
-        found = answer_choice(loaded, design)
+        found = answer_choice(loaded)
         _plot(found.figure, plot)
         if json:
             _print_json("losses", loaded.name, found.plain)
@@ -380,16 +411,11 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
         return
     if strategies is not None or modulations is not None or frequencies is not None:
         raise InputError("--strategies, --modulations and --frequencies go with --map or --mission; add one of them")
-    from dqforge.optimizer.solution import solve_losses
+    from dqforge.optimizer.solution import require_losses
     from dqforge.reports.result_json import plain_losses
     from dqforge.reports.tables import losses_tables
 
-    comparison = solve_losses(loaded)
-    if comparison is None:
-        raise InputError(
-            "the design asks for no comparison; add a section 'losses' with 'points', or ask with --map or --mission",
-            source=design,
-        )
+    comparison = require_losses(loaded)
     if plot is not None:
         from dqforge.reports.figures import plot_losses
 
@@ -449,14 +475,15 @@ def simulate(
     """Simulate the drive in the time domain, with the emitted controller compiled and in the loop."""
     from dqforge.reports.console import progress
     from dqforge.reports.drive_simulation import require_scenario, simulate_design, simulation_files
-    from dqforge.reports.files import write_all
+    from dqforge.reports.output_folder import SIMULATION, refuse_other_design, write_output
     from dqforge.reports.simulation_tables import plain_simulation, simulation_tables
 
     loaded = _load_for(design, plot, out)
     require_scenario(loaded, switched=switched)
+    refuse_other_design(out, loaded.digest, loaded.export.prefix)
     with progress("simulating") as report:
         found = simulate_design(loaded, switched=switched, progress=report)
-    paths = write_all(out, simulation_files(found))
+    paths = write_output(out, SIMULATION, simulation_files(found), loaded)
     if plot is not None:
         from dqforge.reports.figures_simulation import plot_simulation
 
@@ -529,9 +556,9 @@ def reproduce(
         found = reproduction.reproduce(paper, figures=figures is not None)
     if figures is not None:
         from dqforge.reports.figures import to_svg
-        from dqforge.reports.files import write_all
+        from dqforge.reports.output_folder import FIGURES, write_output
 
-        write_all(figures, {name: to_svg(draw()).encode("utf-8") for name, draw in found.figures.items()})
+        write_output(figures, FIGURES, {name: to_svg(draw()).encode("utf-8") for name, draw in found.figures.items()})
     if json:
         _print_json("reproduce", f"paper {paper}", found.plain)
     else:
@@ -575,29 +602,84 @@ def _usage_line(error: Exception) -> str:
     return f"{message.rstrip('.')}; see '{path} --help'"
 
 
+def _open_streams() -> None:
+    """Give closed standard streams somewhere to write, so that no file that is opened later takes their place."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8"))
+
+
+def _drop_output() -> None:
+    """Send what is left in the buffer of stdout nowhere: the interpreter would try, and fail, once more at its end."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+
+
+def _system_line(error: OSError) -> str:
+    """One line for what the system refused; a stdout that is to blame refuses one character more as well."""
+    reason = error.strerror or str(error)
+    try:
+        sys.stdout.write("\n")
+        sys.stdout.flush()
+    except OSError:
+        return f"standard output cannot be written: {reason}"
+    named = f" {error.filename!r}" if error.filename is not None else ""
+    return f"the system refuses a file{named}: {reason}; is the disk, or the folder that TMPDIR names, full?"
+
+
+def _tell(message: str) -> None:
+    """One line on stderr, if that can still be written."""
+    with suppress(OSError):
+        typer.echo(f"dqforge: {message}", err=True)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; errors become one line on stderr and an exit code, never a traceback."""
     from typer.exceptions import TyperException
 
     from dqforge.machines.errors import DqforgeError
 
+    _open_streams()
     command = typer.main.get_command(app)
+    _loaded.set(())
     given = None if arguments is None else list(arguments)
     try:
-        code = command.main(args=given, prog_name="dqforge", standalone_mode=False)
+        with warnings.catch_warnings():
+            # Numerical trouble ends in a message; what libraries remark on themselves is nobody's business.
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", RuntimeWarning)
+            code = command.main(args=given, prog_name="dqforge", standalone_mode=False)
+        sys.stdout.flush()
     except DqforgeError as error:
-        typer.echo(f"dqforge: {error}", err=True)
+        _locate(error)
+        _tell(str(error))
         code = error.exit_code
     except TyperException as error:
-        typer.echo(f"dqforge: {_usage_line(error)}", err=True)
+        _tell(_usage_line(error))
         code = 2
     except (typer.Abort, KeyboardInterrupt):
-        typer.echo("dqforge: interrupted", err=True)
+        _tell("interrupted")
         code = 130
-    except BrokenPipeError:
-        # The reader of a pipe has left; there is nobody to tell. Closing stderr hushes the interpreter's own remark.
-        sys.stderr.close()
-        code = 0
+    except (BrokenPipeError, SystemExit) as error:
+        if not isinstance(error, BrokenPipeError) and not isinstance(error.__context__, BrokenPipeError):
+            raise
+        code = 0  # the reader of a pipe has left; there is nobody to tell
+        _drop_output()
+    except OSError as error:
+        _tell(_system_line(error))
+        code = 1
+        _drop_output()
+    except (ArithmeticError, RuntimeWarning, ValueError) as error:
+        from dqforge.machines.numerical import refusal_of
+
+        refusal = refusal_of(error)
+        if refusal is None:
+            raise
+        _locate(refusal)
+        _tell(str(refusal))
+        code = refusal.exit_code
     sys.exit(code if isinstance(code, int) else 0)
 
 

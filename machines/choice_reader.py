@@ -9,6 +9,7 @@ from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.schema import ChoiceSection, DesignFile
 from dqforge.machines.settings import ChoiceSettings
+from dqforge.machines.speed_remarks import bare_speed_hint
 from dqforge.machines.synchronous import Machine
 
 _SECTION = "modulation_choice"
@@ -103,7 +104,7 @@ def _speed(section: ChoiceSection, machine: Machine, reading: Reading) -> float:
             raise document.error(message, (_SECTION,), key=True)
         reading.remarks.append(f"{_SECTION}.speed is {format_quantity(most, 'rpm')}: machine.max_speed")
         return most
-    if most is not None and given > most * (1.0 + 1e-9):
+    if section.speed is not None and most is not None and given > most * (1.0 + 1e-9):
         shown = f"{format_quantity(given, 'rpm')} is above machine.max_speed {format_quantity(most, 'rpm')}"
-        raise document.error(f"{_SECTION}.speed: {shown}; correct one of them", (_SECTION, "speed"))
+        raise document.error(f"{_SECTION}.speed: {shown}; {bare_speed_hint(section.speed)}", (_SECTION, "speed"))
     return given

@@ -1,4 +1,4 @@
-"""Data-sheet conventions: what the printed constants mean for a star-connected machine, and whether they agree.
+"""Data-sheet conventions: what the printed constants mean for a machine in star or delta, and whether they agree.
 
 All results are per phase, peak, in SI units (docs/inputs.md). The functions know nothing of files; the errors they
 raise have no position yet.
@@ -7,6 +7,13 @@ With p pole pairs, psi the flux linkage of the magnets (peak of phase) and mecha
 
     phase back-EMF (peak)   e = p omega_m psi
     torque at i_d = 0       T = 3/2 p psi i_q
+
+A delta is converted to the star that acts alike at its terminals: with R', L', psi', i' of a winding
+
+    R = R'/3    L = L'/3    psi = psi'/sqrt(3)    i = sqrt(3) i'
+
+so that R i^2, L i^2, psi i and the torque are the same, and the flux of the winding between the terminals a and b peaks
+30 degrees (electrical) before that of phase a.
 """
 
 from __future__ import annotations
@@ -14,9 +21,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.quantities import format_quantity
+
+Connection = Literal["star", "delta"]
 
 AGREEMENT = 0.05  # relative difference up to which two statements are held to say the same
 POWER_AGREEMENT = 0.10  # name plates round power, torque and speed separately
@@ -34,35 +44,59 @@ _TO_PHASE_PEAK = {
 _FLUX_TO_PEAK = {"peak": 1.0, "rms": _SQRT2, "power-invariant": math.sqrt(2.0 / 3.0)}
 
 
-def phase_resistance(value: float, kind: str) -> float:
-    """Phase resistance in Ohm; between two terminals of a star lie two phases."""
-    return value / 2.0 if kind == "line-to-line" else value
+def phase_resistance(value: float, kind: str, connection: Connection = "star") -> float:
+    """Resistance in Ohm of a phase of the star, or of the star that acts like the delta.
+
+    Between two terminals of either lie two phases of the star; one winding of a delta has three times a phase.
+    """
+    return value / _phases_in(kind, connection)
 
 
-def phase_inductance(value: float, kind: str) -> float:
-    """Phase (synchronous) inductance in H; between two terminals of a star lie two phases."""
-    return value / 2.0 if kind == "line-to-line" else value
+def phase_inductance(value: float, kind: str, connection: Connection = "star") -> float:
+    """Phase (synchronous) inductance in H, converted like a resistance."""
+    return value / _phases_in(kind, connection)
 
 
-def peak_current(value: float, kind: str) -> float:
-    """Peak phase current in A from a peak or r.m.s. value."""
-    return value * _SQRT2 if kind == "rms" else value
+def _phases_in(kind: str, connection: Connection) -> float:
+    """What a resistance or an inductance is divided by."""
+    if kind == "line-to-line":
+        return 2.0
+    return 3.0 if connection == "delta" else 1.0
 
 
-def peak_flux(value: float, kind: str) -> float:
-    """Flux linkage in Wb, peak of phase, from peak, r.m.s. or power-invariant (sqrt(3/2) times the peak)."""
-    return value * _FLUX_TO_PEAK[kind]
+def peak_current(value: float, kind: str, connection: Connection = "star") -> float:
+    """Peak current of a line in A from a peak or r.m.s. value of a line or a winding.
+
+    In a star the two are the same; in a delta a line carries the difference of two windings, sqrt(3) times as much.
+    """
+    peak = value * _SQRT2 if kind.endswith("rms") else value
+    return peak * _SQRT3 if connection == "delta" and kind.startswith("winding") else peak
 
 
-def flux_from_back_emf(constant: float, kind: str, pole_pairs: int) -> float:
-    """Flux linkage in Wb (peak of phase) from a back-EMF constant in V per mechanical rad/s."""
-    return constant * _TO_PHASE_PEAK[kind] / pole_pairs
+def peak_flux(value: float, kind: str, connection: Connection = "star") -> float:
+    """Flux linkage in Wb, peak of phase, from peak, r.m.s. or power-invariant (sqrt(3/2) times the peak).
+
+    That of a winding in delta lies between two terminals and is sqrt(3) times that of a phase of the star.
+    """
+    peak = value * _FLUX_TO_PEAK[kind]
+    return peak / _SQRT3 if connection == "delta" else peak
 
 
-def flux_from_torque_constant(constant: float, kind: str, pole_pairs: int) -> float:
-    """Flux linkage in Wb (peak of phase) from a torque constant in N m per ampere of phase current, peak or r.m.s."""
-    per_peak = constant / _SQRT2 if kind == "rms" else constant
-    return per_peak / (1.5 * pole_pairs)
+def flux_from_back_emf(constant: float, kind: str, pole_pairs: int, connection: Connection = "star") -> float:
+    """Flux linkage in Wb (peak of phase) from a back-EMF constant in V per mechanical rad/s.
+
+    The voltage of a phase in delta is the one between two terminals.
+    """
+    of_terminals = kind.replace("phase", "line-to-line") if connection == "delta" else kind
+    return constant * _TO_PHASE_PEAK[of_terminals] / pole_pairs
+
+
+def flux_from_torque_constant(constant: float, kind: str, pole_pairs: int, connection: Connection = "star") -> float:
+    """Flux linkage in Wb (peak of phase) from a torque constant in N m per ampere, peak or r.m.s., of line or winding.
+
+    One ampere of the kind is a peak current of the line of `peak_current`.
+    """
+    return constant / peak_current(1.0, kind, connection) / (1.5 * pole_pairs)
 
 
 @dataclass(frozen=True, slots=True)

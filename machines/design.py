@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from dqforge.machines.flux_evidence import FluxEvidence
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
 from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.places import Places
 from dqforge.machines.scenario import Scenario
 from dqforge.machines.settings import (
     ChoiceSettings,
@@ -41,6 +43,14 @@ class InputValue:
 
 
 @dataclass(frozen=True, slots=True)
+class DesignFiles:
+    """What a design was read from: the bytes of its file, and those of each file that it names, by that name."""
+
+    text: bytes
+    named: tuple[tuple[str, bytes], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Design:
     """Everything one design file says, in SI units.
 
@@ -50,7 +60,11 @@ class Design:
     ``digest`` is the SHA-256 of the file's bytes in hexadecimal. ``weakening`` asks for two-dimensional references,
     ``modulation_choice`` for a choice of modulator and switching frequency.
     ``winding`` says how warm the losses make the winding, None where its temperature is given. ``simulation`` asks for
-    a simulation in the time domain.
+    a simulation in the time domain. ``given`` is what it was read from, None where it was made in Python.
+    ``flux_evidence`` is what was found about each file of a flux map. ``halves`` are
+    the machines that the current references of positive and of negative torque are made for, the second one mirrored in
+    i_q and in the torque; None where one machine serves both. ``places`` says
+    where its keys stand in its file, None for designs made by hand; it is no part of what makes two designs equal.
     """
 
     name: str
@@ -72,6 +86,10 @@ class Design:
     winding: WindingHeat | None = None
     simulation: Scenario | None = None
     modulation_choice: ChoiceSettings | None = None
+    given: DesignFiles | None = None
+    flux_evidence: tuple[FluxEvidence, ...] = ()
+    halves: tuple[Machine, Machine] | None = None
+    places: Places | None = field(default=None, compare=False, repr=False)
 
     @property
     def strategy(self) -> Strategy:

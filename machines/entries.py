@@ -54,7 +54,8 @@ class Quantity:
     """An entry as it was read: `si` in `unit`, the `text` of the file, and where it comes from.
 
     `kind` is the convention (``line-to-line``), `kind_given` whether the file names it, `inverted` whether the file
-    has the reciprocal.
+    has the reciprocal. `dimension` is the key of its dimension, `bare` says that the file has no unit, and `remark`
+    what a unit was taken for that leaves it open.
     """
 
     si: float
@@ -66,6 +67,9 @@ class Quantity:
     source: str = ""
     inferred: bool = False
     note: str = ""
+    dimension: str = ""
+    bare: bool = False
+    remark: str = ""
 
 
 class Rule(ABC):
@@ -137,7 +141,18 @@ class QuantityRule(Rule):
         kind = self._kind(entry)
         source, inferred, note = _origin(entry)
         return Quantity(
-            reading.si, wanted.unit, reading.text, kind, "kind" in entry, reading.inverted, source, inferred, note
+            reading.si,
+            wanted.unit,
+            reading.text,
+            kind,
+            "kind" in entry,
+            reading.inverted,
+            source,
+            inferred,
+            note,
+            self.dimension,
+            reading.bare,
+            reading.remark,
         )
 
     def _check_keys(self, entry: dict[str, object]) -> None:

@@ -6,6 +6,7 @@ import re
 import unicodedata
 
 from dqforge.machines.entries import EntryError
+from dqforge.machines.header_names import taken_header
 from dqforge.machines.quantities import shown
 
 MAX_PREFIX = 31  # C99 guarantees no more significant characters of an external name
@@ -24,13 +25,22 @@ static_cast synchronized template this throw try typeid typename using virtual w
 KEYWORDS = frozenset(_C_KEYWORDS.split()) | frozenset(_CPP_KEYWORDS.split())
 
 
+def _free(prefix: str) -> str:
+    """Prefix like the one that is taken, whose files shadow nothing."""
+    for candidate in (f"{prefix[: MAX_PREFIX - 1]}1", f"my_{prefix}"[:MAX_PREFIX].rstrip("_")):
+        if not taken_header(candidate):
+            return candidate
+    return "motor1"
+
+
 def check_prefix(prefix: str) -> str:
     """Prefix of all names in the generated code, unchanged.
 
     Raises
     ------
     EntryError
-        The prefix is no identifier in C and C++, or reserved there.
+        The prefix is no identifier in C and C++, or reserved there, or a header of its name would shadow one of the
+        standard library or of a vendor.
     """
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", prefix, re.ASCII):
         # Letters with accents keep their base letter: Motör becomes Motor.
@@ -47,4 +57,6 @@ def check_prefix(prefix: str) -> str:
         raise EntryError(f"the prefix has {len(prefix)} characters; write at most {MAX_PREFIX}")
     if prefix in KEYWORDS:
         raise EntryError(f"{shown(prefix)} is a word of C or C++; write e.g. {prefix}1")
+    if taken := taken_header(prefix):
+        raise EntryError(f"{shown(prefix)} would write a file that shadows {taken}; write e.g. {_free(prefix)}")
     return prefix

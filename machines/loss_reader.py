@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dqforge.machines import datasheet
 from dqforge.machines.checks import si_of
 from dqforge.machines.machine_budget import COPPER_COEFFICIENT, WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
@@ -35,14 +34,14 @@ def read_machine_loss(section: MachineSection, reading: Reading) -> MachineLoss:
         )
     return MachineLoss.measured(
         frequency=iron.frequency.si if iron else 0.0,
-        flux=datasheet.peak_flux(iron.flux.si, iron.flux.kind or "peak") if iron else 0.0,
+        flux=reading.phase_flux(iron.flux, "machine.iron_loss.flux") if iron else 0.0,
         hysteresis=(si_of(iron.hysteresis) or 0.0) if iron else 0.0,
         eddy=(si_of(iron.eddy) or 0.0) if iron else 0.0,
         resistance_ratio=resistance.ratio.si if resistance else 1.0,
         resistance_frequency=resistance.frequency.si if resistance else 1.0,
         magnet=magnet.loss.si if magnet else 0.0,
         magnet_frequency=magnet.frequency.si if magnet else 1.0,
-        magnet_current=reading.peak(magnet.current, "machine.magnet_loss.current") if magnet else 1.0,
+        magnet_current=reading.machine_peak(magnet.current, ("machine", "magnet_loss", "current")) if magnet else 1.0,
     )
 
 
@@ -87,15 +86,12 @@ def read_losses(sections: DesignFile, machine: Machine, reading: Reading) -> Los
         points=tuple(LoadPoint(torque=point.torque.si, omega_m=point.speed.si) for point in section.points),
         strategies=section.strategies,
         modulations=section.modulations,
-        mission=None if section.mission is None else _mission(section.mission, sections, machine, reading),
+        mission=None if section.mission is None else _mission(section.mission, machine, reading),
     )
 
 
-def _mission(name: str, sections: DesignFile, machine: Machine, reading: Reading) -> Mission:
+def _mission(name: str, machine: Machine, reading: Reading) -> Mission:
     path = ("losses", "mission")
-    if sections.inverter.device is None:
-        message = "losses.mission needs the switch; write the section inverter.device"
-        raise reading.document.error(message, path, key=True)
     content = reading.read_beside(name, path, MOST_BYTES)
     found = read_mission(content, name, omega_max=machine.omega_m_max)
     reading.remarks.extend(f"losses.mission: {sentence}" for sentence in found.findings)

@@ -9,13 +9,15 @@ from typing import Any
 from dqforge.machines import datasheet
 from dqforge.machines.checks import si_of
 from dqforge.machines.datasheet import FluxStatement
+from dqforge.machines.delta import check_connection
 from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import DqforgeError
-from dqforge.machines.flux_map import FluxMap, SaturatedMachine
-from dqforge.machines.flux_map_reader import read_flux_map
+from dqforge.machines.flux_map import FluxMap, SaturatedMachine, mirrored
+from dqforge.machines.flux_map_reader import FluxMaps, read_flux_maps
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machine_reader import read_phase_machine
+from dqforge.machines.places import about
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.saturation import SaturationModel
@@ -47,10 +49,14 @@ _OWN: dict[str, MachineModel] = {
 
 @dataclass(frozen=True, slots=True)
 class MachineReading:
-    """The machine in dq coordinates; ``phases`` holds its back-EMF where that is not sinusoidal."""
+    """The machine in dq coordinates; ``phases`` holds its back-EMF where that is not sinusoidal.
+
+    ``halves`` as in `Design`.
+    """
 
     machine: Machine
     phases: PhaseMachine | None = None
+    halves: tuple[Machine, Machine] | None = None
 
 
 def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
@@ -62,6 +68,8 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
         Keys are missing or belong to another model, constants contradict each other, or a flux map is not sound.
     """
     _check_model(section, reading)
+    reading.connection = section.connection
+    check_connection(section, reading)
     counts = [None if q is None else int(q.si) for q in (section.pole_pairs, section.poles)]
     with reading.document.at(("machine", "poles") if section.poles else ("machine",), key=section.poles is None):
         pole_pairs = datasheet.check_pole_counts(*counts)
@@ -70,13 +78,13 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
     common: Mapping[str, Any] = {
         "pole_pairs": pole_pairs,
         "r_s": _resistance(section, reading),
-        "i_max": reading.peak(section.max_current, "machine.max_current"),
+        "i_max": reading.machine_peak(section.max_current, ("machine", "max_current")),
         "inertia": si_of(section.inertia),
         "friction": si_of(section.friction) or 0.0,
         "omega_m_max": si_of(section.max_speed),
     }
     if section.rated.current is not None:
-        reading.peak(section.rated.current, "machine.rated.current")
+        reading.machine_peak(section.rated.current, ("machine", "rated", "current"))
     if section.back_emf is not None:
         phases = read_phase_machine(section, common, reading)
         inductance = phases.l_s - phases.m_s
@@ -92,14 +100,18 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
     _refuse_magnet_coefficient(section, reading)
     if section.saturation is not None:
         _refuse_constants(section, reading)
-        flux_map = _saturation_map(section.saturation, common["i_max"], reading)
+        maps = FluxMaps(_saturation_map(section.saturation, common["i_max"], reading))
     else:
         known = any((section.magnet_flux, section.back_emf_constant, section.torque_constant))
         expected = _magnet_flux(section, pole_pairs, reading) if known else None
-        flux_map = read_flux_map(section, pole_pairs, reading, expected)
-    machine = SaturatedMachine(flux_map=flux_map, **common)
+        maps = read_flux_maps(section, pole_pairs, reading, expected, common["i_max"])
+    machine = SaturatedMachine(flux_map=maps.symmetric, **common)
     _check_range(machine, reading)
-    return MachineReading(machine)
+    if section.flux_map is None or section.flux_map.symmetry != "keep" or maps.whole is None:
+        return MachineReading(machine)
+    both = (maps.whole, mirrored(maps.whole))
+    positive, negative = (SaturatedMachine(flux_map=half, **common) for half in both)
+    return MachineReading(machine, halves=(positive, negative))
 
 
 def _check_model(section: MachineSection, reading: Reading) -> None:
@@ -188,6 +200,7 @@ def _refuse_constants(section: MachineSection, reading: Reading) -> None:
             raise reading.document.error(message, ("machine", key), key=True)
 
 
+@about("machine.saturation")
 def _saturation_map(section: SaturationSection, i_max: float, reading: Reading) -> FluxMap:
     bridge = section.bridge
     try:
@@ -217,6 +230,7 @@ def _check_range(machine: SaturatedMachine, reading: Reading) -> None:
     flux_map, i_max = machine.flux_map, machine.i_max
     reach = min(max(-float(flux_map.i_d[0]), float(flux_map.i_d[-1])), float(flux_map.i_q[-1]))
     if i_max <= reach * (1.0 + 1e-6):
+        _remark_on_the_region(machine, reading)
         return
     if flux_map.extrapolate:
         reading.remarks.append(
@@ -229,6 +243,25 @@ def _check_range(machine: SaturatedMachine, reading: Reading) -> None:
         f"{format_quantity(reach, 'A')}; lower it, or write flux_map: extrapolate: true",
         ("machine", "max_current"),
     )
+
+
+def _remark_on_the_region(machine: SaturatedMachine, reading: Reading) -> None:
+    """Say where the data end within the current limit, and what that means for the currents that are chosen."""
+    flux_map, i_max = machine.flux_map, machine.i_max
+    region = flux_map.region
+    if region.covers(i_max):
+        return
+    if flux_map.hull is None:
+        where = f"covers i_d from {flux_map.i_d[0]:.4g} to {flux_map.i_d[-1]:.4g} A (peak)"
+    else:
+        nearest = max(region.reach, 0.0)
+        where = f"covers a region that ends {format_quantity(nearest, 'A')} (peak) from zero current at its nearest"
+    meant = (
+        "results beyond are extrapolated along its tangents (extrapolate: true)"
+        if flux_map.extrapolate
+        else "operating points stay inside and say where they are held by the data"
+    )
+    reading.remarks.append(f"the flux map {where}, the current limit is {format_quantity(i_max, 'A')}: {meant}")
 
 
 def _magnet_flux(section: MachineSection, pole_pairs: int, reading: Reading) -> float:
@@ -257,18 +290,18 @@ def _flux_statements(section: MachineSection, pole_pairs: int, reading: Reading)
     """What each given key says about the flux linkage, in order of trust."""
     statements = []
     if (flux := section.magnet_flux) is not None:
-        psi_pm = datasheet.peak_flux(flux.si, flux.kind or "peak")
+        psi_pm = reading.phase_flux(flux, "machine.magnet_flux")
         statements.append(FluxStatement("magnet_flux", _said(flux), psi_pm, counts_poles=False))
-        if flux.kind != "peak":
-            reading.converted["machine.magnet_flux"] = (psi_pm, f"peak of phase from the {flux.kind} value")
     if (emf := section.back_emf_constant) is not None:
-        psi_pm = datasheet.flux_from_back_emf(emf.si, emf.kind or "", pole_pairs)
+        psi_pm = datasheet.flux_from_back_emf(emf.si, emf.kind or "", pole_pairs, section.connection)
         statements.append(FluxStatement("back_emf_constant", _said(emf), psi_pm, counts_poles=True))
         inverted = "reciprocal of the speed per volt; " if emf.inverted else ""
         implied = f"{inverted}implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
         reading.converted["machine.back_emf_constant"] = (emf.si, implied)
     if (constant := section.torque_constant) is not None:
-        psi_pm = datasheet.flux_from_torque_constant(constant.si, constant.kind or "", pole_pairs)
+        reading.check_current_kind(constant, ("machine", "torque_constant"))
+        kind = constant.kind or ""
+        psi_pm = datasheet.flux_from_torque_constant(constant.si, kind, pole_pairs, section.connection)
         statements.append(FluxStatement("torque_constant", _said(constant), psi_pm, counts_poles=True))
         implied = f"implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
         reading.converted["machine.torque_constant"] = (constant.si, implied)

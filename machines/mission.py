@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.quantities import parse_quantity
+from dqforge.machines.quantities import Reading, read_quantity
 from dqforge.machines.synchronous import FloatArray
 from dqforge.machines.text_table import TextTable, read_table
 
@@ -24,7 +24,7 @@ _SI = {"time": "s", "speed": "rad/s", "torque": "N m"}
 _PER_MINUTE = re.compile(
     r"(?:1|u|r|rev|umdr\.?)\s*/\s*min|min\s*(?:\^|\*\*)?\s*[-\N{MINUS SIGN}]\s*1|min⁻¹", re.IGNORECASE
 )
-"""Revolutions per minute as drives people write them; as a bare unit "1/min" would be taken for rad/min."""
+"""Revolutions per minute as drives people write them, beyond the vocabulary of units."""
 
 _MOST_ROWS = 200_000
 MOST_BYTES = 50_000_000
@@ -111,12 +111,15 @@ def _head_line(table: TextTable) -> int:
     return max(int(table.lines[0]) - 1, 1)
 
 
+def _unit(kind: str, unit: str) -> Reading:
+    """One of a unit as a quantity; raises where it is none of this kind."""
+    return read_quantity("1 rpm" if kind == "speed" and _PER_MINUTE.fullmatch(unit.strip()) else f"1 {unit}", kind)
+
+
 def _factor(kind: str, unit: str) -> float | None:
     """SI value of one of a unit, None where it is none of this quantity."""
-    if kind == "speed" and _PER_MINUTE.fullmatch(unit.strip()):
-        unit = "rpm"
     try:
-        return parse_quantity(f"1 {unit}", kind)
+        return _unit(kind, unit).si
     except InputError:
         return None
 
@@ -139,6 +142,8 @@ def _column(table: TextTable, kind: str, column: int, findings: list[str]) -> Fl
         message = f"unit '{unit}' of column '{table.names[column]}' is none of a {kind}; write {_SI[kind]}"
         message += " or rpm" if kind == "speed" else ""
         raise InputError(message, source=table.source, line=_head_line(table))
+    remark = _unit(kind, unit).remark
+    findings.extend([f"{kind}: {remark}"] if remark else [])
     return values * factor
 
 
@@ -181,5 +186,7 @@ def read_mission(content: bytes, source: str, *, omega_max: float | None = None)
         if fast.size:
             k, rpm = int(fast[0]), 9.549296585513721
             message = f"speed {omega_m[k] * rpm:.5g} rpm is above machine.max_speed {omega_max * rpm:.5g} rpm"
-            raise InputError(f"{message}; correct one of them", source=source, line=int(table.lines[k]))
+            bare = not table.units[columns["speed"]] and abs(omega_m[k]) > 3.0 * omega_max
+            hint = "the column has no unit and is taken as rad/s, write speed [rpm]" if bare else "correct one of them"
+            raise InputError(f"{message}; {hint}", source=source, line=int(table.lines[k]))
     return Mission(time, torque[:-1], omega_m[:-1], table.lines[:-1], source, tuple(findings))

@@ -11,11 +11,11 @@ from dqforge.machines import datasheet
 from dqforge.machines.checks import si_of
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.places import KeyPath
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.schema_machine import BackEmfSection, HarmonicSection, MachineSection
 from dqforge.machines.synchronous import FloatArray
-from dqforge.machines.yaml_source import KeyPath
 
 _PATH: KeyPath = ("machine", "back_emf")
 

@@ -6,14 +6,17 @@ from collections.abc import Iterator, Mapping
 
 from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
+from dqforge.machines.places import KeyPath, dotted
+from dqforge.machines.quantities import format_quantity
 from dqforge.machines.schema import DesignFile
 from dqforge.machines.schema_entries import Section
-from dqforge.machines.yaml_source import KeyPath, dotted
+from dqforge.machines.two_sided import Between
 
 _ALTERNATIVE = {
     "phase": "write kind: line-to-line if it was measured between two terminals",
     "peak": "write kind: rms if it is an r.m.s. value",
 }
+_SHOWN = {"speed": "rpm"}
 _WHAT = {"phase": "a phase value", "peak": "a peak value"}
 
 
@@ -26,6 +29,8 @@ def quantities(section: Section, path: KeyPath = ()) -> Iterator[tuple[KeyPath, 
             inner = (*path, name) if index is None else (*path, name, index)
             if isinstance(part, Quantity):
                 yield inner, part
+            elif isinstance(part, Between):
+                yield from (((*inner, "from"), part.low), ((*inner, "to"), part.high))
             elif isinstance(part, Section):
                 yield from quantities(part, inner)
 
@@ -57,6 +62,9 @@ def kind_assumptions(sections: DesignFile) -> tuple[str, ...]:
     sentences = []
     for parts, quantity in quantities(sections):
         path = dotted(parts)
+        if quantity.remark:
+            used = f", {format_quantity(quantity.si, _SHOWN.get(quantity.dimension, quantity.unit))}"
+            sentences.append(f"{path}: {quantity.remark}{used}")
         if quantity.kind is not None and not quantity.kind_given and quantity.si != 0.0:
             what, otherwise = _WHAT[quantity.kind], _ALTERNATIVE[quantity.kind]
             sentences.append(f"{path} is taken as {what}; {otherwise}")

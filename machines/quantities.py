@@ -6,68 +6,45 @@ grammar, and every symbol a fixed vocabulary, before the unit library sees any o
 
 from __future__ import annotations
 
-import difflib
-import importlib
 import math
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
-from decimal import Decimal
-from functools import cache
-from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.unit_expressions import parse_unit
+from dqforge.machines.unit_meaning import convert
 from dqforge.machines.units import COMPOUNDS, DIMENSIONS, SYMBOLS, Dimension
+from dqforge.machines.wording import close_matches, shown
 
-if TYPE_CHECKING:
-    from pint import UnitRegistry
-
-    Registry = UnitRegistry[float]
+__all__ = [
+    "Reading",
+    "close_matches",
+    "format_quantity",
+    "parse_option",
+    "parse_quantity",
+    "read_quantity",
+    "shown",
+]
 
 MAX_LENGTH = 60
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 _COMMA = re.compile(r"[+-]?[0-9]+(?:[.,][0-9]+)*,[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?")
-_TOKEN = re.compile(
-    r"\s*(?:(?P<symbol>°C|[A-Za-zµμΩ\N{OHM SIGN}]+|[°%])(?P<glued>[2-4]?(?![0-9]))"
-    r"|(?P<exponent>(?:\^|\*\*)\s*[+-]?[1-4](?![0-9])|[²³])"
-    r"|(?P<one>1)(?![0-9])"
-    r"|(?P<operator>[*·⋅/()]))"
-)
-_SUPERSCRIPTS = {"²": 2, "³": 3}
-
-Powers = dict[str, int]
+_DASHES = str.maketrans(dict.fromkeys("\N{MINUS SIGN}\N{EN DASH}\N{HYPHEN}\N{NON-BREAKING HYPHEN}", "-"))
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
     """A quantity as it was read: `si` in the dimension's unit, and how it came about.
 
-    `bare` says that the text had no unit, `inverted` that the reciprocal was given ("190 rpm/V").
+    `bare` says that the text had no unit, `inverted` that the reciprocal was given ("190 rpm/V"), and `remark` what a
+    unit was taken for that leaves it open ("0.04 V/Hz").
     """
 
     si: float
     text: str
     bare: bool = False
     inverted: bool = False
-
-
-def shown(value: object) -> str:
-    """Text of an input value for an error message: quoted, one line, printable, at most 40 characters."""
-    text = str(value)
-    text = text if len(text) <= 40 else text[:37] + "..."
-    return "'" + "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text) + "'"
-
-
-def close_matches(word: str, candidates: Iterable[str], limit: int = 2) -> list[str]:
-    """Candidates that `word` may have been meant to be, best first.
-
-    A candidate that differs in upper and lower case alone leaves no doubt, and is then the only one.
-    """
-    known = list(candidates)
-    folded = [c for c in known if c.casefold() == word.casefold()]
-    if folded:
-        return [max(folded, key=lambda c: sum(a == b for a, b in zip(c, word, strict=False)))]
-    return difflib.get_close_matches(word, known, n=limit, cutoff=0.6)
+    remark: str = ""
 
 
 def parse_quantity(value: str | float, dimension: str) -> float:
@@ -91,17 +68,25 @@ def parse_quantity(value: str | float, dimension: str) -> float:
 def parse_option(text: str | None, dimension: str, option: str) -> float | None:
     """SI value of an option of the command line, None where it was not given.
 
+    A speed needs its unit there: what is typed in haste is rpm more often than rad/s.
+
     Raises
     ------
     InputError
-        The text is no quantity of the dimension; names the option.
+        The text is no quantity of the dimension, or a speed without a unit; names the option.
     """
     if text is None:
         return None
     try:
-        return parse_quantity(text, dimension)
+        found = read_quantity(text, dimension)
     except InputError as error:
         raise InputError(f"{option}: {error.message}") from None
+    if dimension == "speed" and found.bare:
+        raise InputError(
+            f"{option}: {shown(text)} has no unit; write '{found.text} rpm', or '{found.text} rad/s' "
+            f"({format_quantity(found.si, 'rpm')})"
+        )
+    return found.si
 
 
 def read_quantity(value: str | float, dimension: str) -> Reading:
@@ -109,13 +94,12 @@ def read_quantity(value: str | float, dimension: str) -> Reading:
     wanted = DIMENSIONS[dimension]
     if not isinstance(value, str):
         return Reading(_finite(value, wanted), str(value), bare=True)
-    text = value.strip().replace("\N{MINUS SIGN}", "-")
+    text = value.strip().translate(_DASHES)
     number, unit = _split(text, wanted)
     if not unit:
         return Reading(number, text, bare=True)
-    powers = _parse_unit(unit, wanted)
-    si, inverted = _convert(number, powers, wanted, text)
-    return Reading(_finite(si, wanted), text, inverted=inverted)
+    found = convert(number, parse_unit(unit, wanted), wanted, text)
+    return Reading(_finite(found.si, wanted), text, inverted=found.inverted, remark=found.remark)
 
 
 def _finite(number: float, wanted: Dimension) -> float:
@@ -160,158 +144,6 @@ def _refuse_comma(text: str) -> None:
         plain = number.replace(",", "") + rest
         raise InputError(f"{shown(text)} has a comma; write {plain}, or {decimal} if it is a decimal comma")
     raise InputError(f"{shown(text)} has a decimal comma; write {decimal}")
-
-
-def _parse_unit(unit: str, wanted: Dimension) -> Powers:
-    """Powers of the unit library's names in a unit expression such as ``N m/(A s)``."""
-    tokens: list[tuple[str, str]] = []
-    position = 0
-    while position < len(unit):
-        match = _TOKEN.match(unit, position)
-        if match is None or match.lastgroup is None:
-            raise InputError(
-                f"{shown(unit)} is not a unit ({shown(unit[position:].strip())} is not understood); "
-                f"expected {wanted.name} such as '{wanted.example}'"
-            )
-        if match["symbol"]:
-            tokens.append(("symbol", match["symbol"]))
-            if match["glued"]:
-                tokens.append(("exponent", match["glued"]))
-        else:
-            tokens.append((match.lastgroup, match.group().strip()))
-        position = match.end()
-    powers, used = _product(tokens, 0, unit, wanted)
-    if used != len(tokens):
-        raise InputError(f"the unit {shown(unit)} has a ')' without its '('")
-    return powers
-
-
-def _product(tokens: list[tuple[str, str]], start: int, unit: str, wanted: Dimension) -> tuple[Powers, int]:
-    """Powers of a product of factors from token `start` on, and the index of the first token behind it."""
-    total: Powers = {}
-    index, sign, divided = start, 1, False
-    expect_factor = True
-    while index < len(tokens) and tokens[index][1] != ")":
-        token = tokens[index][1]
-        if token in ("*", "·", "⋅", "/"):
-            if expect_factor or (divided and token != "/"):
-                raise InputError(_unit_trouble(unit, divided=divided and not expect_factor))
-            sign, divided, expect_factor = (-1, True, True) if token == "/" else (1, divided, True)
-            index += 1
-            continue
-        if divided and not expect_factor:
-            raise InputError(_unit_trouble(unit, divided=True))
-        factor, index = _factor(tokens, index, unit, wanted)
-        for name, power in factor.items():
-            total[name] = total.get(name, 0) + sign * power
-        sign, expect_factor = 1, False
-    if expect_factor:
-        raise InputError(_unit_trouble(unit, divided=False))
-    return {name: power for name, power in total.items() if power}, index
-
-
-def _unit_trouble(unit: str, *, divided: bool) -> str:
-    if divided:
-        head, _, tail = unit.partition("/")
-        tail = " ".join(re.split(r"[\s*·⋅]+", tail.strip()))
-        return f"the unit {shown(unit)} can be read in two ways; write {head}/({tail}) with parentheses"
-    return f"the unit {shown(unit)} is not complete; write it like N m/(A s)"
-
-
-def _factor(tokens: list[tuple[str, str]], index: int, unit: str, wanted: Dimension) -> tuple[Powers, int]:
-    """Powers of one symbol or parenthesis with its exponent, and the index of the first token behind it."""
-    group, token = tokens[index]
-    index += 1
-    if token == "(":
-        base, index = _product(tokens, index, unit, wanted)
-        if index == len(tokens):
-            raise InputError(f"the unit {shown(unit)} has a '(' without its ')'")
-        index += 1
-        last = list(base)
-    elif group == "symbol":
-        names = _names(token, wanted)
-        base, last = dict.fromkeys(names, 1), [names[-1]]
-    elif group == "one":
-        base, last = {}, []
-    else:
-        raise InputError(_unit_trouble(unit, divided=False))
-    if index < len(tokens) and tokens[index][0] == "exponent":
-        text = tokens[index][1]
-        exponent = _SUPERSCRIPTS.get(text) or int(text.lstrip("^*"))
-        base |= {name: base[name] * exponent for name in last}
-        index += 1
-    return base, index
-
-
-def _names(symbol: str, wanted: Dimension) -> tuple[str, ...]:
-    if symbol in SYMBOLS:
-        return (SYMBOLS[symbol],)
-    if symbol in COMPOUNDS:
-        return COMPOUNDS[symbol]
-    # Suggestions that give the wanted dimension come first.
-    matches = close_matches(symbol, [*SYMBOLS, *COMPOUNDS], limit=8)
-    fitting = [m for m in matches if m in SYMBOLS and _has_dimension({SYMBOLS[m]: 1}, wanted)]
-    found = (fitting or matches)[:2]
-    hint = f"did you mean {' or '.join(repr(m) for m in found)}?" if found else f"write e.g. '{wanted.example}'"
-    raise InputError(f"unknown unit {shown(symbol)}, expected {wanted.name} such as '{wanted.example}'; {hint}")
-
-
-@cache
-def _registry() -> Registry:
-    """Build the unit library's registry on first use, because that takes a third of a second."""
-    registry: Registry = importlib.import_module("pint").UnitRegistry()
-    registry.define("krpm = 1000 * revolutions_per_minute")
-    return registry
-
-
-def _in_library(powers: Powers) -> Powers:
-    """Powers with differences of temperature in kelvin: only a lone degC is a point on a scale."""
-    if powers == {"degree_Celsius": 1} or "degree_Celsius" not in powers:
-        return powers
-    rest = {name: power for name, power in powers.items() if name != "degree_Celsius"}
-    power = powers["degree_Celsius"] + rest.pop("kelvin", 0)
-    return rest | ({"kelvin": power} if power else {})
-
-
-def _has_dimension(powers: Powers, dimension: Dimension) -> bool:
-    registry = _registry()
-    unit = registry.Unit(registry.UnitsContainer(_in_library(powers)))
-    return bool(unit.dimensionality == registry.Unit(dimension.base).dimensionality)
-
-
-def _convert(number: float, powers: Powers, wanted: Dimension, text: str) -> tuple[float, bool]:
-    """Value in the wanted unit, and whether the reciprocal was given."""
-    if _has_dimension(powers, wanted):
-        if not wanted.forbidden.isdisjoint(powers):
-            raise InputError(f"expected {wanted.name} such as '{wanted.example}', got {shown(text)}; {wanted.reason}")
-        # "hertz" alone counts cycles, "1/s" does not: the unit library takes both for the same.
-        cycles = 2.0 * math.pi if wanted.cycles and any("hertz" in name for name in powers) else 1.0
-        return cycles * _scaled(number, powers, wanted), False
-    reciprocal = {name: -power for name, power in powers.items()}
-    if wanted.reciprocal and number != 0.0 and _has_dimension(reciprocal, wanted):
-        return _convert(1.0 / number, reciprocal, wanted, text)[0], True
-    raise InputError(
-        f"expected {wanted.name} such as '{wanted.example}', got {shown(text)}{_what_it_is(powers, wanted)}"
-    )
-
-
-def _scaled(number: float, powers: Powers, wanted: Dimension) -> float:
-    """Value in the wanted unit; decimal prefixes give the float that the digits would give ("36 mH" is 0.036)."""
-    registry = _registry()
-    unit = registry.Unit(registry.UnitsContainer(_in_library(powers)))
-    if powers != {"degree_Celsius": 1} and wanted.base != "degree_Celsius":
-        factor = float(registry.Quantity(1.0, unit).to(wanted.base).magnitude)
-        exponent = round(math.log10(factor))
-        if math.isclose(factor, 10.0**exponent, rel_tol=1e-12):
-            return float(Decimal(repr(number)).scaleb(exponent))
-    return float(registry.Quantity(number, unit).to(wanted.base).magnitude)
-
-
-def _what_it_is(powers: Powers, wanted: Dimension) -> str:
-    for dimension in DIMENSIONS.values():
-        if dimension is not wanted and dimension.forbidden.isdisjoint(powers) and _has_dimension(powers, dimension):
-            return f" which is {dimension.name}"
-    return ""
 
 
 # Units for people that are not the program's own: value in SI times this.

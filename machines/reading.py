@@ -7,11 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from dqforge.machines import datasheet
-from dqforge.machines.design import InputValue
+from dqforge.machines.datasheet import Connection
+from dqforge.machines.design import DesignFiles, InputValue
 from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import InputError
+from dqforge.machines.flux_evidence import FluxEvidence
 from dqforge.machines.input_files import read_regular_file
-from dqforge.machines.yaml_source import KeyPath, YamlDocument
+from dqforge.machines.places import KeyPath, dotted
+from dqforge.machines.yaml_source import YamlDocument
 
 MAX_FILE_BYTES = 256_000_000
 
@@ -30,7 +33,9 @@ class Reading:
         Where the files lie that it names, or None where it may name none.
 
     ``converted`` holds for paths of converted values what is used and what was done, ``derived`` values that follow
-    from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names.
+    from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names,
+    ``names`` the names of these, ``flux_evidence`` what was found about its flux maps. ``connection`` is that of the
+    machine's windings.
     """
 
     document: YamlDocument
@@ -40,6 +45,13 @@ class Reading:
     derived: list[InputValue] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     files: list[bytes] = field(default_factory=list)
+    flux_evidence: list[FluxEvidence] = field(default_factory=list)
+    connection: Connection = "star"
+    names: list[str] = field(default_factory=list)
+
+    def given(self) -> DesignFiles:
+        """Everything that was read, from which the same design can be read again."""
+        return DesignFiles(self.text, tuple(dict(zip(self.names, self.files, strict=True)).items()))
 
     def digest(self) -> str:
         """SHA-256 of the design file, or of its bytes and the digests of the files that it names, in their order."""
@@ -55,11 +67,54 @@ class Reading:
             self.converted[path] = (value, "r.m.s. value times sqrt(2)")
         return value
 
+    def machine_peak(self, quantity: Quantity, path: KeyPath) -> float:
+        """Peak current of a line from a current of the machine, with a note when it was converted.
+
+        Raises
+        ------
+        InputError
+            The machine is in delta, and the kind leaves open whether a line or a winding is meant.
+        """
+        kind, name = quantity.kind or "peak", dotted(path)
+        self.check_current_kind(quantity, path)
+        value = datasheet.peak_current(quantity.si, kind, self.connection)
+        parts = ["r.m.s. value times sqrt(2)"] if kind.endswith("rms") else []
+        if self.connection == "delta" and kind.startswith("winding"):
+            parts.append("current of a winding times sqrt(3) is that of a line")
+        if parts:
+            self.converted[name] = (value, "; ".join(parts))
+        return value
+
+    def check_current_kind(self, quantity: Quantity, path: KeyPath) -> None:
+        """Refuse a kind of current that a delta leaves open; raises `InputError`."""
+        kind = quantity.kind or "peak"
+        if self.connection == "delta" and " " not in kind:
+            raise self.document.error(
+                f"{dotted(path)}: in a delta the current of a line is sqrt(3) times that of a winding; write "
+                f"{{value: {quantity.text}, kind: line {kind}}} or kind: winding {kind}",
+                path,
+            )
+
     def per_phase(self, quantity: Quantity, path: str) -> float:
         """Phase value of a resistance or inductance, with a note when it was converted."""
-        value = datasheet.phase_resistance(quantity.si, quantity.kind or "phase")
-        if quantity.kind == "line-to-line":
-            self.converted[path] = (value, "half of the line-to-line value (star connection)")
+        kind = quantity.kind or "phase"
+        value = datasheet.phase_resistance(quantity.si, kind, self.connection)
+        if kind == "line-to-line":
+            star = "star connection" if self.connection == "star" else "equivalent star of the delta"
+            self.converted[path] = (value, f"half of the line-to-line value ({star})")
+        elif self.connection == "delta":
+            self.converted[path] = (value, "a third of the winding's value (equivalent star of the delta)")
+        return value
+
+    def phase_flux(self, quantity: Quantity, path: str) -> float:
+        """Flux linkage of a phase in Wb (peak), with a note when it was converted."""
+        kind = quantity.kind or "peak"
+        value = datasheet.peak_flux(quantity.si, kind, self.connection)
+        parts = [f"peak of phase from the {kind} value"] if kind != "peak" else []
+        if self.connection == "delta":
+            parts.append("that of a winding over sqrt(3) (equivalent star of the delta)")
+        if parts:
+            self.converted[path] = (value, "; ".join(parts))
         return value
 
     def is_beside(self, name: str) -> bool:
@@ -96,4 +151,5 @@ class Reading:
                 raise
             raise self.document.error(f"the file '{name}': {error.message}", path) from None
         self.files.append(content)
+        self.names.append(name)
         return content

@@ -22,6 +22,7 @@ from dqforge.machines.settings import NumberFormat, QFormats
 
 _PHASE = ("phase", "line-to-line")
 _PEAK = ("peak", "rms")
+_LINE_OR_WINDING = (*_PEAK, "line peak", "line rms", "winding peak", "winding rms")
 
 _T = TypeVar("_T")
 Listing = Annotated[tuple[_T, ...], Field(strict=False)]  # YAML has lists, the models hold tuples
@@ -60,8 +61,9 @@ BackEmfConstant = Annotated[
         "back-emf", 1e-6, 1e3, ("phase peak", "phase rms", "line-to-line peak", "line-to-line rms"), zero=True
     ),
 ]
-TorqueConstant = Annotated[Quantity, QuantityRule("torque-constant", 1e-6, 1e4, _PEAK, zero=True)]
+TorqueConstant = Annotated[Quantity, QuantityRule("torque-constant", 1e-6, 1e4, _LINE_OR_WINDING, zero=True)]
 PhaseCurrent = Annotated[Quantity, QuantityRule("current", 1e-3, 1e5, _PEAK, "peak")]
+MachineCurrent = Annotated[Quantity, QuantityRule("current", 1e-3, 1e5, _LINE_OR_WINDING, "peak")]
 Current = Annotated[Quantity, QuantityRule("current", 1e-3, 1e5)]
 Voltage = Annotated[Quantity, QuantityRule("voltage", 1.0, 2e4)]
 Drop = Annotated[Quantity, QuantityRule("voltage", 0.0, 10.0)]

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from dqforge.machines.datasheet import Connection
 from dqforge.machines.schema_entries import (
     Angle,
     BackEmfConstant,
@@ -19,9 +20,9 @@ from dqforge.machines.schema_entries import (
     Inductance,
     Inertia,
     Listing,
+    MachineCurrent,
     MutualInductance,
     Nonnegative,
-    PhaseCurrent,
     PointSpeed,
     PolePairs,
     Poles,
@@ -37,7 +38,14 @@ from dqforge.machines.schema_entries import (
     Torque,
     TorqueConstant,
 )
-from dqforge.machines.settings import FluxAxes, FluxScaling, FluxTorque, MachineModel
+from dqforge.machines.settings import (
+    FluxAxes,
+    FluxFitName,
+    FluxScaling,
+    FluxSymmetry,
+    FluxTorque,
+    MachineModel,
+)
 
 
 class RatedSection(Section):
@@ -46,7 +54,7 @@ class RatedSection(Section):
     torque: Torque | None = Field(default=None, description="rated torque (N m)")
     speed: Speed | None = Field(default=None, description="rated mechanical speed (rad/s; write rpm)")
     power: Power | None = Field(default=None, description="rated mechanical power (W)")
-    current: PhaseCurrent | None = Field(
+    current: MachineCurrent | None = Field(
         default=None, description="rated phase current (A); kind peak (default) or rms"
     )
     frequency: Frequency | None = Field(default=None, description="rated electrical frequency (Hz)")
@@ -102,6 +110,9 @@ class FluxMapSection(Section):
     scaling: FluxScaling = Field(
         default="peak", description="of currents and flux linkages: peak, rms, power-invariant"
     )
+    quantities: Literal["line", "winding"] | None = Field(
+        default=None, description="of a delta: whether the map holds currents of lines (as measured) or of windings"
+    )
     current_unit: Literal["A", "mA", "kA"] | None = Field(default=None, description="where the file does not say it")
     flux_unit: Literal["Wb", "mWb", "V s", "mV s"] | None = Field(
         default=None, description="where the file does not say it"
@@ -118,6 +129,23 @@ class FluxMapSection(Section):
     extrapolate: bool = Field(
         default=False, description="permit currents beyond the map; results that use them are marked"
     )
+    fit: FluxFitName = Field(
+        default="auto",
+        description="interpolate: a spline through the points; smooth: a smooth co-energy near them; auto: smooth "
+        "where noise makes more than 3 % of the incremental inductances or one is not positive",
+    )
+    symmetry: FluxSymmetry = Field(
+        default="average",
+        description="of the halves i_q > 0 and i_q < 0: average; keep: a current reference for each sign of the "
+        "torque; positive, negative: one half, mirrored",
+    )
+    frame_angle: Angle | None = Field(
+        default=None, description="turn of the file's frame (rad electrical; write deg), against a misaligned sensor"
+    )
+
+
+Exponent = Annotated[Nonnegative, Field(le=20.0)]
+"""Published exponents are at most 7; far beyond, powers of flux linkages vanish, and the magnets with them."""
 
 
 class BridgeSection(Section):
@@ -127,7 +155,7 @@ class BridgeSection(Section):
     a_b: Nonnegative = Field(description="coefficient of the inverse inductance (1/H at 1 Wb)")
     a_bp: Nonnegative = Field(description="coefficient of its saturation (at 1 Wb)")
     k_q: Nonnegative = Field(description="share of the q flux linkage, squared")
-    w: Nonnegative = Field(description="exponent")
+    w: Exponent = Field(description="exponent")
 
 
 class SaturationSection(Section):
@@ -135,13 +163,13 @@ class SaturationSection(Section):
 
     a_d0: Positive = Field(description="1/H")
     a_dd: Nonnegative = Field(description="coefficient of |psi_d|^s")
-    s: Nonnegative = Field(description="exponent")
+    s: Exponent = Field(description="exponent")
     a_q0: Positive = Field(description="1/H")
     a_qq: Nonnegative = Field(description="coefficient of |psi_q|^t")
-    t: Nonnegative = Field(description="exponent")
+    t: Exponent = Field(description="exponent")
     a_dq: Nonnegative = Field(description="coefficient of the cross-saturation")
-    u: Nonnegative = Field(description="exponent of |psi_d| there")
-    v: Nonnegative = Field(description="exponent of |psi_q| there")
+    u: Exponent = Field(description="exponent of |psi_d| there")
+    v: Exponent = Field(description="exponent of |psi_q| there")
     bridge: BridgeSection | None = Field(default=None, description="magnets and bridges, if there are any")
 
 
@@ -184,7 +212,7 @@ class MagnetLossSection(Section):
 
     loss: Power = Field(description="loss there (W)")
     frequency: Frequency = Field(description="electrical frequency (Hz)")
-    current: PhaseCurrent = Field(description="phase current (A); kind peak (default) or rms")
+    current: MachineCurrent = Field(description="phase current (A); kind peak (default) or rms")
 
 
 class AcResistanceSection(Section):
@@ -240,6 +268,10 @@ class MachineSection(Section):
         description="linear: constant inductances; flux-map: data in a file; saturation: published coefficients; "
         "waveform: any back-EMF shape",
     )
+    connection: Connection = Field(
+        default="star",
+        description="of the windings; the data of a delta are converted to the star that acts alike at the terminals",
+    )
     pole_pairs: PolePairs | None = Field(default=None, description="number of pole pairs p; or give poles")
     poles: Poles | None = Field(default=None, description="number of poles, 2 p; or give pole_pairs")
     resistance: Resistance = Field(description="stator resistance (Ohm); kind phase (default) or line-to-line")
@@ -258,7 +290,9 @@ class MachineSection(Section):
         description="back-EMF per mechanical speed (V s/rad; write V/krpm), kind required; rpm/V is inverted",
     )
     torque_constant: TorqueConstant | None = Field(
-        default=None, description="torque per ampere of phase current (N m/A), kind required: per ampere peak or rms"
+        default=None,
+        description="torque per ampere of phase current (N m/A), kind required: per ampere peak or rms; "
+        "of a delta line or winding",
     )
     self_inductance: Inductance | None = Field(default=None, description="for model waveform: L_s of a phase (H)")
     mutual_inductance: MutualInductance | None = Field(
@@ -271,7 +305,9 @@ class MachineSection(Section):
     ac_resistance: AcResistanceSection | None = Field(default=None, description="AC resistance, if it is known")
     magnet_loss: MagnetLossSection | None = Field(default=None, description="loss in the magnets, if it is known")
     temperature: TemperatureSection = Field(default=TemperatureSection(), description="operating temperatures")
-    max_current: PhaseCurrent = Field(description="largest phase current (A); kind peak (default) or rms")
+    max_current: MachineCurrent = Field(
+        description="largest phase current (A); kind peak (default) or rms; of a delta line peak, winding rms, ..."
+    )
     max_speed: Speed | None = Field(default=None, description="largest mechanical speed (rad/s; write rpm)")
     inertia: Inertia | None = Field(default=None, description="moment of inertia of all that turns (kg m^2)")
     friction: Friction | None = Field(default=None, description="viscous friction (N m s/rad); default 0")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dqforge.machines.checks import si_of
+from dqforge.machines.entries import Quantity
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.schema import DesignFile
-from dqforge.machines.settings import Tolerances
+from dqforge.machines.settings import Deviation, Tolerances
 from dqforge.machines.synchronous import Machine
+from dqforge.machines.two_sided import Between
 
 _SECTION = ("control", "tolerances")
 _LOW_CURRENT = 0.1  # of the current limit
@@ -37,7 +38,7 @@ def read_tolerances(
     ):
         if getattr(section, key) is not None and missing:
             raise document.error(f"control.tolerances.{key}: {why}; remove the key", (*_SECTION, key), key=True)
-    dead_time = 0.0
+    dead_time: Deviation = 0.0
     if section.dead_time is not None:
         share = section.dead_time.unit == ""
         if share and inverter.dead_time == 0.0:
@@ -45,7 +46,7 @@ def read_tolerances(
                 "control.tolerances.dead_time is a share of inverter.dead_time, which is 0; write inverter.dead_time"
             )
             raise document.error(message, (*_SECTION, "dead_time"))
-        dead_time = section.dead_time.si * (inverter.dead_time if share else 1.0)
+        dead_time = _scaled(section.dead_time, inverter.dead_time if share else 1.0)
     elif section.low_current is not None:
         message = "control.tolerances.low_current goes with dead_time; write dead_time: 20 %, or remove the key"
         raise document.error(message, (*_SECTION, "low_current"), key=True)
@@ -55,17 +56,24 @@ def read_tolerances(
         if low_current > i_max:
             message = f"control.tolerances.low_current is above the current limit {format_quantity(i_max, 'A')} peak"
             raise document.error(f"{message}; write less", (*_SECTION, "low_current"))
-    elif dead_time > 0.0:
+    elif dead_time not in (0.0, (0.0, 0.0)):
         low_current = _LOW_CURRENT * i_max
         shown = format_quantity(low_current, "A")
         reading.remarks.append(f"control.tolerances.low_current is {shown} peak: 10 % of the current limit")
     return Tolerances(
-        r_s=si_of(section.r_s) or 0.0,
-        l_d=si_of(section.l_d) or 0.0,
-        l_q=si_of(section.l_q) or 0.0,
-        psi_pm=si_of(section.psi_pm) or 0.0,
-        inertia=si_of(section.inertia) or 0.0,
-        v_dc=si_of(section.v_dc) or 0.0,
+        r_s=_scaled(section.r_s),
+        l_d=_scaled(section.l_d),
+        l_q=_scaled(section.l_q),
+        psi_pm=_scaled(section.psi_pm),
+        inertia=_scaled(section.inertia),
+        v_dc=_scaled(section.v_dc),
         dead_time=dead_time,
         low_current=low_current,
     )
+
+
+def _scaled(entry: Quantity | Between | None, scale: float = 1.0) -> Deviation:
+    """Deviation in SI units; 0 where the file has none."""
+    if entry is None:
+        return 0.0
+    return (entry.low.si * scale, entry.high.si * scale) if isinstance(entry, Between) else entry.si * scale

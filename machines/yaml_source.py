@@ -13,12 +13,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 
 import yaml
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.input_files import read_regular_file
+from dqforge.machines.places import KeyPath, Position, dotted, nearest
 from dqforge.machines.quantities import close_matches, shown
 
 MAX_BYTES = 1 << 20
@@ -27,7 +28,6 @@ MAX_NODES = 20_000
 MAX_DIGITS = 40
 
 YamlValue = bool | int | float | str | list["YamlValue"] | dict[str, "YamlValue"] | None
-KeyPath = tuple[str | int, ...]
 
 _INT = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
@@ -68,13 +68,6 @@ _PLAIN_ENGLISH = (
 )
 
 
-class Position(NamedTuple):
-    """One-based line and column in a file."""
-
-    line: int
-    column: int
-
-
 @dataclass(frozen=True, slots=True)
 class YamlDocument:
     """The content of one file and the position of each of its parts.
@@ -90,12 +83,7 @@ class YamlDocument:
 
     def position(self, path: KeyPath, *, key: bool = False) -> Position:
         """Where a part begins, or the nearest enclosing part that is in the file."""
-        for length in range(len(path), 0, -1):
-            # For a key that is missing, its section's key is the line to look at.
-            table = self.keys if key or length < len(path) else self.values
-            if path[:length] in table:
-                return table[path[:length]]
-        return self.values[()]
+        return nearest(self.keys, self.values, path, key=key)
 
     def error(self, message: str, path: KeyPath, *, key: bool = False) -> InputError:
         """Build an error that points to a part of this file."""
@@ -111,15 +99,6 @@ class YamlDocument:
             if error.line is not None:
                 raise
             raise self.error(f"{dotted(path)}: {error.message}", path, key=key) from None
-
-
-def dotted(path: KeyPath) -> str:
-    """Path as it is written in messages: ``losses.points[0].torque``."""
-    text = ""
-    for part in path:
-        # A key is the user's text until it has been recognised.
-        text += f"[{part}]" if isinstance(part, int) else ("." if text else "") + shown(part)[1:-1]
-    return text
 
 
 def read_bytes(path: str | Path) -> bytes:

@@ -22,6 +22,7 @@ from dqforge.optimizer.fitting import (
     null_space,
     to_domain,
 )
+from dqforge.optimizer.segmentations import Segmentations
 
 _MOST_STEPS = 25
 _FIRST_RADIUS = 0.15
@@ -37,6 +38,9 @@ zero 0.1; a saturation model has up to 4 where the errors come down to the bends
 
 _LEVEL_GOAL = 1e-3
 """Relative distance between the attained error and its linear model at which the levelling stops."""
+
+_FEWER = 4
+"""Every fourth point is enough to compare segmentations."""
 
 _DIFFERENCE = 1e-3
 """Step of the numerical derivative by a breakpoint, as a share of the narrower segment beside it."""
@@ -77,7 +81,9 @@ def level_edges(curves: Sequence[Curve], degree: int, segments: int, side: SideC
     if errors.largest[0, -1] <= errors.rounding:
         return rounded_edges(first)
     levelling = _Levelling(curves, degree, segments, side)
-    starts = [first, *(_other_starts(first) if levelling.is_rough(first) else [])]
+    starts = Segmentations(errors, segments).starts(levelling.estimates)
+    if levelling.is_rough(first):
+        starts += _other_starts(first)
     ends = [levelling.run(start, errors.rounding) for start in starts]
     return rounded_edges(min(ends, key=lambda found: found[1])[0])
 
@@ -104,6 +110,7 @@ class _Levelling:
         self.basis = chebyshev.chebvander(self.nodes, degree)
         free = null_space(condition_rows(segments, degree, side))
         self.feasible = orthonormal(np.kron(np.eye(segments), self.basis) @ free)
+        self.few = orthonormal(np.kron(np.eye(segments), self.basis[::_FEWER]) @ free)
         self.programme = MinimaxProgramme(len(curves), segments, degree, side, moves=segments - 1)
 
     def residual(self, edges: FloatArray) -> FloatArray:
@@ -111,6 +118,19 @@ class _Levelling:
         points = to_domain(self.nodes, edges)
         values = np.array([curve(points).ravel() for curve in self.curves])
         return unfitted(values.T, self.feasible).T.reshape(*self.shape, self.nodes.size)
+
+    def estimates(self, edges: FloatArray) -> FloatArray:
+        """Largest errors of least-squares fits under the side conditions, at fewer points, of many segmentations.
+
+        Some 10 to 50 % above the minimax errors; edges of shape (K, S + 1) to (K,).
+        """
+        width = np.diff(edges)[:, :, np.newaxis]
+        points = edges[:, :-1, np.newaxis] + 0.5 * width * (self.nodes[::_FEWER] + 1.0)
+        worst = np.zeros(edges.shape[0])
+        for curve in self.curves:
+            left = unfitted(curve(points).reshape(edges.shape[0], -1).T, self.few)
+            worst = np.maximum(worst, np.max(np.abs(left), axis=0))
+        return worst
 
     def slopes(self, edges: FloatArray, reach: FloatArray, base: FloatArray) -> FloatArray:
         """Change of the residual per move of each breakpoint, in multiples of ``reach``, shape (A, S, P, S - 1)."""

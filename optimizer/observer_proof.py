@@ -49,7 +49,7 @@ def prove(observer: PositionObserver | None) -> ObserverProof | None:
         return None
     if find_spec("cvxpy") is None or find_spec("clarabel") is None:
         return None
-    low, high = observer.judgement.omega_low, observer.omega_max
+    low, high = observer.judgement.steady_low, observer.omega_max
     if not (np.isfinite(low) and low < high):
         low = _LEAST_SHARE * high
     i_q = observer.disturbances.i_load

@@ -75,13 +75,15 @@ class RobustSet:
     """Robustness of both current loops and, where there is one, of the speed loop.
 
     ``turning`` is the largest pole modulus of both current loops together up to the largest speed, None where the
-    machine states none.
+    machine states none. ``limits`` are the parameters that deviate, with the least and the largest deviation: relative,
+    of the dead time in s.
     """
 
     i_d: LoopRobustness
     i_q: LoopRobustness
     speed: LoopRobustness | None
     turning: Worst | None = None
+    limits: tuple[tuple[str, float, float], ...] = ()
 
 
 def summarise(margins: BatchMargins, points: BoxPoints) -> LoopRobustness:

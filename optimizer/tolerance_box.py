@@ -10,19 +10,21 @@ How each tolerance enters:
   the amplitude I (describing function of a relay); it is added with its sign, at the smallest current of the design.
 - ``psi_pm``: the torque that a commanded torque makes, and the back-EMF that the feedforward leaves over.
 - ``inertia``: the mechanics.
+
+Each reaches from its lower to its upper deviation, which need not be of the same size; 0, the data, lies between them.
 """
 
 from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.design import Design
-from dqforge.machines.settings import Tolerances
+from dqforge.machines.settings import ToleranceName, Tolerances
 from dqforge.machines.synchronous import LinearMachine, torque_from_flux
 from dqforge.optimizer.coupled_loops import TurningMachines
 from dqforge.optimizer.loop_batch import DriveVariants, PlantBatch, current_plants, speed_plants
@@ -30,6 +32,7 @@ from dqforge.optimizer.mtpa_locus import mtpa_locus
 
 FloatArray = NDArray[np.float64]
 Axis = Literal["i_d", "i_q"]
+_NAMES: tuple[ToleranceName, ...] = get_args(ToleranceName)
 
 SAMPLES = 400
 """Random points inside the box that are checked besides its corners."""
@@ -104,18 +107,23 @@ class DriveBox:
     spread: tuple[float, float] = (1.0, 1.0)
 
     def _inductance_limits(self, axis: Axis) -> tuple[float, float]:
-        tolerance = self.tolerances.l_d if axis == "i_d" else self.tolerances.l_q
+        low, high = self.tolerances.limits("l_d" if axis == "i_d" else "l_q")
         spread = self.spread[0 if axis == "i_d" else 1]
-        return -tolerance, spread * (1.0 + tolerance) - 1.0
+        return low, spread * (1.0 + high) - 1.0
 
     def _limits(self, axis: Axis) -> dict[str, tuple[float, float]]:
         t = self.tolerances
         return {
-            "r_s": (-t.r_s, t.r_s),
+            "r_s": t.limits("r_s"),
             "l_d" if axis == "i_d" else "l_q": self._inductance_limits(axis),
-            "v_dc": (-t.v_dc, t.v_dc),
-            "dead_time": (-t.dead_time, t.dead_time),
+            "v_dc": t.limits("v_dc"),
+            "dead_time": t.limits("dead_time"),
         }
+
+    def named_limits(self) -> tuple[tuple[ToleranceName, float, float], ...]:
+        """Parameters that the design lets deviate, with the least and the largest deviation (relative, or in s)."""
+        found = ((name, *self.tolerances.limits(name)) for name in _NAMES)
+        return tuple((name, low, high) for name, low, high in found if high > low)
 
     def current_points(self, axis: Axis) -> BoxPoints:
         """Corners and points inside of what the current loop of one axis depends on."""
@@ -143,10 +151,10 @@ class DriveBox:
         """The same for the speed loop; salient machines at no load and at full current."""
         t = self.tolerances
         salient = self.design.machine.saliency != 0.0 and self.design.strategy == "mtpa"
-        both = salient and max(t.l_d, t.l_q, t.psi_pm) > 0.0
+        both = salient and any(t.limits(name) != (0.0, 0.0) for name in ("l_d", "l_q", "psi_pm"))
         limits = self._limits("i_q")
-        limits |= {"l_d": (-t.l_d, t.l_d)} if salient else {}
-        limits |= {"psi_pm": (-t.psi_pm, t.psi_pm), "inertia": (-t.inertia, t.inertia)}
+        limits |= {"l_d": t.limits("l_d")} if salient else {}
+        limits |= {"psi_pm": t.limits("psi_pm"), "inertia": t.limits("inertia")}
         return box_points(limits, loads=both)
 
     def resistance(self, points: BoxPoints) -> FloatArray:
@@ -200,7 +208,7 @@ class DriveBox:
         psi_d, psi_q = machine.flux(i_d, i_q)
         changed_d = machine.psi_pm * by_magnet + (psi_d - machine.psi_pm) * (1.0 + points.of("l_d"))
         # The inductance that saturation adds belongs to the loop at low current, not to the torque at full current.
-        of_q = np.clip(points.of("l_q"), -self.tolerances.l_q, self.tolerances.l_q)
+        of_q = np.clip(points.of("l_q"), *self.tolerances.limits("l_q"))
         changed_q = psi_q * (1.0 + of_q)
         before = torque_from_flux(machine.pole_pairs, psi_d, psi_q, i_d, i_q)
         factor = torque_from_flux(machine.pole_pairs, changed_d, changed_q, i_d, i_q) / before

@@ -11,6 +11,7 @@ import numpy as np
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.inverter import Topology
+from dqforge.machines.numerical import on_design
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.settings import WaveformSettings
 from dqforge.machines.synchronous import FloatArray
@@ -102,6 +103,7 @@ def operating_point(design: Design, settings: WaveformSettings) -> tuple[float, 
     return torque, omega_m
 
 
+@on_design("waveform")
 def compare_waveforms(design: Design, settings: WaveformSettings | None = None) -> WaveformComparison:
     """Phase currents by dq, dqx, dqy, and within all limits, at one operating point.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,9 @@ from dqforge.machines.errors import VerificationError
 from dqforge.optimizer.fixed_reference import FIXED_WIDTHS
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.reports.cycle_model import Span
+from dqforge.reports.programme import Programme
 from dqforge.reports.target_cost import cost_on_target
+from dqforge.reports.target_programmes import TargetRun, harness_of, reached, run_on_target
 from dqforge.reports.target_tools import TARGETS, build, emulate, target_of
 from dqforge.reports.templating import render
 from dqforge.reports.verify import WARNINGS
@@ -36,8 +38,6 @@ _DIFFERS = {
 }
 """Exit codes of the program on the target; the emulator's own failures end with 1."""
 
-_CALLS = ("reference", "phases", "weakening", "modulation", "gains", "fixed")
-
 _VECTOR_TORQUE = re.compile(rb"\{ 0x([0-9A-F]{8})U, 0x[0-9A-F]{8}U, 0x[0-9A-F]{8}U \}")
 _FIXED = re.compile(rb"_current_reference_(q15|q31)\(")
 _VECTOR_CODE = re.compile(rb"\{ (-?[0-9]+|\(-2147483647 - 1\)), [-0-9() ]+, [-0-9() ]+ \}")
@@ -52,6 +52,7 @@ class TargetVerification:
     ``vectors`` were run. What the reference costs as a called function, both currents stored and the return included:
     ``instructions`` is the mean number executed over the first ``costed`` vectors, ``cycles`` the mean of the estimated
     (lo, hi) at zero wait states, ``cycles_largest`` their largest; ``flash`` is the code with its constants in bytes.
+    ``runs`` are the harnesses that gave the bits of their models, ``not_run`` the headers of which nothing was run.
     """
 
     target: str
@@ -61,6 +62,8 @@ class TargetVerification:
     cycles: tuple[float, float]
     cycles_largest: Span
     flash: int
+    runs: tuple[TargetRun, ...] = ()
+    not_run: tuple[str, ...] = ()
 
 
 def _codes(vectors: bytes, number_format: str) -> NDArray[Any]:
@@ -73,18 +76,23 @@ def _torques(vectors: bytes) -> SingleArray:
     return np.array(words, dtype=np.uint32).view(np.float32)
 
 
-def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> TargetVerification:
-    """Compile the headers for a target, run all their test vectors on its emulation, and cost the current reference.
+def verify_on_target(
+    files: Mapping[str, bytes], prefix: str, target: str, programmes: Sequence[Programme] = ()
+) -> TargetVerification:
+    """Compile the headers for a target, run them on its emulation, and cost the current reference.
+
+    Their test vectors are run, and the harnesses of ``programmes`` on their inputs.
 
     Parameters
     ----------
     files:
-        Contents of the headers and of their vectors by name; those of phase currents, of field weakening and of
-        control functions in fixed point are run as well.
+        Contents of the headers and of their vectors by name.
     prefix:
         Checked C identifier.
     target:
         One of `TARGETS`.
+    programmes:
+        Harnesses of the headers; what has neither these nor test vectors is named in the outcome.
 
     Raises
     ------
@@ -111,15 +119,25 @@ def verify_on_target(files: Mapping[str, bytes], prefix: str, target: str) -> Ta
             zip(("reference", "phases", "weakening", "modulation", "gains", "fixed"), _DIFFERS, strict=True)
         ),
     }
+    main = render("target_main.c.j2", context).encode("ascii")
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        main = render("target_main.c.j2", context).encode("ascii")
         build({**files, "target_main.c": main}, (*WARNINGS, "-Wno-overlength-strings"), target, Path(name))
         code = emulate(target, Path(name))
     if code in _DIFFERS:
         raise VerificationError(f"on {target} the {_DIFFERS[code]} do not give the results of their test vectors")
+    runs = run_on_target(files, prefix, programmes, target)
+    seen = reached(files, [main, *(harness_of(part, prefix) for part in programmes)])
     costed = torques[:_LARGEST_TRACE]
     named = f"{function}_{number_format}" if number_format else function
     cost = cost_on_target(files, f"{prefix}.h", named, target, costed)
     return TargetVerification(
-        target, torques.size, costed.size, cost.instructions, cost.cycles, cost.cycles_largest, cost.flash
+        target,
+        torques.size,
+        costed.size,
+        cost.instructions,
+        cost.cycles,
+        cost.cycles_largest,
+        cost.flash,
+        runs,
+        tuple(sorted(name for name in files if name.endswith(".h") and name not in seen)),
     )

@@ -18,7 +18,7 @@ def tolerance_tables(gains: GainSet) -> list[HtmlTable]:
     """Worst margins within the tolerances, and scheduled beside constant gains; none where none are asked for."""
     tables = []
     if gains.robust is not None:
-        caption = f"Worst within control.tolerances; {robust_notes(gains.robust)[0]}"
+        caption = f"Worst within control.tolerances; {'; '.join(robust_notes(gains.robust))}"
         tables.append(_table(caption, ROBUST_COLUMNS, robust_rows(gains.robust), len(ROBUST_COLUMNS)))
     if gains.schedule is not None:
         caption = f"Scheduled gains along the current reference. {'; '.join(schedule_notes(gains.schedule))}"

@@ -64,8 +64,18 @@ def robust_rows(robust: RobustSet) -> tuple[tuple[str, ...], ...]:
     return tuple(rows)
 
 
+def limits_text(robust: RobustSet) -> str:
+    """The box in words: ``r_s -10 to +30 %, dead_time 0 to +2 us``."""
+    parts = []
+    for name, low, high in robust.limits:
+        scale, unit = (1e6, "us") if name == "dead_time" else (100.0, "%")
+        below, above = (f"{scale * side:+.3g}" if side else "0" for side in (low, high))
+        parts.append(f"{name} {below} to {above} {unit}")
+    return ", ".join(parts)
+
+
 def robust_notes(robust: RobustSet) -> tuple[str, ...]:
-    """How many drives were tried, and whether one inside the box was worse than all corners."""
+    """The box, how many drives were tried, and whether one inside the box was worse than all corners."""
     counts = ", ".join(f"{name} {loop.corners} and {loop.samples}" for name, loop in _loops(robust))
     worse = [name for name, loop in _loops(robust) if loop.inside_worse]
     inside = (
@@ -73,7 +83,8 @@ def robust_notes(robust: RobustSet) -> tuple[str, ...]:
         if worse
         else "none inside was worse than a corner"
     )
-    return (f"corners and points inside that were checked: {counts}; {inside}",)
+    box = (f"tolerances: {limits_text(robust)}",) if robust.limits else ()
+    return (*box, f"corners and points inside that were checked: {counts}; {inside}")
 
 
 def robust_lines(gains: GainSet, loop: str) -> list[str]:
@@ -98,6 +109,7 @@ def plain_robustness(robust: RobustSet | None) -> PlainData:
     for name, loop in _loops(robust):
         plain[name] = {units.get(key, key): value for key, value in asdict(loop).items()}
     plain["both_turning"] = None if robust.turning is None else {"largest_pole": asdict(robust.turning)}
+    plain["limits"] = {"dead_time_s" if name == "dead_time" else name: [low, high] for name, low, high in robust.limits}
     return {"tolerances": plain}
 
 

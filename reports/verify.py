@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dqforge.machines.entries import EntryError
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.identifiers import check_prefix
-from dqforge.optimizer.current_reference import CurrentReference, Reference
+from dqforge.optimizer.current_reference import Emitted, FloatReference
 from dqforge.optimizer.fixed_polynomial import CodeArray
 from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.single_precision import SingleArray
@@ -79,7 +79,7 @@ class Verification:
         return tuple(check.standard for check in self.checks if not check.missing)
 
 
-def sweep_torques(reference: CurrentReference, count: int = SWEEP_POINTS) -> SingleArray:
+def sweep_torques(reference: FloatReference, count: int = SWEEP_POINTS) -> SingleArray:
     """Float32 torques beyond the test vectors: across the domain of both signs, and raw bit patterns of any kind."""
     generator = np.random.default_rng(SWEEP_SEED)
     across = (generator.uniform(-1.1, 1.1, count // 2) * float(reference.torque_max)).astype(np.float32)
@@ -160,7 +160,7 @@ def _compare(compiled: NDArray[Any], part: Programme, standard: str) -> None:
         )
 
 
-def _reference_programme(reference: Reference, vectors: int) -> tuple[Programme, int]:
+def _reference_programme(reference: Emitted, vectors: int) -> tuple[Programme, int]:
     """The harness of the current reference with its inputs, and how many of these are test vectors."""
     if isinstance(reference, FixedReference):
         chosen = vector_codes(reference, vectors)
@@ -177,7 +177,7 @@ def _reference_programme(reference: Reference, vectors: int) -> tuple[Programme,
 def verify_files(
     files: Mapping[str, bytes],
     prefix: str,
-    reference: Reference,
+    reference: Emitted,
     vectors: int,
     further: Sequence[Programme] = (),
 ) -> Verification:
@@ -248,9 +248,14 @@ class WrittenHeaders:
 
     files: dict[str, bytes]
     prefix: str
-    reference: Reference
+    reference: Emitted
     vectors: int
     further: tuple[Programme, ...] = ()
+
+    @property
+    def programmes(self) -> tuple[Programme, ...]:
+        """Harnesses of all headers."""
+        return (_reference_programme(self.reference, self.vectors)[0], *self.further)
 
 
 def read_folder(folder: Path) -> WrittenHeaders:
@@ -281,8 +286,13 @@ def read_folder(folder: Path) -> WrittenHeaders:
     return WrittenHeaders({name: _read(folder / name) for name in names}, prefix, reference, vectors, tuple(further))
 
 
+def verify_written(found: WrittenHeaders) -> Verification:
+    """Compile and run what an earlier run wrote; raises VerificationError as `verify_files`."""
+    return verify_files(found.files, found.prefix, found.reference, found.vectors, found.further)
+
+
 def verify_folder(folder: Path) -> Verification:
-    """Verify what an earlier run wrote into a folder.
+    """Compile and run what an earlier run wrote into a folder.
 
     Raises
     ------
@@ -291,5 +301,4 @@ def verify_folder(folder: Path) -> Verification:
     VerificationError
         As `verify_files`.
     """
-    found = read_folder(folder)
-    return verify_files(found.files, found.prefix, found.reference, found.vectors, found.further)
+    return verify_written(read_folder(folder))

@@ -230,14 +230,18 @@ def test_a_file_in_order_is_refused_beyond_the_limit_and_never_cut(
     assert "at most" in refused(entry, tmp_path, monkeypatch, capsys)
 
 
+FOLDERS = ((("verify", "out"), "dqforge-manifest.json"), (("compare", "out", DRIVE), "result.json"))
+"""Commands that read a folder, and the file of it that they read first."""
+
+
 @pytest.mark.parametrize("content", [b"", b"\0" * 1000, b"[" * 100_000, b"{}"])
 def test_a_folder_that_holds_no_result_is_refused(
     content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "result.json").write_bytes(content)
-    for words in (("verify", "out"), ("compare", "out", DRIVE)):
-        assert "result.json" in refused(Entry("out", words, 0), tmp_path, monkeypatch, capsys)
+    for words, name in FOLDERS:
+        (tmp_path / "out" / name).write_bytes(content)
+        assert name in refused(Entry("out", words, 0), tmp_path, monkeypatch, capsys)
 
 
 @pytest.mark.parametrize("kind", KINDS[:4], ids=lambda kind: kind.__name__)
@@ -245,6 +249,8 @@ def test_a_folder_whose_result_is_no_file_is_refused(
     kind: Callable[[Path], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "out").mkdir()
-    kind(tmp_path / "out" / "result.json")
-    for words in (("verify", "out"), ("compare", "out", DRIVE)):
-        assert "result.json" in refused(Entry("out", words, 0), tmp_path, monkeypatch, capsys)
+    for words, name in FOLDERS:
+        kind(tmp_path / "out" / name)
+        assert name in refused(Entry("out", words, 0), tmp_path, monkeypatch, capsys)
+        place = tmp_path / "out" / "other"
+        place.unlink(missing_ok=True)

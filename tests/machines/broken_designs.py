@@ -399,7 +399,7 @@ _CONTRADICTIONS: list[Broken] = [
     ("losses-without-points", _losses("points: []"), 43, 11, "a list of at least 1, got 0"),
     ("losses-point-unit", _losses("points: [{torque: 1 N m, speed: 5 m}]"), 43, 35, "expected a rotational speed"),
     ("losses-point-key", _losses("points: [{torque: 1 N m, omega: 5}]"), 43, 28, "did you mean 'speed'?"),
-    ("losses-speed", _losses("points: [{torque: 1 N m, speed: 1500}]"), 43, 35, "write e.g. '1500 rpm'"),
+    ("losses-speed", _losses("points: [{torque: 1 N m, speed: 1500}]"), 43, 35, "write '1500 rpm'"),
     ("losses-twice", _losses("points: [{torque: 1, speed: 9}]", "strategies: [id0, id0]"), 44, 21, "listed twice"),
     (
         "losses-modulation",

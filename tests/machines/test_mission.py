@@ -56,3 +56,32 @@ def test_faults_name_file_and_line(text: str, line: int, message: str) -> None:
     with pytest.raises(InputError, match=message) as fault:
         read_mission(text.encode(), "m.csv", omega_max=3000.0 * RPM)
     assert (fault.value.source, fault.value.line) == ("m.csv", line)
+
+
+@pytest.mark.parametrize(
+    ("unit", "size"),
+    [
+        ("1/min", RPM),
+        ("min^-1", RPM),
+        ("min⁻¹", RPM),
+        ("U/min", RPM),
+        ("r/min", RPM),
+        ("RPM", RPM),
+        ("krpm", 1000.0 * RPM),
+        ("1/s", 2.0 * math.pi),
+        ("rps", 2.0 * math.pi),
+        ("rad/s", 1.0),
+    ],
+)
+def test_units_of_a_column_of_speeds(unit: str, size: float) -> None:
+    content = f"t [s];n [{unit}];M [Nm]\n0;30;1\n1;60;1\n".encode()
+    mission = read_mission(content, "m.csv")
+    assert mission.omega_m[0] == pytest.approx(30.0 * size, rel=1e-12)
+    assert any("revolutions per second" in text for text in mission.findings) is (unit == "1/s")
+
+
+def test_a_column_without_a_unit_far_above_the_largest_speed_says_so() -> None:
+    with pytest.raises(InputError, match=r"no unit and is taken as rad/s, write speed \[rpm\]"):
+        read_mission(b"t;n;M\n0;3000;1\n1;3000;1\n", "m.csv", omega_max=314.0)
+    with pytest.raises(InputError, match="correct one of them"):
+        read_mission(b"t [s];n [rpm];M [Nm]\n0;3100;1\n1;3000;1\n", "m.csv", omega_max=314.0)

@@ -109,7 +109,7 @@ REFUSED = [
     ("2 mohm", "resistance", "did you mean 'mOhm'?"),
     ("2 nm", "torque", "did you mean 'Nm'?"),
     ("2 mHz", "inductance", "which is a frequency"),
-    ("2 RPM", "speed", "did you mean 'rpm'?"),
+    ("2 Rpm", "speed", "did you mean 'rpm'?"),
     ("2 furlong", "inductance", "write e.g. '1.61 mH'"),
     ("1,61 mH", "inductance", "write 1.61 mH"),
     ("1,61", "inductance", "write 1.61"),

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.yaml_source import MAX_BYTES, Position, dotted, parse_yaml, read_bytes
+from dqforge.machines.places import Position, dotted
+from dqforge.machines.yaml_source import MAX_BYTES, parse_yaml, read_bytes
 
 
 def _refused(content: bytes) -> InputError:
