@@ -68,9 +68,11 @@ _loaded: ContextVar[tuple[Design, ...]] = ContextVar("_loaded", default=())
 def _load(design: str) -> Design:
     """Load a design file, or a library drive when no such file exists and the text can be its name."""
     from dqforge.machines import catalogue, loader
+    from dqforge.reports.console import status
 
     from_library = not Path(design).exists() and design in catalogue.names()
-    loaded = catalogue.load(design) if from_library else loader.load_design(design)
+    with status("reading the design", after=1.0):
+        loaded = catalogue.load(design) if from_library else loader.load_design(design)
     _loaded.set((*_loaded.get(), loaded))
     return loaded
 
@@ -396,9 +398,11 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
             _show(found.tables)
         return
     if chart is not None or mission is not None:
+        from dqforge.reports.console import status
         from dqforge.reports.drive_losses import LossRequest, answer
 
-        reply = answer(loaded, LossRequest(chart, mission, strategies, modulations, frequencies, margin))
+        with status("comparing the losses", after=1.0):
+            reply = answer(loaded, LossRequest(chart, mission, strategies, modulations, frequencies, margin))
         _plot(reply.figure, plot)
         if json:
             _print_json("losses", loaded.name, reply.plain)
@@ -492,8 +496,11 @@ def simulate(
 
 
 @app.command()
-def bemf(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Text file with time, or angle, and three phases.")],
+def bemf(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="Capture with time, or angle, and three phases; or a file per channel."),
+    ],
     json: JsonOption = False,
     plot: PlotOption = None,
     line_to_line: Annotated[bool, typer.Option("--line-to-line", help="The channels are ab, bc and ca.")] = False,
@@ -508,16 +515,21 @@ def bemf(
         str | None, typer.Option("--columns", metavar="T,A,B,C", help="Names or numbers of the columns.")
     ] = None,
     harmonics: Annotated[int, typer.Option("--harmonics", metavar="N", help="Highest order.")] = 25,
+    interval: Annotated[
+        str | None, typer.Option("--interval", metavar="TIME", help="Between two samples, e.g. '2 us'.")
+    ] = None,
 ) -> None:
     """Say what a capture of the back-EMF holds: harmonics, symmetry, noise, and the magnet flux."""
     from dqforge.reports.bemf import CaptureRequest, capture_tables, plain_capture, read_capture
+    from dqforge.reports.console import progress
 
     if plot is not None:
         from dqforge.reports.files import check_figure_path
 
         check_figure_path(plot)
-    request = CaptureRequest(line_to_line, pole_pairs, speed, scale, columns, harmonics)
-    reading = read_capture(file, request)
+    request = CaptureRequest(line_to_line, pole_pairs, speed, scale, columns, harmonics, interval)
+    with progress("reading the capture") as report:
+        reading = read_capture(files, request, report)
     if plot is not None:
         from dqforge.reports.figures_bemf import plot_capture
 

@@ -74,10 +74,10 @@ def _model(reference: DeviceReference, reading: Reading) -> DeviceModel:
             content = device_catalogue.read_text(reference.name)
         reading.files.append(content)
         return device_catalogue.load(reference.name)
-    from dqforge.machines.device_files import read_device
+    from dqforge.machines.device_files import MAX_BYTES, read_device
 
     name = reference.file or ""
-    content = reading.read_beside(name, (*_PATH, "file"))
+    content = reading.read_beside(name, (*_PATH, "file"), MAX_BYTES)
     try:
         return read_device(content, name)
     except InputError as error:

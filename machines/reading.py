@@ -16,7 +16,7 @@ from dqforge.machines.input_files import read_regular_file
 from dqforge.machines.places import KeyPath, dotted
 from dqforge.machines.yaml_source import YamlDocument
 
-MAX_FILE_BYTES = 200_000_000
+MAX_FILE_BYTES = 256_000_000
 
 
 @dataclass(slots=True)
@@ -117,7 +117,11 @@ class Reading:
             self.converted[path] = (value, "; ".join(parts))
         return value
 
-    def read_beside(self, name: str, path: KeyPath) -> bytes:
+    def is_beside(self, name: str) -> bool:
+        """Whether there is such a file in the folder of the design or below it."""
+        return self.folder is not None and (self.folder / name).is_file()
+
+    def read_beside(self, name: str, path: KeyPath, most_bytes: int = MAX_FILE_BYTES) -> bytes:
         """Content of a file that the design names, from its own folder or one below it.
 
         Raises
@@ -139,7 +143,7 @@ class Reading:
         try:
             if not place.exists():
                 raise self.document.error(f"there is no file '{name}' beside the design file; check the name", path)
-            content = read_regular_file(place, MAX_FILE_BYTES, name)
+            content = read_regular_file(place, most_bytes, name)
         except OSError as error:
             raise self.document.error(f"the file '{name}' cannot be read: {error.strerror}", path) from None
         except InputError as error:

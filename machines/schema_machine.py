@@ -30,6 +30,7 @@ from dqforge.machines.schema_entries import (
     Power,
     Ratio,
     Resistance,
+    SampleInterval,
     Section,
     Speed,
     Temperature,
@@ -231,12 +232,20 @@ class HarmonicSection(Section):
 
 
 class BackEmfSection(Section):
-    """Back-EMF of the three phases: harmonics, or a capture in a text file."""
+    """Back-EMF of the three phases: harmonics, or a capture in one or several files."""
 
     harmonics: Annotated[Listing[HarmonicSection], Field(min_length=1, max_length=100)] | None = Field(
         default=None, description="list of {order: 1, amplitude: 0.2 Wb}, {order: 3, share: 18 %, phase: 0 deg}"
     )
-    file: FileName | None = Field(default=None, description="capture beside the design file, in place of harmonics")
+    file: FileName | None = Field(
+        default=None, description="capture beside the design file, in place of harmonics: text or .mat, also .gz"
+    )
+    files: Annotated[Listing[FileName], Field(min_length=2, max_length=3)] | None = Field(
+        default=None, description="the files of a capture that has one for each channel, in place of file"
+    )
+    interval: SampleInterval | None = Field(
+        default=None, description="time between two samples (s; write us), for captures that do not say it"
+    )
     connection: Literal["phase", "line-to-line"] = Field(default="phase", description="what the channels measured")
     scale: Annotated[tuple[float, float, float], Field(strict=False)] = Field(
         default=(1.0, 1.0, 1.0), description="factors of the channels (probes)"

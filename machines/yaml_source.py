@@ -18,6 +18,7 @@ from typing import NoReturn
 import yaml
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.input_files import read_regular_file
 from dqforge.machines.places import KeyPath, Position, dotted, nearest
 from dqforge.machines.quantities import close_matches, shown
 
@@ -106,22 +107,23 @@ def read_bytes(path: str | Path) -> bytes:
     Raises
     ------
     InputError
-        There is no such file, it is a folder, it cannot be read, or it is larger than 1 MiB.
+        There is no such file, it is no regular file, it cannot be read, or it is larger than 1 MiB.
     """
-    source = str(path)
     try:
-        with Path(path).open("rb") as stream:
-            content = stream.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise InputError(f"no such file{_similar_files(Path(path))}", source=source) from None
-    except IsADirectoryError:
-        raise InputError("this is a folder; name the design file in it", source=source) from None
-    except PermissionError:
-        raise InputError("the file may not be read; check its permissions", source=source) from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"the file cannot be read: {reason}", source=source) from None
-    return content
+        return read_regular_file(path, MAX_BYTES)
+    except InputError as error:
+        raise InputError(_advice(Path(path), error), source=str(path)) from None
+
+
+def _advice(path: Path, error: InputError) -> str:
+    """What to say of a design file that cannot be read."""
+    if error.message.startswith("there is no such file"):
+        return f"no such file{_similar_files(path)}"
+    if error.message.startswith("this is a folder"):
+        return "this is a folder; name the design file in it"
+    if "can be read" in error.message:
+        return f"{error.message}; a design file has a few kilobytes"
+    return error.message
 
 
 def _similar_files(path: Path) -> str:

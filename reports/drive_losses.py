@@ -11,8 +11,9 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.input_files import read_regular_file
 from dqforge.machines.inverter import Inverter
-from dqforge.machines.mission import Mission, read_mission
+from dqforge.machines.mission import MOST_BYTES, Mission, read_mission
 from dqforge.machines.modulation import linear_limit
 from dqforge.machines.numerical import on_design
 from dqforge.machines.quantities import parse_quantity
@@ -34,7 +35,6 @@ from dqforge.reports.tables import Table
 
 _DEFAULT_MODULATIONS: tuple[ModulationName, ...] = ("spwm", "svpwm", "dpwm1", "ddt-gdpwm")
 _MOST_BUDGETS = 4_000_000
-_MOST_MISSION_BYTES = 50_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,13 +185,7 @@ def solve_map(design: Design, alternatives: Alternatives, margin: float, torques
 
 
 def _read(path: Path, omega_max: float | None) -> Mission:
-    try:
-        if path.stat().st_size > _MOST_MISSION_BYTES:
-            raise InputError("the file is too large for a mission; resample it", source=str(path))
-        content = path.read_bytes()
-    except OSError as error:
-        message = f"cannot be read ({error.strerror or 'error'}); name a text file with time, speed and torque"
-        raise InputError(message, source=str(path)) from None
+    content = read_regular_file(path, MOST_BYTES)
     return read_mission(content, str(path), omega_max=omega_max)
 
 

@@ -22,7 +22,7 @@ from dqforge.optimizer.current_reference import Emitted, FloatReference
 from dqforge.optimizer.fixed_polynomial import CodeArray
 from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.single_precision import SingleArray
-from dqforge.reports.files import read_output
+from dqforge.reports.files import LARGEST_FILE, LARGEST_JSON, read_output
 from dqforge.reports.further_headers import SWEEP_POINTS, SWEEP_SEED, programmes
 from dqforge.reports.programme import Programme
 from dqforge.reports.reference_header import vector_codes, vector_torques
@@ -226,13 +226,13 @@ def verify_files(
     return Verification(chosen, compared - chosen, tuple(checks))
 
 
-def _read(path: Path) -> bytes:
-    return read_output(path, "the folder that 'dqforge run' or 'dqforge export' wrote")
+def _read(path: Path, most_bytes: int = LARGEST_FILE) -> bytes:
+    return read_output(path, "the folder that 'dqforge run' or 'dqforge export' wrote", most_bytes)
 
 
 def _load_result(path: Path) -> dict[str, Any]:
     """A result that describes a header."""
-    content = _read(path)
+    content = _read(path, LARGEST_JSON)
     try:
         loaded = json.loads(content)
     except (ValueError, RecursionError) as error:

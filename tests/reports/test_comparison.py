@@ -301,7 +301,7 @@ def test_faults_of_names_are_one_line(run: Run, written: Path, tmp_path: Path) -
     for name, words in (
         ("empty", "empty: the folder has no result.json"),
         ("foreign.h", "foreign.h: is no header of dqforge"),
-        ("pipe.json", "pipe.json: is no file"),
+        ("pipe.json", "pipe.json: cannot be read (this is a named pipe)"),
         ("bytes.h", "bytes.h: is no header of dqforge"),
         ("bytes.json", "bytes.json: is not JSON"),
         ("bytes.yaml", "bytes.yaml:1:1: the byte 0xFE"),

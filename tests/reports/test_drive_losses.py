@@ -110,7 +110,7 @@ def test_every_kind_of_loss_has_a_heading_and_a_colour() -> None:
         (("--map", "6x8", "--margin", "95 %"), "--margin: expected a share"),
         (("--map", "2000x2000"), "budgets are asked for"),
         (("--modulations", "spwm"), "go with --map or --mission"),
-        (("--mission", "none.csv"), "none.csv: cannot be read"),
+        (("--mission", "none.csv"), "none.csv: there is no such file"),
         (("--mission", "late.csv"), "late.csv:3: time 0 s does not lie after"),
         (("--mission", "fast.csv"), "fast.csv:2: speed 20000 rpm is above machine.max_speed"),
     ],
