@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO_DESIGN ?= paper000-ipmsm-100kw
 
-.PHONY: demo test check lint types contracts format figures wheel lock clean
+.PHONY: demo test campaign check lint types contracts format figures wheel lock clean
 
 demo: $(VENV)/runtime.stamp
 	$(BIN)/dqforge run $(DEMO_DESIGN) -o out/demo
@@ -13,7 +13,11 @@ demo: $(VENV)/runtime.stamp
 
 # One thread per worker: the matrices are small, and threads of the linear algebra get in each other's way.
 test: $(VENV)/dev.stamp
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "not slow and not benchmark"
+
+# Long sweeps, searches over many machines, benchmarks: what CI runs besides.
+campaign: $(VENV)/dev.stamp
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "slow or benchmark"
 
 check: lint types contracts
 

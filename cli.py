@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +20,7 @@ from dqforge import __version__
 
 if TYPE_CHECKING:
     from dqforge.machines.design import Design
+    from dqforge.machines.errors import DqforgeError
     from dqforge.reports.tables import Table
 
 app = typer.Typer(
@@ -58,13 +61,27 @@ ObjectiveOption = Annotated[
 ]
 
 
+_loaded: ContextVar[tuple[Design, ...]] = ContextVar("_loaded", default=())
+"""Designs that the command under way has loaded: its refusals name their place in the file."""
+
+
 def _load(design: str) -> Design:
     """Load a design file, or a library drive when no such file exists and the text can be its name."""
     from dqforge.machines import catalogue, loader
+    from dqforge.reports.console import status
 
-    if not Path(design).exists() and design in catalogue.names():
-        return catalogue.load(design)
-    return loader.load_design(design)
+    from_library = not Path(design).exists() and design in catalogue.names()
+    with status("reading the design", after=1.0):
+        loaded = catalogue.load(design) if from_library else loader.load_design(design)
+    _loaded.set((*_loaded.get(), loaded))
+    return loaded
+
+
+def _locate(error: DqforgeError) -> None:
+    """Give a refusal its place in the design of the command; of two designs their own solutions have done so."""
+    designs = _loaded.get()
+    if len(designs) == 1 and designs[0].places is not None:
+        designs[0].places.locate(error)
 
 
 def _show(tables: Sequence[Table]) -> None:
@@ -256,19 +273,22 @@ def mtpa(
         else:
             _show(reply.tables)
         return
-    from dqforge.optimizer.solution import solve_curves
+    from dqforge.optimizer.solution import signed_designs, solve_curves
     from dqforge.reports.result_json import plain_curves
     from dqforge.reports.tables import mtpa_tables
 
-    curves = solve_curves(loaded)
+    positive, negative = signed_designs(loaded)
+    curves = solve_curves(positive)
+    mirrored = None if negative is None else solve_curves(negative)
     if plot is not None:
         from dqforge.reports.figures import plot_mtpa
 
-        _plot(lambda: plot_mtpa(loaded, curves), plot)
+        _plot(lambda: plot_mtpa(positive, curves), plot)
     if json:
-        _print_json("mtpa", loaded.name, {"mtpa": plain_curves(curves)})
+        further = {} if mirrored is None else {"mtpa_negative": plain_curves(mirrored)}
+        _print_json("mtpa", loaded.name, {"mtpa": plain_curves(curves)} | further)
     else:
-        _show(mtpa_tables(loaded, curves))
+        _show(mtpa_tables(loaded, curves, mirrored))
 
 
 @app.command()
@@ -276,34 +296,38 @@ def fit(design: DesignArgument, json: JsonOption = False, plot: PlotOption = Non
     """Fit the current references and show their errors beside the alternatives."""
     from dqforge.optimizer.certificate import certify
     from dqforge.optimizer.fit_alternatives import alternatives
-    from dqforge.optimizer.solution import current_choice, solve_fit, solve_weakening
+    from dqforge.optimizer.solution import current_choice, signed_designs, solve_fit, solve_negative, solve_weakening
     from dqforge.reports.console import status
-    from dqforge.reports.result_json import plain_fit, plain_weakening_fit
-    from dqforge.reports.tables import fit_tables
+    from dqforge.reports.result_json import plain_fit, plain_negative, plain_weakening_fit
+    from dqforge.reports.tables import fit_tables, negative_tables
     from dqforge.reports.weakening_tables import weakening_tables
 
     loaded = _load_for(design, plot)
     with status("fitting"):
-        chosen = solve_fit(loaded)
+        positive = signed_designs(loaded)[0]
+        chosen = solve_fit(positive)
         found = chosen.fit
-        rows = alternatives(current_choice(loaded), found)
-        proof = certify(current_choice(loaded), found.reference, found.errors)
+        rows = alternatives(current_choice(positive), found)
+        proof = certify(current_choice(positive), found.reference, found.errors)
+        negative = solve_negative(loaded)
         weakening = solve_weakening(loaded)
     if plot is not None:
         from dqforge.reports.figures import plot_fit
 
-        _plot(lambda: plot_fit(loaded, found), plot)
+        _plot(lambda: plot_fit(positive, found), plot)
     if json:
         _print_json(
             "fit",
             loaded.name,
             {
-                "fit": plain_fit(found, rows, chosen.trials, proof),
+                "fit": plain_fit(found, rows, chosen.trials, proof, chosen.data),
+                **plain_negative(negative),
                 "weakening": plain_weakening_fit(weakening),
             },
         )
     else:
-        _show([*fit_tables(loaded, found, rows, chosen.trials, proof), *weakening_tables(weakening)])
+        tables = [*fit_tables(loaded, found, rows, chosen.trials, proof, chosen.data), *negative_tables(negative)]
+        _show([*tables, *weakening_tables(weakening)])
 
 
 @app.command()
@@ -366,7 +390,7 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
 
         if (chart, mission, strategies, modulations, frequencies) != (None,) * 5 or margin != "0 %":
             raise InputError("--choice takes what the section 'modulation_choice' says; leave the other options out")
-        found = answer_choice(loaded, design)
+        found = answer_choice(loaded)
         _plot(found.figure, plot)
         if json:
             _print_json("losses", loaded.name, found.plain)
@@ -374,9 +398,11 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
             _show(found.tables)
         return
     if chart is not None or mission is not None:
+        from dqforge.reports.console import status
         from dqforge.reports.drive_losses import LossRequest, answer
 
-        reply = answer(loaded, LossRequest(chart, mission, strategies, modulations, frequencies, margin))
+        with status("comparing the losses", after=1.0):
+            reply = answer(loaded, LossRequest(chart, mission, strategies, modulations, frequencies, margin))
         _plot(reply.figure, plot)
         if json:
             _print_json("losses", loaded.name, reply.plain)
@@ -385,16 +411,11 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
         return
     if strategies is not None or modulations is not None or frequencies is not None:
         raise InputError("--strategies, --modulations and --frequencies go with --map or --mission; add one of them")
-    from dqforge.optimizer.solution import solve_losses
+    from dqforge.optimizer.solution import require_losses
     from dqforge.reports.result_json import plain_losses
     from dqforge.reports.tables import losses_tables
 
-    comparison = solve_losses(loaded)
-    if comparison is None:
-        raise InputError(
-            "the design asks for no comparison; add a section 'losses' with 'points', or ask with --map or --mission",
-            source=design,
-        )
+    comparison = require_losses(loaded)
     if plot is not None:
         from dqforge.reports.figures import plot_losses
 
@@ -475,8 +496,11 @@ def simulate(
 
 
 @app.command()
-def bemf(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Text file with time, or angle, and three phases.")],
+def bemf(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="Capture with time, or angle, and three phases; or a file per channel."),
+    ],
     json: JsonOption = False,
     plot: PlotOption = None,
     line_to_line: Annotated[bool, typer.Option("--line-to-line", help="The channels are ab, bc and ca.")] = False,
@@ -491,16 +515,21 @@ def bemf(
         str | None, typer.Option("--columns", metavar="T,A,B,C", help="Names or numbers of the columns.")
     ] = None,
     harmonics: Annotated[int, typer.Option("--harmonics", metavar="N", help="Highest order.")] = 25,
+    interval: Annotated[
+        str | None, typer.Option("--interval", metavar="TIME", help="Between two samples, e.g. '2 us'.")
+    ] = None,
 ) -> None:
     """Say what a capture of the back-EMF holds: harmonics, symmetry, noise, and the magnet flux."""
     from dqforge.reports.bemf import CaptureRequest, capture_tables, plain_capture, read_capture
+    from dqforge.reports.console import progress
 
     if plot is not None:
         from dqforge.reports.files import check_figure_path
 
         check_figure_path(plot)
-    request = CaptureRequest(line_to_line, pole_pairs, speed, scale, columns, harmonics)
-    reading = read_capture(file, request)
+    request = CaptureRequest(line_to_line, pole_pairs, speed, scale, columns, harmonics, interval)
+    with progress("reading the capture") as report:
+        reading = read_capture(files, request, report)
     if plot is not None:
         from dqforge.reports.figures_bemf import plot_capture
 
@@ -614,11 +643,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     _open_streams()
     command = typer.main.get_command(app)
+    _loaded.set(())
     given = None if arguments is None else list(arguments)
     try:
-        code = command.main(args=given, prog_name="dqforge", standalone_mode=False)
+        with warnings.catch_warnings():
+            # Numerical trouble ends in a message; what libraries remark on themselves is nobody's business.
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", RuntimeWarning)
+            code = command.main(args=given, prog_name="dqforge", standalone_mode=False)
         sys.stdout.flush()
     except DqforgeError as error:
+        _locate(error)
         _tell(str(error))
         code = error.exit_code
     except TyperException as error:
@@ -636,6 +671,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _tell(_system_line(error))
         code = 1
         _drop_output()
+    except (ArithmeticError, RuntimeWarning, ValueError) as error:
+        from dqforge.machines.numerical import refusal_of
+
+        refusal = refusal_of(error)
+        if refusal is None:
+            raise
+        _locate(refusal)
+        _tell(str(refusal))
+        code = refusal.exit_code
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -19,8 +19,9 @@ from dqforge.machines.settings import LoadPoint, LossSettings, ModulationName
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.choice_solution import solve_choice
 from dqforge.optimizer.drive_comparison import Alternatives
-from dqforge.optimizer.loss_budget import LossComparison, calibrate_switching, compare
-from dqforge.optimizer.mtpa import id0_currents, mtpa_currents
+from dqforge.optimizer.mtpa import id0_currents
+from dqforge.optimizer.point_losses import LossComparison, compare_points
+from dqforge.optimizer.switching_calibration import calibrate_switching
 from dqforge.reports.drive_losses import solve_map
 from dqforge.reports.figures import save
 from dqforge.reports.figures_choice import plot_choice
@@ -91,10 +92,10 @@ def _table_4() -> LossComparison:
     machine = LinearMachine(pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0)
     device = SwitchDevice("mosfet", 9.5e-3, 1e-3, 1e-3, 200.0, 500.0, thermal_resistance=0.306)
     inverter = Inverter(v_dc=500.0, f_sw=100e3, device=device, coolant_temperature=64.0)
-    id0, mtpa = (choose(machine, np.array([130.0])) for choose in (id0_currents, mtpa_currents))
+    id0 = id0_currents(machine, np.array([130.0]))
     device = calibrate_switching(1064.0, machine, inverter, float(id0[0][0]), float(id0[1][0]), 300.0, "spwm")
     settings = LossSettings(points=(LoadPoint(torque=130.0, omega_m=300.0),))
-    return compare(machine, replace(inverter, device=device), settings, {"id0": id0, "mtpa": mtpa})
+    return compare_points(machine, replace(inverter, device=device), settings, i_max=machine.i_max)
 
 
 def _draw_bars(axes: Axes, result: LossComparison) -> None:

@@ -12,12 +12,12 @@ from dqforge.optimizer.solution import solve_weakening
 from dqforge.reports.figures import save
 from dqforge.reports.figures_weakening import plot_weakening
 
-_DRIVE, _RPM = "baldor-pmsyrm-5k6", 3600.0
+_DRIVE, _RPM, _FLASH = "baldor-pmsyrm-5k6", 3600.0, 3000
 
 
 def weakening_errors(path: Path) -> None:
     """Errors of the references of a saturated machine up to twice its rated speed."""
-    design = replace(catalogue.load(_DRIVE), weakening=WeakeningSettings(_RPM * math.pi / 30.0))
+    design = replace(catalogue.load(_DRIVE), weakening=WeakeningSettings(_RPM * math.pi / 30.0, flash=_FLASH))
     fit = solve_weakening(design)
     if fit is None:
         raise AssertionError(_DRIVE)

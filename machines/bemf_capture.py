@@ -10,8 +10,7 @@ phases a, b and c. The d axis lies along the positive sequence of the fundamenta
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -20,14 +19,13 @@ from numpy.typing import NDArray
 
 from dqforge.machines import bemf_checks as checks
 from dqforge.machines import bemf_harmonics as numerics
+from dqforge.machines import bemf_motion as motions
 from dqforge.machines.bemf_checks import BemfSymmetry, Origin
-from dqforge.machines.bemf_harmonics import ComplexArray, HarmonicFit, Motion
-from dqforge.machines.quantities import parse_quantity
+from dqforge.machines.bemf_columns import BemfCapture, Connection
+from dqforge.machines.bemf_harmonics import ComplexArray, HarmonicFit
+from dqforge.machines.bemf_motion import Motion
 from dqforge.machines.synchronous import FloatArray
-from dqforge.machines.text_table import TextTable
-from dqforge.machines.units import COMPOUNDS, DIMENSIONS, SYMBOLS
 
-Connection = Literal["phase", "line-to-line"]
 IntArray = NDArray[np.int64]
 
 WAVEFORM_POINTS = 360
@@ -36,55 +34,6 @@ _COARSE_SAMPLES = 100.0  # to the period: harmonics that they fold onto the firs
 _TURN = np.exp(2j * np.pi / 3.0)
 # e_a = (e_ab - e_ca) / 3 and so on: phase voltages without zero sequence.
 _TO_PHASES = (np.eye(3) - np.roll(np.eye(3), -1, axis=1)) / 3.0
-
-_WORDS = {"v": "V", "volt": "V", "volts": "V", "sec": "s", "second": "s", "seconds": "s", "degree": "deg"} | {
-    "degrees": "deg",
-    "s": "s",
-    "v*s": "Vs",
-    "v s": "Vs",
-}
-_UNIT_KINDS: dict[str, frozenset[str]] = {
-    "time": frozenset(symbol for symbol, name in SYMBOLS.items() if name.endswith("second")),
-    "angle": frozenset(symbol for symbol, name in SYMBOLS.items() if name.endswith(("radian", "degree"))),
-    "voltage": frozenset(symbol for symbol, name in SYMBOLS.items() if name.endswith("volt")),
-    "flux": frozenset(symbol for symbol, name in SYMBOLS.items() if name.endswith("weber"))
-    | frozenset(symbol for symbol, names in COMPOUNDS.items() if names[0].endswith("volt")),
-}
-
-
-_NAMES_OF_SECOND_KIND = {"angle": "theta|angle|phi|winkel", "flux": "psi|flux|lambda"}
-"""How the heading of a column without unit begins that is an angle instead of a time, or a flux linkage."""
-
-
-@dataclass(frozen=True, slots=True)
-class BemfCapture:
-    """Samples of three voltages (or flux linkages) of a machine without current, as recorded.
-
-    Parameters
-    ----------
-    source:
-        File name for messages.
-    time:
-        Ascending times in s, shape (N,), need not be even; None when the angle is given.
-    angle:
-        Electrical angle in rad, any origin, shape (N,), may contain both ends of the period; None when time is given.
-    voltages:
-        In V, shape (3, N): phases a, b, c, or line-to-line ab, bc, ca.
-    lines:
-        Line of each sample in the file, shape (N,).
-    connection:
-        What the channels were connected to.
-    quantity:
-        ``flux`` if `voltages` holds flux linkages in Wb over the angle.
-    """
-
-    source: str
-    time: FloatArray | None
-    angle: FloatArray | None
-    voltages: FloatArray
-    lines: NDArray[np.intp]
-    connection: Connection = "phase"
-    quantity: Literal["voltage", "flux"] = "voltage"
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,132 +94,13 @@ class BemfResult:
     findings: tuple[str, ...]
 
 
-def capture_from_table(
-    table: TextTable,
-    *,
-    connection: Connection = "phase",
-    time_unit: str | None = None,
-    voltage_unit: str | None = None,
-    columns: Sequence[str | int] | None = None,
-    scale: tuple[float, float, float] = (1.0, 1.0, 1.0),
-    pole_pairs: int | None = None,
-) -> BemfCapture:
-    """Samples in SI units from the columns of a text file.
-
-    Parameters
-    ----------
-    table:
-        The file. The first column is the time or the angle (told by its unit or heading); of the others those in volts,
-        else those in Wb, else all, must be three; of line-to-line voltages two will do (ab and bc).
-    connection:
-        What the channels were connected to.
-    time_unit, voltage_unit:
-        Units of the first and the other columns where the file has none or wrong ones; s and V if it has none.
-    columns:
-        Headings (without unit) of the time (or angle) and the voltages to use instead, or their one-based numbers among
-        the columns that hold numbers.
-    scale:
-        Factors of the channels, for probes whose setting the oscilloscope did not know.
-    pole_pairs:
-        Needed only for an angle that the heading calls mechanical.
-
-    Raises
-    ------
-    InputError
-        Columns that are missing or too many, a unit that does not fit, or a scale that is zero or not finite.
-    """
-    origin = Origin(table.source, table.lines)
-    if len(scale) != 3 or not (np.all(np.isfinite(scale)) and np.all(scale)):
-        raise origin.error(f"scale must be three factors that are finite and not 0, got {scale}", None)
-    first, *others = _named(table, columns, origin) if columns else _guessed(table)
-    _check_count(others, connection, table, origin)
-    kind, factor = _factor(table, first, time_unit, ("time", "angle"), origin)
-    scaled = [_factor(table, column, voltage_unit, ("voltage", "flux"), origin) for column in others]
-    quantities = {quantity for quantity, _ in scaled}
-    if quantities == {"voltage", "flux"} or (kind == "time" and "flux" in quantities):
-        raise origin.error("flux linkages are read over an angle, and not beside voltages; choose other columns", 0)
-    factors = np.array([unit for _, unit in scaled]) * np.array(scale)[: len(others)]
-    voltages = np.ascontiguousarray(table.values[:, others].T * factors[:, None])
-    if len(others) == 2:
-        voltages = np.concatenate([voltages, -np.sum(voltages, axis=0, keepdims=True)])
-    axis = table.values[:, first] * factor
-    if kind == "angle" and "mech" in table.names[first].casefold():
-        if pole_pairs is None:
-            raise origin.error(f"{table.names[first]} is a mechanical angle; give the number of pole pairs", None)
-        axis = axis * pole_pairs
-    time, angle = (axis, None) if kind == "time" else (None, axis)
-    quantity: Literal["voltage", "flux"] = "flux" if quantities == {"flux"} else "voltage"
-    return BemfCapture(table.source, time, angle, voltages, table.lines, connection, quantity)
-
-
-def _kind_and_unit(table: TextTable, column: int) -> tuple[str, str]:
-    """Kind of a column by its unit, empty if unknown, and the unit's symbol."""
-    unit = _symbol(table.units[column])
-    return next((kind for kind, symbols in _UNIT_KINDS.items() if unit in symbols), ""), unit
-
-
-def _symbol(unit: str) -> str:
-    """Symbol of a unit that may be written as a word, as some oscilloscopes do."""
-    unit = unit.strip()
-    return unit if unit in SYMBOLS or unit in COMPOUNDS else _WORDS.get(unit.casefold(), unit)
-
-
-def _guessed(table: TextTable) -> list[int]:
-    """Columns of time and voltages: the first, and of the others those in V, else those in Wb, else all."""
-    others = range(1, table.values.shape[1])
-    kinds = [_kind_and_unit(table, column)[0] for column in others]
-    by_kind = [[column for column in others if kinds[column - 1] == kind] for kind in ("voltage", "flux")]
-    return [0, *next((found for found in by_kind if found), list(others))]
-
-
-def _named(table: TextTable, columns: Sequence[str | int], origin: Origin) -> list[int]:
-    """Places of columns given by heading or one-based number."""
-    places = []
-    names = list(table.names)
-    for column in columns:
-        if isinstance(column, str) and column in names:
-            places.append(names.index(column))
-        elif isinstance(column, int) and 1 <= column <= table.values.shape[1]:
-            places.append(column - 1)
-        else:
-            raise origin.error(f"there is no column {column!r}; the file has {', '.join(table.names)}", None)
-    return places
-
-
-def _check_count(others: list[int], connection: Connection, table: TextTable, origin: Origin) -> None:
-    """Refuse anything but three channels, or two line-to-line ones."""
-    if len(others) == 3 or (len(others) == 2 and connection == "line-to-line"):
-        return
-    names = ", ".join(table.names[column] for column in others) or "none"
-    if len(others) > 3:
-        raise origin.error(f"there are {len(others)} columns of voltages ({names}); name the time and three of them", 0)
-    missing = "a third phase is needed" if len(others) == 2 else "three phases are needed"
-    count = "is 1 channel" if len(others) == 1 else f"are {len(others)} channels"
-    raise origin.error(
-        f"there {count} ({names}): {missing}; capture them together, or give line-to-line voltages",
-        0,
-    )
-
-
-def _factor(
-    table: TextTable, column: int, given: str | None, wanted: tuple[str, str], origin: Origin
-) -> tuple[str, float]:
-    """Which of the wanted kinds a column is, and the factor to SI units."""
-    kind, unit = _kind_and_unit(table, column)
-    if given is not None:
-        unit = _symbol(given)
-        kind = next((name for name in wanted if unit in _UNIT_KINDS[name]), "")
-    if kind in wanted:
-        return kind, 1.0 if unit == DIMENSIONS[kind].unit else parse_quantity(f"1 {unit}", kind)
-    if unit:
-        examples = " or ".join(DIMENSIONS[name].unit for name in wanted)
-        raise origin.error(f"{table.names[column]} has the unit {unit!r}, expected e.g. {examples}", 0)
-    named = re.match(_NAMES_OF_SECOND_KIND[wanted[1]], table.names[column], re.IGNORECASE)
-    return wanted[1] if named else wanted[0], 1.0
-
-
 def analyse(
-    capture: BemfCapture, *, pole_pairs: int | None = None, speed: float | None = None, harmonics: int = 25
+    capture: BemfCapture,
+    *,
+    pole_pairs: int | None = None,
+    speed: float | None = None,
+    harmonics: int = 25,
+    progress: Callable[[float], None] | None = None,
 ) -> BemfResult:
     """Harmonics of the back-EMF per electrical speed, with their uncertainty, and what is peculiar about the capture.
 
@@ -283,6 +113,8 @@ def analyse(
         divided by, and without them the values are taken for e / omega_e.
     harmonics:
         Highest order wanted; lowered, and said so, where there are less than 4 samples in its period.
+    progress:
+        Told the share that is done.
 
     Raises
     ------
@@ -290,6 +122,7 @@ def analyse(
         The capture is not that of a turning three-phase machine, or speed and frequency contradict each other.
     """
     origin = Origin(capture.source, capture.lines)
+    tell = progress or (lambda _: None)
     axis = checks.check_samples(capture.time, capture.angle, capture.voltages, origin)
     timed = capture.time is not None
     if capture.voltages.shape[0] != 3:
@@ -298,12 +131,14 @@ def analyse(
     findings: list[str] = []
     voltages = capture.voltages
     if timed:
-        frequency, share = numerics.rough_frequency(axis, voltages)
+        frequency, share = motions.rough_frequency(axis, voltages)
+        tell(0.1)
         checks.check_line(share, origin)
-        samples = 1.0 / (frequency * numerics.sample_interval(axis))
+        samples = 1.0 / (frequency * motions.sample_interval(axis))
         checks.check_length(axis.size / samples, samples, origin)
         findings += checks.check_clipping(voltages, samples, origin)
-        motion = numerics.rough_motion(axis, voltages, frequency)
+        motion = motions.rough_motion(axis, voltages, frequency)
+        tell(0.2)
     else:
         motion, samples = _given_motion(axis, origin)
     count = _orders_resolved(harmonics, samples, findings)
@@ -320,10 +155,12 @@ def analyse(
     checks.check_ratios(fundamentals, origin)
     checks.check_displacements(fundamentals, origin)
     start = coarse.coefficients
+    del coarse  # its residual may be large
+    tell(0.3)
     if capture.connection == "line-to-line":
         findings += _line_to_line_findings(voltages)
         voltages, start = _TO_PHASES @ voltages, _TO_PHASES @ start
-    fit = numerics.fit_harmonics(motion, voltages, count, start)
+    fit = numerics.fit_harmonics(motion, voltages, count, start, lambda share: tell(0.3 + 0.6 * share))
     checks.check_condition(fit, origin)
     checks.check_length(_periods(fit.motion), samples, origin)
     if timed:
@@ -399,7 +236,7 @@ def _periods(motion: Motion) -> float:
 def _line_to_line_findings(voltages: FloatArray) -> list[str]:
     """Say what line-to-line voltages cannot tell, and whether the three add to zero."""
     findings = ["Line-to-line voltages do not contain the zero sequence: harmonics of order 3, 6, 9, ... are unknown."]
-    share = float(np.std(np.sum(voltages, axis=0)) / np.mean(np.std(voltages, axis=1)))
+    share = float(np.std(np.sum(voltages, axis=0)) / np.mean([np.std(row) for row in voltages]))
     if share > 0.05:
         findings.append(
             f"The three line-to-line voltages add to {share:.0%} of one of them instead of 0; are they phase voltages?"

@@ -155,8 +155,9 @@ def check_periodic(fit: HarmonicFit, voltages: FloatArray, samples: float, origi
     best = float(np.max(fit.explained))
     block = min(int(samples), fit.residual.shape[1])
     whole = fit.residual.shape[1] // block * block
-    left = np.mean(fit.residual[:, :whole].reshape(fit.residual.shape[0], -1, block) ** 2, axis=2)
-    departs = left > (1.0 - _LEAST_EXPLAINED) * np.var(voltages, axis=1)[:, None]
+    blocks = fit.residual[:, :whole].reshape(fit.residual.shape[0], -1, block)
+    left = np.einsum("kbn,kbn->kb", blocks, blocks, dtype=np.float64) / block
+    departs = left > (1.0 - _LEAST_EXPLAINED) * np.array([[np.var(row)] for row in voltages])
     first = np.argmax(departs, axis=1) * block
     for channel, share in enumerate(fit.explained):
         if share < _DEAD_EXPLAINED and best >= _LEAST_EXPLAINED:

@@ -13,11 +13,13 @@ Problems 19(2), 2003, doi:10.1088/0266-5611/19/2/201.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.bemf_motion import LONG, Motion, evenly, spectrum, spectrum_size
 from dqforge.machines.synchronous import FloatArray
 
 ComplexArray = NDArray[np.complex128]
@@ -32,57 +34,6 @@ _ITERATIONS = 12
 
 _MISS = 0.05
 """Probability that a coefficient lies outside its stated uncertainty."""
-
-_SHORT = 4.0
-"""Periods below which neighbouring lines of the spectrum run into each other, so that the frequency is searched."""
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """Electrical angle over a record of N samples.
-
-    Parameters
-    ----------
-    u:
-        Time from -1 at the first to 1 at the last sample, shape (N,); zeros where the angle is given.
-    half:
-        Half the length of the record in s.
-    unit_speed:
-        Electrical speed in rad/s that counts as 1 in `rate`.
-    powers:
-        theta = sum powers[i] u^(i + 1) in rad, shape (P,).
-    given:
-        The angle itself in rad, shape (N,), where it was recorded; the powers are then empty.
-    """
-
-    u: FloatArray
-    half: float
-    unit_speed: float
-    powers: FloatArray
-    given: FloatArray | None = None
-
-    def angle(self) -> FloatArray:
-        """Electrical angle in rad, 0 in the middle of a record over time, shape (N,)."""
-        if self.given is not None:
-            return self.given
-        return np.asarray(np.polynomial.polynomial.polyval(self.u, np.concatenate([[0.0], self.powers])))
-
-    def rate(self) -> FloatArray:
-        """Electrical speed at each sample over `unit_speed`, shape (N,)."""
-        if self.given is not None:
-            return np.ones_like(self.given)
-        slopes = np.arange(1.0, self.powers.size + 1.0) * self.powers / (self.half * self.unit_speed)
-        return np.asarray(np.polynomial.polynomial.polyval(self.u, slopes))
-
-    def thinned(self, stride: int) -> Motion:
-        """Every ``stride``-th sample of it."""
-        given = None if self.given is None else self.given[::stride]
-        return replace(self, u=self.u[::stride], given=given)
-
-    @property
-    def frequency(self) -> float:
-        """Mean electrical frequency in Hz."""
-        return float(np.sum(self.powers[::2])) / (2.0 * np.pi * self.half)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,106 +70,40 @@ class HarmonicFit:
     condition: float
 
 
-def sample_interval(time: FloatArray) -> float:
-    """Mean distance in s of ascending sample times, shape (N,)."""
-    return float(time[-1] - time[0]) / (time.size - 1)
-
-
-def _evenly(time: FloatArray, values: FloatArray) -> FloatArray:
-    """Values, shape (K, N), at evenly spaced times; as they are if the times are even to a tenth of a step."""
-    even = np.linspace(time[0], time[-1], time.size)
-    if np.max(np.abs(time - even)) < 0.1 * sample_interval(time):
-        return values
-    return np.stack([np.interp(even, time, row) for row in values])
-
-
-def rough_frequency(time: FloatArray, voltages: FloatArray) -> tuple[float, float]:
-    """Fundamental frequency in Hz of channels, shape (K, N), good to a fraction of 1 / length.
-
-    With it the share of the channels' power that lies within 15 % of it: nearly all of a machine's, little of noise.
-    """
-    length = time.size * sample_interval(time)
-    even = _evenly(time, voltages)
-    even = even - np.mean(even, axis=1, keepdims=True)
-    power = np.sum(np.abs(np.fft.rfft(even * np.hanning(time.size), axis=1)) ** 2, axis=0)
-    peak = 1 + int(np.argmax(power[1:-1]))
-    if peak < _SHORT + 1.0:
-        return _searched_frequency(time, voltages)
-    left, middle, right = np.log(power[peak - 1 : peak + 2] + 1e-300)
-    bend = left - 2.0 * middle + right
-    wide = 3 + int(0.15 * peak)
-    share = float(np.sum(power[max(1, peak - wide) : peak + wide + 1]) / np.sum(power[1:]))
-    return float(peak + (0.5 * (left - right) / bend if bend < 0.0 else 0.0)) / length, share
-
-
-def _searched_frequency(time: FloatArray, voltages: FloatArray) -> tuple[float, float]:
-    """Frequency in Hz whose offset and fundamental leave least of a record of few periods, from 0.3 to 6 of them.
-
-    With it the share of the channels' power that they explain.
-    """
-    stride = max(1, time.size // 1024)
-    length = time.size * sample_interval(time)
-    phase = (time[::stride] - time[0]) / length
-    values = voltages[:, ::stride] - np.mean(voltages, axis=1, keepdims=True)
-    periods = np.linspace(0.3, 6.0, 229)
-    turn = 2.0 * np.pi * np.multiply.outer(periods, phase)
-    basis = np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)], axis=1)  # (F, 3, n)
-    right = basis @ values.T  # (F, 3, K)
-    explained = np.sum(right * np.linalg.solve(basis @ basis.transpose(0, 2, 1), right), axis=(1, 2))
-    return float(periods[np.argmax(explained)]) / length, float(np.max(explained) / np.sum(values**2))
-
-
-def rough_motion(time: FloatArray, voltages: FloatArray, frequency: float) -> Motion:
-    """Angle to start from: constant speed for a short record, else the phase of the channel with most of it.
-
-    The phase of the fundamental is that of the channel times exp(-j w t), averaged twice over a period, which removes
-    the offset and the harmonics. A polynomial goes through it: of degree 2 up to 5 periods, then of degree 3.
-    """
-    middle, half = 0.5 * (time[0] + time[-1]), 0.5 * float(time[-1] - time[0])
-    omega = 2.0 * np.pi * frequency
-    periods = frequency * time.size * sample_interval(time)
-    degree = 1 + int(periods >= 1.5) + int(periods >= 5.0)
-    start = Motion((time - middle) / half, half, omega, np.array([omega * half, 0.0, 0.0][:degree]))
-    window = round(time.size / periods)
-    if periods < _SHORT:
-        return start
-    grid = np.linspace(-1.0, 1.0, time.size)
-    even = _evenly(time, voltages - np.mean(voltages, axis=1, keepdims=True))
-    slow = even * np.exp(-1j * omega * half * grid)
-    for _ in range(2):
-        total = np.cumsum(np.pad(slow, ((0, 0), (1, 0))), axis=1)
-        slow = (total[:, window:] - total[:, :-window]) / window
-    # The largest channel may be the one that is nothing but noise.
-    share = np.mean(np.abs(slow) ** 2, axis=1) / (np.mean(even**2, axis=1) + 1e-300)
-    inner = slice(window - 1, window - 1 + slow.shape[1])
-    stride = max(1, slow.shape[1] // 2048)
-    phase = np.unwrap(np.angle(slow[int(np.argmax(share))]))[::stride]
-    bends = np.polynomial.polynomial.polyfit(grid[inner][::stride], phase, degree)
-    return replace(start, powers=start.powers + bends[1:])
-
-
-def _gram(motion: Motion, voltages: FloatArray, harmonics: int, coefficients: ComplexArray | None) -> FloatArray:
+def _gram(
+    motion: Motion,
+    voltages: FloatArray,
+    harmonics: int,
+    coefficients: ComplexArray | None,
+    progress: Callable[[float], None] | None = None,
+) -> FloatArray:
     """Inner products of all columns of the model: cosines, sines, constant; slopes by the powers, (K, P); channels."""
     powers = np.arange(motion.powers.size)[:, None]
-    angle, rate, one, u = _blocked(np.stack([motion.angle(), motion.rate(), np.ones_like(motion.u), motion.u]))
-    channels = _blocked(voltages).transpose(1, 0, 2)
     gram = np.zeros(())
-    for start in range(0, one.shape[0], _CHUNK):
-        part = slice(start, start + _CHUNK)
-        turn, speed = _turns(angle[part], harmonics), rate[part, None]
-        rows = [turn.real * speed, turn.imag * speed, one[part, None]]
+    for part in _parts(voltages.shape[1]):
+        some = motion.part(part)
+        angle, rate, one, u = _blocked(np.stack([some.angle(), some.rate(), np.ones_like(some.u), some.u]))
+        turn, speed = _turns(angle, harmonics), rate[:, None]
+        rows = [turn.real * speed, turn.imag * speed, one[:, None]]
         if coefficients is not None and powers.size:
-            u_powers = u[part, None] ** powers * one[part, None]  # (B, P, n)
+            u_powers = u[:, None] ** powers * one[:, None]  # (B, P, n)
             shape = (coefficients @ turn).real
             slope = (coefficients * (1j * np.arange(1, harmonics + 1)) @ turn).real
             by_rate = (powers + 1) * u_powers / (motion.half * motion.unit_speed)
-            by_angle = speed * u[part, None] * u_powers
+            by_angle = speed * u[:, None] * u_powers
             both = shape[:, :, None] * by_rate[:, None] + slope[:, :, None] * by_angle[:, None]  # (B, K, P, n)
             rows.append(both.reshape(both.shape[0], -1, _BLOCK))
-        rows.append(channels[part])
+        rows.append(_blocked(voltages[:, part]).transpose(1, 0, 2))
         block = np.concatenate(rows, axis=1)
         gram = gram + np.sum(block @ block.transpose(0, 2, 1), axis=0)
+        if progress is not None:
+            progress(min(part.stop / voltages.shape[1], 1.0))
     return gram
+
+
+def _parts(count: int) -> list[slice]:
+    """Samples that are looked at together."""
+    return [slice(start, start + _CHUNK * _BLOCK) for start in range(0, count, _CHUNK * _BLOCK)]
 
 
 def _blocked(rows: FloatArray) -> FloatArray:
@@ -279,12 +164,17 @@ def _solve(gram: FloatArray, harmonics: int, channels: int, powers: int, count: 
 
 
 def fit_harmonics(
-    motion: Motion, voltages: FloatArray, harmonics: int, coefficients: ComplexArray | None = None
+    motion: Motion,
+    voltages: FloatArray,
+    harmonics: int,
+    coefficients: ComplexArray | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> HarmonicFit:
     """Harmonics 1..H and offsets of channels, shape (K, N), and the angle that suits all of them best.
 
     Unequal sampling, fractions of a period and drifting speed are part of the model. ``motion`` is where the search
     begins, with the first ``coefficients``, shape (K, up to H), if they are known; an angle that was recorded is kept.
+    ``progress`` is told the share that is done, as if each further step were half as likely as the one before.
     """
     channels, count = voltages.shape
     degree = motion.powers.size
@@ -292,8 +182,13 @@ def fit_harmonics(
         step = _solve(_gram(motion, voltages, harmonics, None), harmonics, channels, degree, count)
         coefficients = step.coefficients()
     coefficients = np.pad(coefficients, ((0, 0), (0, harmonics - coefficients.shape[1])))
-    for _ in range(_ITERATIONS if degree else 0):
-        step = _solve(_gram(motion, voltages, harmonics, coefficients), harmonics, channels, degree, count)
+    for place in range(_ITERATIONS if degree else 0):
+
+        def tell(share: float, place: int = place) -> None:
+            if progress is not None:
+                progress(1.0 - 0.5 ** (place + share))
+
+        step = _solve(_gram(motion, voltages, harmonics, coefficients, tell), harmonics, channels, degree, count)
         coefficients = step.coefficients()
         size = float(np.sum(np.abs(step.change)))
         # Beyond a radian the model is not linear any more, and the step would overshoot.
@@ -311,18 +206,21 @@ def _completed(motion: Motion, voltages: FloatArray, step: _Step) -> HarmonicFit
     channels, count = voltages.shape
     coefficients, offsets = step.coefficients(), step.linear[-1]
     harmonics = coefficients.shape[1]
-    angle = _blocked(motion.angle()[None])[0]
-    parts = [angle[start : start + _CHUNK] for start in range(0, angle.shape[0], _CHUNK)]
-    shape = np.concatenate([(coefficients @ _turns(part, harmonics)).real for part in parts])  # (B, K, n)
-    shape = shape.transpose(1, 0, 2).reshape(channels, -1)[:, :count]
-    residual = voltages - offsets[:, None] - shape * motion.rate()
-    left = np.sum(residual**2, axis=1)
+    residual = np.empty((channels, count), np.float64 if count <= LONG else np.float32)
+    left = np.zeros(channels)
+    for part in _parts(count):
+        some = motion.part(part)
+        shape = (coefficients @ _turns(_blocked(some.angle()[None])[0], harmonics)).real  # (B, K, n)
+        shape = shape.transpose(1, 0, 2).reshape(channels, -1)[:, : some.u.size]
+        rest = voltages[:, part] - offsets[:, None] - shape * some.rate()
+        left += np.sum(rest**2, axis=1)
+        residual[:, part] = rest
     freedom = max(count - step.linear.shape[0] - motion.powers.size / channels, 1.0)
     noise = np.sqrt(left / freedom)
     through_powers = np.einsum("skp,pq,skq->sk", step.leverage, step.spread, step.leverage)
     variance = step.unit_variance[:, None] * noise**2 + through_powers
     deviation = np.sqrt(np.maximum(np.maximum(variance[:harmonics], variance[harmonics : 2 * harmonics]), 0.0)).T
-    total = np.maximum(np.var(voltages, axis=1) * count, 1e-300)
+    total = np.maximum(np.array([np.var(row) for row in voltages]) * count, 1e-300)
     return HarmonicFit(
         motion, coefficients, offsets, residual, noise, 1.0 - left / total, np.asarray(deviation), step.condition
     )
@@ -340,23 +238,25 @@ def uncertainty(fit: HarmonicFit, periods: float) -> tuple[FloatArray, bool]:
     excess, lines = np.ones_like(fit.deviation), np.full(harmonics, float(fit.residual.shape[1]))
     known = fit.motion.given is not None
     if not known:
-        residual = _evenly(fit.motion.u, fit.residual)
-        power = np.abs(np.fft.rfft(residual, axis=1)) ** 2
-        power /= np.mean(power, axis=1, keepdims=True) + 1e-300
-        order = np.arange(power.shape[1]) / periods
+        size = spectrum_size(fit.residual.shape[1])
+        lines_per_order = periods * size / fit.residual.shape[1]
+        order = np.arange(min(size // 2 + 1, int((harmonics + 2) * lines_per_order) + 2)) / lines_per_order
         # The fit has taken out what lies within about a line of each harmonic.
         hole = np.abs(order - np.round(order)) * periods < 0.75
         free = np.where(hole & (order < harmonics + 0.5), 0.0, 1.0)
         wide = min(1.5, 16.0 / periods)
         centre = np.arange(1, harmonics + 1)
         first, last = np.searchsorted(order, centre - wide), np.searchsorted(order, centre + wide)
-        sums = np.concatenate([np.zeros((power.shape[0], 1)), np.cumsum(power * free, axis=1)], axis=1)
         counts = np.concatenate([[0.0], np.cumsum(free)])
         found = counts[last] - counts[first]
         known = bool(np.min(found) >= 4.0)
         if known:
             lines = found
-            excess = np.maximum((sums[:, last] - sums[:, first]) / found, 1.0)
+            for row, channel in zip(excess, fit.residual, strict=True):
+                power = spectrum(evenly(fit.motion.u, channel[None])[0, :size])
+                power /= np.mean(power) + 1e-300
+                sums = np.concatenate([[0.0], np.cumsum(power[: order.size] * free)])
+                row[:] = np.maximum((sums[last] - sums[first]) / found, 1.0)
     freedom = 2.0 * lines
     return fit.deviation * np.sqrt(excess * freedom * (_MISS ** (-2.0 / freedom) - 1.0)), known
 

@@ -161,12 +161,14 @@ def bridge_tables(inverter: Inverter) -> BridgeTables:
     resistances = _resistances(model, device.thermal_resistance)
     energies = (_of_energy(energy, inverter.v_dc, knots) for energy in (model.turn_on, model.turn_off))
     turn_on, turn_off = energies
+    # The diode of an IGBT conducts whatever is known of it; beside a channel one without data is left out.
+    diode = model.diode if model.kind == "igbt" or _known_diode(model) else None
     return BridgeTables(
         temperatures=knots,
         synchronous=model.kind == "mosfet",
         separate_diode=len(resistances) > 2,
         channel=_of_family(model.conduction, knots),
-        diode=_of_family(model.diode, knots) if model.diode is not None and _known_diode(model) else None,
+        diode=None if diode is None else _of_family(diode, knots),
         switching=turn_on.plus(turn_off),
         recovery=_of_energy(model.recovery, inverter.v_dc, knots),
         resistances=resistances,

@@ -8,13 +8,14 @@ import numpy as np
 
 from dqforge.machines import datasheet
 from dqforge.machines.entries import Quantity
+from dqforge.machines.places import KeyPath
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.schema import CurrentLoopSection, DesignFile, ObserverSection, SpeedLoopSection
 from dqforge.machines.schema_machine import MachineSection
 from dqforge.machines.settings import Strategy
 from dqforge.machines.speed_remarks import bare_speed_hint
 from dqforge.machines.synchronous import LinearMachine, Machine
-from dqforge.machines.yaml_source import KeyPath, YamlDocument
+from dqforge.machines.yaml_source import YamlDocument
 
 # A torque that is written as the limit itself, rounded, is meant to be the limit.
 _ROUNDING = 1e-3
@@ -54,7 +55,7 @@ def check_machine(section: MachineSection, machine: Machine, document: YamlDocum
         _check_rated_current(current, machine, document)
     if torque is not None:
         with document.at(("machine", "rated", "torque")):
-            datasheet.check_rated_torque(torque, _largest_torque(machine, machine.i_max))
+            datasheet.check_rated_torque(torque, largest_torque_within(machine, machine.i_max))
     most = machine.omega_m_max
     if rated.speed is not None and most is not None and rated.speed.si > most * (1.0 + _ROUNDING):
         hint = bare_speed_hint(rated.speed)
@@ -183,6 +184,22 @@ def _check_schedule(loop: CurrentLoopSection, machine: Machine, document: YamlDo
         raise document.error(message, path)
 
 
+def check_halves(sections: DesignFile, document: YamlDocument) -> None:
+    """Refuse what cannot keep the halves of a flux map apart."""
+    section = sections.machine.flux_map
+    if section is None or section.symmetry != "keep":
+        return
+    budget = any(
+        part is not None for part in (sections.fit.torque_error, sections.fit.loss_penalty, sections.fit.flash)
+    )
+    if budget or sections.fit.format in ("q15", "q31"):
+        raise document.error(
+            "machine.flux_map.symmetry: keep needs references in float32 of a given form; write fit: format: float32 "
+            "and leave the budget out, or symmetry: average",
+            ("machine", "flux_map", "symmetry"),
+        )
+
+
 def check_fit(sections: DesignFile, machine: Machine, i_max: float, document: YamlDocument) -> None:
     """Check strategy, form and domain of the current references; raises `InputError` with a position."""
     strategy, fit = sections.operation.strategy, sections.fit
@@ -192,19 +209,23 @@ def check_fit(sections: DesignFile, machine: Machine, i_max: float, document: Ya
     _check_form(sections, machine, document)
     _check_speed(sections, machine, document)
     _check_budget(sections, document)
-    largest = _largest_torque(machine, i_max, strategy)
+    largest = largest_torque_within(machine, i_max, strategy)
     end = largest if fit.torque_max is None else fit.torque_max.si
     if fit.breakpoints is not None:
         _check_breakpoints(fit.breakpoints, fit.segments, end, document)
 
 
-def _largest_torque(machine: Machine, i_max: float, strategy: Strategy = "mtpa") -> float:
+def largest_torque_within(machine: Machine, i_max: float, strategy: Strategy = "mtpa") -> float:
     """Largest torque in N m within a current limit in A; of saturated machines by a scan, good for a cross-check."""
     if isinstance(machine, LinearMachine):
         saliency = machine.saliency if strategy == "mtpa" else 0.0
         return datasheet.largest_torque(machine.pole_pairs, machine.psi_pm, saliency, i_max)
     angle = np.linspace(0.0, np.pi, 721) if strategy == "mtpa" else np.array([0.5 * np.pi])
-    return float(np.max(machine.torque(i_max * np.cos(angle), i_max * np.sin(angle))))
+    region = machine.region
+    if region is None or region.covers(i_max):
+        return float(np.max(machine.torque(i_max * np.cos(angle), i_max * np.sin(angle))))
+    length = np.array([min(i_max, region.end_of_ray(part)) for part in angle])
+    return float(np.max(machine.torque(length * np.cos(angle), length * np.sin(angle))))
 
 
 def _check_form(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:

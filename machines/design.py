@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from dqforge.machines.flux_evidence import FluxEvidence
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
+from dqforge.machines.places import Places
 from dqforge.machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.scenario import Scenario
 from dqforge.machines.settings import (
@@ -54,11 +56,15 @@ class Design:
 
     ``machine`` is the drive in dq coordinates, of a machine with another than sinusoidal back-EMF its fundamental;
     ``phase_machine`` holds that back-EMF and any saliency, None for all others. ``values`` lists each quantity with its
-    origin, ``assumptions`` the sentences on what the file leaves open, ``digest`` is the SHA-256 of the file's bytes in
-    hexadecimal. ``weakening`` asks for two-dimensional references, ``modulation_choice`` for a choice of modulator and
-    switching frequency. ``winding`` says how warm the losses make the winding, None where its temperature is given.
-    ``simulation`` asks for a simulation in the time domain. ``given`` is what it was read from, None where it was made
-    in Python.
+    origin, ``assumptions`` the sentences on what the file leaves open,
+    ``digest`` is the SHA-256 of the file's bytes in hexadecimal. ``weakening`` asks for two-dimensional references,
+    ``modulation_choice`` for a choice of modulator and switching frequency.
+    ``winding`` says how warm the losses make the winding, None where its temperature is given. ``simulation`` asks for
+    a simulation in the time domain. ``given`` is what it was read from, None where it was made in Python.
+    ``flux_evidence`` is what was found about each file of a flux map. ``halves`` are
+    the machines that the current references of positive and of negative torque are made for, the second one mirrored in
+    i_q and in the torque; None where one machine serves both. ``places`` says
+    where its keys stand in its file, None for designs made by hand; it is no part of what makes two designs equal.
     """
 
     name: str
@@ -81,6 +87,9 @@ class Design:
     simulation: Scenario | None = None
     modulation_choice: ChoiceSettings | None = None
     given: DesignFiles | None = None
+    flux_evidence: tuple[FluxEvidence, ...] = ()
+    halves: tuple[Machine, Machine] | None = None
+    places: Places | None = field(default=None, compare=False, repr=False)
 
     @property
     def strategy(self) -> Strategy:

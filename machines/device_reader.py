@@ -6,11 +6,11 @@ from dqforge.machines.checks import si_of
 from dqforge.machines.device import DeviceModel
 from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import SwitchDevice
+from dqforge.machines.places import KeyPath
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.schema import InverterSection
 from dqforge.machines.schema_device import DeviceReference, DeviceSection
-from dqforge.machines.yaml_source import KeyPath
 
 _DEFAULT_JUNCTION = 175.0  # degC, usual for the power modules of today
 _DEFAULT_GUESS = 100.0  # degC, between a warm heat sink and the limit
@@ -74,10 +74,10 @@ def _model(reference: DeviceReference, reading: Reading) -> DeviceModel:
             content = device_catalogue.read_text(reference.name)
         reading.files.append(content)
         return device_catalogue.load(reference.name)
-    from dqforge.machines.device_files import read_device
+    from dqforge.machines.device_files import MAX_BYTES, read_device
 
     name = reference.file or ""
-    content = reading.read_beside(name, (*_PATH, "file"))
+    content = reading.read_beside(name, (*_PATH, "file"), MAX_BYTES)
     try:
         return read_device(content, name)
     except InputError as error:
@@ -120,6 +120,10 @@ def _constants(section: DeviceSection, reading: Reading) -> SwitchDevice:
         reading.remarks.append("inverter.device.on_resistance is taken as independent of temperature")
     if section.max_junction_temperature is None:
         reading.remarks.append(f"inverter.device.max_junction_temperature is {_DEFAULT_JUNCTION:g} degC")
+    diode = (section.diode_voltage, section.diode_resistance)
+    if section.kind == "igbt" and not any(entry is not None and entry.si > 0.0 for entry in diode):
+        message = "inverter.device: an IGBT conducts backwards through its diode; write diode_voltage: 1.2 V"
+        raise reading.document.error(message, (*_PATH, "diode_voltage" if diode[0] is not None else "kind"))
     hottest = si_of(section.max_junction_temperature)
     return SwitchDevice(
         kind=section.kind,

@@ -10,11 +10,12 @@ from dqforge.machines.device_curves import Curve, Family, line
 from dqforge.machines.device_energy import EnergyTable
 from dqforge.machines.entries import Quantity
 from dqforge.machines.inverter import DeviceKind
+from dqforge.machines.places import KeyPath, dotted
 from dqforge.machines.provenance import quantities
 from dqforge.machines.schema_device import DeviceFile, EnergySection, OnState, ThermalSection
 from dqforge.machines.thermal_network import FosterNetwork
 from dqforge.machines.validation import read_model
-from dqforge.machines.yaml_source import KeyPath, YamlDocument, dotted, parse_yaml
+from dqforge.machines.yaml_source import YamlDocument, parse_yaml
 
 _HOTTEST = 175.0
 

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 
 class DqforgeError(Exception):
-    """Base of all errors that are reported as one line, without a traceback."""
-
-    exit_code = 1
-
-
-class InputError(DqforgeError, ValueError):
-    """The input is wrong; the message says where, what is wrong and what to write instead.
+    """Base of all errors that are reported as one line, without a traceback.
 
     Parameters
     ----------
     message:
-        What is wrong, what was expected, what to write.
+        What is wrong, what was expected, what to write; on a key of a design it begins with the key.
     source:
         File name as the user gave it, or None when there is no file.
     line, column:
         One-based position in the file, or None.
+
+    ``section`` is the dotted key that the error is about where the message names none (`dqforge.machines.places`).
     """
 
-    exit_code = 2
+    exit_code = 1
 
     def __init__(
         self, message: str, *, source: str | None = None, line: int | None = None, column: int | None = None
@@ -31,6 +27,7 @@ class InputError(DqforgeError, ValueError):
         self.source = source
         self.line = line
         self.column = column
+        self.section: str | None = None
         super().__init__(message)
 
     def __str__(self) -> str:
@@ -38,6 +35,12 @@ class InputError(DqforgeError, ValueError):
         text = f"{':'.join(position)}: {self.message}" if position else self.message
         # A file name may hold control characters; they must not reach a terminal or break the one line.
         return "".join(character if character.isprintable() else "?" for character in text)
+
+
+class InputError(DqforgeError, ValueError):
+    """The input is wrong; the message says where, what is wrong and what to write instead."""
+
+    exit_code = 2
 
 
 class NoSolutionError(DqforgeError):

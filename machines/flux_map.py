@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.current_region import CurrentRegion
 from dqforge.machines.errors import InputError
 from dqforge.machines.synchronous import FloatArray, FluxJet, Machine, MachineFormulas
 
@@ -101,7 +102,9 @@ class FluxMap:
     psi_d, psi_q:
         Flux linkages in Wb (peak), shape (M, N); psi_d even and psi_q odd in i_q.
     extrapolate:
-        Whether results outside the grid may be used; they are marked wherever they are.
+        Whether results outside the data may be used; they are marked wherever they are.
+    hull:
+        Where the data are if not on the whole grid: the convex hull of the points it was made from.
 
     Raises
     ------
@@ -114,6 +117,7 @@ class FluxMap:
     psi_d: FloatArray
     psi_q: FloatArray
     extrapolate: bool = False
+    hull: CurrentRegion | None = None
     _axes: tuple[_Axis, _Axis] = field(init=False, repr=False)
     _table: FloatArray = field(init=False, repr=False)
 
@@ -133,9 +137,18 @@ class FluxMap:
         object.__setattr__(self, "_table", table)
 
     def inside(self, i_d: FloatArray, i_q: FloatArray) -> NDArray[np.bool_]:
-        """Whether currents in A lie on the grid's rectangle, any broadcastable shapes."""
+        """Whether currents in A lie where the data are, on the rectangle or in the hull, any broadcastable shapes."""
+        if self.hull is not None:
+            return self.hull.contains(i_d, i_q)
         within_d = (i_d >= self.i_d[0]) & (i_d <= self.i_d[-1])
         return np.asarray(within_d & (i_q >= self.i_q[0]) & (i_q <= self.i_q[-1]))
+
+    @property
+    def region(self) -> CurrentRegion:
+        """Where the data are; zero current belongs to it, even where the first points lie next to it."""
+        if self.hull is not None:
+            return self.hull
+        return CurrentRegion.rectangle(float(self.i_d[0]), float(self.i_d[-1]), float(self.i_q[-1]))
 
     def rows(self, i_d: FloatArray) -> NDArray[np.intp]:
         """Cells of d currents in A, shape (n,), ascending; the first and the last lie outside the grid."""
@@ -256,6 +269,18 @@ def complete_by_symmetry(
     return axis, 0.5 * (psi_d + psi_d[:, ::-1]), 0.5 * (psi_q - psi_q[:, ::-1])
 
 
+def mirrored(flux_map: FluxMap) -> FluxMap:
+    """The map of the machine with i_q, psi_q and the torque counted the other way."""
+    return FluxMap(
+        flux_map.i_d,
+        -flux_map.i_q[::-1],
+        flux_map.psi_d[:, ::-1],
+        -flux_map.psi_q[:, ::-1],
+        flux_map.extrapolate,
+        flux_map.hull,
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class SaturatedMachine(MachineFormulas):
     """A machine whose flux linkages are a map; parameters as in `LinearMachine`, but for ``flux_map``."""
@@ -300,6 +325,11 @@ class SaturatedMachine(MachineFormulas):
     def known(self, i_d: FloatArray, i_q: FloatArray) -> NDArray[np.bool_]:
         """Whether currents in A lie on the map, any one shape."""
         return self.flux_map.inside(i_d, i_q)
+
+    @property
+    def region(self) -> CurrentRegion | None:
+        """Where the data of the map are, None where it may be left."""
+        return None if self.flux_map.extrapolate else self.flux_map.region
 
 
 @dataclass(frozen=True, slots=True)

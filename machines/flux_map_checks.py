@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.flux_evidence import MOST_PLACES, places
 from dqforge.machines.flux_map import FluxMap
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.settings import FluxAxes
@@ -251,13 +252,16 @@ def _dips(flux_map: FluxMap, axis: str, source: str) -> tuple[str, ...]:
     where = f"i_d = {flux_map.i_d[row]:g} A, i_q = {flux_map.i_q[column]:g} A (peak, d along the magnets)"
     share = float(fall[row, column]) / span if span > 0.0 else 1.0
     if share > _LARGEST_DIP:
+        found = np.argwhere(fall > _LARGEST_DIP * span)
+        named = tuple((float(flux_map.i_d[row]), float(flux_map.i_q[column])) for row, column in found[:MOST_PLACES])
+        every = f"it does in {found.shape[0]} places ({places(named, found.shape[0])}): " if found.shape[0] > 1 else ""
         raise InputError(
-            f"psi_{axis} falls as i_{axis} grows, most at {where}: by {100.0 * share:.2g} % of its span; measure that "
-            "point again, or remove it from the file",
+            f"psi_{axis} falls as i_{axis} grows, most at {where}: by {100.0 * share:.2g} % of its span; {every}"
+            "measure there again, or write flux_map: fit: smooth if it is noise",
             source=source,
         )
-    places = f"psi_{axis} does not grow with i_{axis} in {np.count_nonzero(flat)} places"
-    return (f"{places}, it falls by up to {100.0 * share:.2g} % of its span, at {where}",)
+    flats = f"psi_{axis} does not grow with i_{axis} in {np.count_nonzero(flat)} places"
+    return (f"{flats}, it falls by up to {100.0 * share:.2g} % of its span, at {where}",)
 
 
 def _check_expected(flux_map: FluxMap, expected: float, source: str) -> None:
@@ -315,7 +319,12 @@ def flux_map_of_maps(temperatures: FloatArray, maps: Sequence[FluxMap], temperat
         here = (1.0 - share) * psi[0] + share * psi[1]
     else:
         here = PchipInterpolator(known, psi, axis=0)(temperature)
-    return FluxMap(i_d, i_q, here[0], here[1], all(part.extrapolate for part in maps))
+    hull = None
+    if any(part.hull is not None for part in maps):
+        hull = maps[0].region
+        for part in maps[1:]:
+            hull = hull.within(part.region)
+    return FluxMap(i_d, i_q, here[0], here[1], all(part.extrapolate for part in maps), hull)
 
 
 def _common(axes: Sequence[FloatArray]) -> FloatArray:

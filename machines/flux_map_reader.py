@@ -2,27 +2,42 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dqforge.machines import datasheet
 from dqforge.machines.checks import si_of
 from dqforge.machines.delta import at_the_terminals
 from dqforge.machines.design import InputValue
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_map import FluxMap
+from dqforge.machines.places import KeyPath
 from dqforge.machines.reading import Reading
 from dqforge.machines.schema_machine import FluxMapSection, MachineSection
-from dqforge.machines.yaml_source import KeyPath
 
 if TYPE_CHECKING:  # the readers are needed for maps only
     from dqforge.machines.flux_map_torque import TorqueCheck
+    from dqforge.machines.flux_points import FluxMapReading
 
 _PATH: KeyPath = ("machine", "flux_map")
+_SYMMETRIC = 1e-6
+"""Asymmetry over the largest flux linkage below which the halves of a map are the same."""
 
 
-def read_flux_map(section: MachineSection, pole_pairs: int, reading: Reading, expected: float | None) -> FluxMap:
-    """Flux map of the files that the section names, at the temperature of the magnets.
+@dataclass(frozen=True, slots=True, eq=False)
+class FluxMaps:
+    """The map that everything is computed with, and that of both halves as they are, None where none is known."""
+
+    symmetric: FluxMap
+    whole: FluxMap | None = None
+
+
+def read_flux_maps(
+    section: MachineSection, pole_pairs: int, reading: Reading, expected: float | None, i_max: float
+) -> FluxMaps:
+    """Flux maps of the files that the section names, at the temperature of the magnets.
 
     Parameters
     ----------
@@ -34,6 +49,8 @@ def read_flux_map(section: MachineSection, pole_pairs: int, reading: Reading, ex
         Takes the findings, and slope and misfit of the torque.
     expected:
         Known flux linkage of the magnets in Wb, or None.
+    i_max:
+        Current limit in A (peak), at which the asymmetry is told where no rated current is given.
 
     Raises
     ------
@@ -45,8 +62,13 @@ def read_flux_map(section: MachineSection, pole_pairs: int, reading: Reading, ex
     given = section.flux_map
     if given is None or (given.file is None) == (given.files is None):
         raise reading.document.error("machine.flux_map: write either file or files", _PATH, key=True)
+    rated = section.rated.current
+    at = (i_max, "current limit")
+    if rated is not None:
+        at = (datasheet.peak_current(rated.si, rated.kind or "", section.connection), "rated current")
     if given.file is not None:
-        return _one_map(given, given.file, (*_PATH, "file"), pole_pairs, reading, expected)
+        found = _one_map(given, given.file, (*_PATH, "file"), pole_pairs, reading, expected)
+        return _told(given, given.file, found, reading, pole_pairs, at)
     files = given.files or ()
     for key in ("psi_q_file", "torque_file"):
         if getattr(given, key) is not None:
@@ -60,13 +82,36 @@ def read_flux_map(section: MachineSection, pole_pairs: int, reading: Reading, ex
             (*_PATH, "files"),
             key=True,
         )
-    maps = [
-        _one_map(given, part.file, (*_PATH, "files", index, "file"), pole_pairs, reading)
-        for index, part in enumerate(files)
-    ]
+    maps = []
+    for index, part in enumerate(files):
+        found = _one_map(given, part.file, (*_PATH, "files", index, "file"), pole_pairs, reading)
+        maps.append(_told(given, part.file, found, reading, pole_pairs, at))
     temperatures = np.array([part.magnet_temperature.si for part in files])
+    wholes = [part.whole for part in maps if part.whole is not None]
     with reading.document.at(("machine", "temperature", "magnet")):
-        return flux_map_of_maps(temperatures, maps, magnet.si)
+        whole = flux_map_of_maps(temperatures, wholes, magnet.si) if len(wholes) == len(maps) else None
+        return FluxMaps(flux_map_of_maps(temperatures, [part.symmetric for part in maps], magnet.si), whole)
+
+
+def _told(
+    given: FluxMapSection,
+    name: str,
+    found: FluxMapReading,
+    reading: Reading,
+    pole_pairs: int,
+    at: tuple[float, str],
+) -> FluxMaps:
+    """Maps of one file, with its fit and its asymmetry at a current in A told among the remarks."""
+    from dqforge.machines.flux_asymmetry import asymmetry_of
+    from dqforge.machines.flux_evidence import FluxEvidence
+
+    asymmetry = None
+    if found.whole is not None and found.asymmetry > _SYMMETRIC * float(np.max(np.abs(found.whole.psi_d))):
+        asymmetry = asymmetry_of(found.whole, found.flux_map, pole_pairs, *at, given.symmetry)
+    evidence = FluxEvidence(name, found.fit, asymmetry, pole_pairs)
+    reading.flux_evidence.append(evidence)
+    reading.remarks.extend(f"{name}: {sentence}" for sentence in evidence.sentences())
+    return FluxMaps(found.flux_map, found.whole)
 
 
 def _one_map(
@@ -76,11 +121,11 @@ def _one_map(
     pole_pairs: int,
     reading: Reading,
     expected: float | None = None,
-) -> FluxMap:
+) -> FluxMapReading:
     """Flux map of one file, its findings among the remarks; ``expected`` is the known magnet flux in Wb."""
     # A design with constants starts faster without the readers.
     from dqforge.machines.flux_map_files import read_flux_points
-    from dqforge.machines.flux_points import build_flux_map
+    from dqforge.machines.flux_points import FluxTreatment, build_flux_map
 
     columns = {key: value for key, value in given.columns if value is not None}
     content = reading.read_beside(name, path)
@@ -109,6 +154,7 @@ def _one_map(
             expected_psi_pm=expected,
             pole_pairs=pole_pairs,
             torque=given.torque,
+            treatment=FluxTreatment(given.fit, given.symmetry, si_of(given.frame_angle) or 0.0),
         )
     except InputError as error:
         if error.line is not None:
@@ -119,7 +165,7 @@ def _one_map(
     reading.remarks.extend(f"{name}: {finding}" for finding in found.findings)
     if found.torque is not None:
         reading.derived.extend(_torque_values(".".join(map(str, path[:-1])), found.torque))
-    return found.flux_map
+    return found
 
 
 def _torque_values(path: str, found: TorqueCheck) -> list[InputValue]:

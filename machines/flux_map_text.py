@@ -19,7 +19,7 @@ from dqforge.machines.flux_map_coordinates import turning
 from dqforge.machines.flux_map_names import recognised
 from dqforge.machines.flux_map_units import split_name
 from dqforge.machines.synchronous import FloatArray
-from dqforge.machines.text_table import decoded_text
+from dqforge.machines.text_formats import decoded_text
 from dqforge.machines.twin_builder_table import is_twin_builder, twin_builder_arrays
 
 _MOST_BYTES = 16_000_000

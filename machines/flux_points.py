@@ -13,14 +13,19 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.current_region import CurrentRegion
 from dqforge.machines.errors import InputError
+from dqforge.machines.flux_asymmetry import in_turned_frame, turned_flux
+from dqforge.machines.flux_evidence import FluxFit
 from dqforge.machines.flux_map import FluxMap, complete_by_symmetry
 from dqforge.machines.flux_map_checks import check_holes, check_map, check_points, energy_misfit
+from dqforge.machines.flux_map_fit import FluxData, fit_flux
 from dqforge.machines.flux_map_torque import TorqueCheck, check_torque
+from dqforge.machines.flux_noise import FluxNoise, noise_of_grid, noise_of_repeats
 from dqforge.machines.flux_outliers import check_outliers
 from dqforge.machines.flux_repeats import merge_repeats
 from dqforge.machines.quantities import format_quantity
-from dqforge.machines.settings import FluxAxes, FluxScaling, FluxTorque
+from dqforge.machines.settings import FluxAxes, FluxFitName, FluxScaling, FluxSymmetry, FluxTorque
 from dqforge.machines.synchronous import FloatArray
 
 _TO_PEAK: dict[FluxScaling, float] = {"peak": 1.0, "rms": math.sqrt(2.0), "power-invariant": math.sqrt(2.0 / 3.0)}
@@ -73,6 +78,23 @@ class FluxPoints:
 
 
 @dataclass(frozen=True, slots=True)
+class FluxTreatment:
+    """How points become a map.
+
+    ``fit``: the map goes through the points, is smoothed, or is smoothed where noise or faults ask for it.
+    ``symmetry``: both halves make the map (``average``, and ``keep``, whose halves are in `FluxMapReading.whole`), or
+    one. ``frame_angle`` is the turn of the file's frame in rad (electrical).
+    """
+
+    fit: FluxFitName = "auto"
+    symmetry: FluxSymmetry = "average"
+    frame_angle: float = 0.0
+
+
+PLAIN = FluxTreatment()
+
+
+@dataclass(frozen=True, slots=True)
 class FluxMapReading:
     """A flux map with what was found and done on the way.
 
@@ -80,25 +102,34 @@ class FluxMapReading:
     over the r.m.s. of the diagonal ones. ``asymmetry`` is the largest distance in Wb between the given flux linkages
     and their symmetric part, half the difference between mirrored points. ``scatter`` is the standard deviation in Wb
     of repeated points, 0 without any. ``torque`` compares the torque that the file gives, None where it gives none.
+    ``fit`` says whether the points were smoothed, and ``whole`` is the map over both halves as they are, None where
+    only one is known.
     """
 
     flux_map: FluxMap
     findings: tuple[str, ...]
     energy_misfit: float
     asymmetry: float
+    fit: FluxFit
+    whole: FluxMap | None
     scatter: float = 0.0
     torque: TorqueCheck | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class _Plane:
-    """Flux linkages (2, M, N) on ascending axes (M,) and (N,), the asymmetry of what they come from, and sentences."""
+    """Flux linkages (2, M, N) on ascending axes (M,) and (N,), the asymmetry of what they come from, and sentences.
+
+    ``raw`` are those of a whole plane that nobody averaged, None for the others.
+    """
 
     i_d: FloatArray
     i_q: FloatArray
     psi: FloatArray
     asymmetry: float = 0.0
     findings: tuple[str, ...] = ()
+    hull: CurrentRegion | None = None
+    raw: FloatArray | None = None
 
 
 def converted(points: FluxPoints, axes: FluxAxes, scaling: FluxScaling) -> FluxPoints:
@@ -119,6 +150,7 @@ def build_flux_map(
     expected_psi_pm: float | None = None,
     pole_pairs: int | None = None,
     torque: FluxTorque = "air-gap",
+    treatment: FluxTreatment = PLAIN,
 ) -> FluxMapReading:
     """Flux map through points in any order, once they are found sound.
 
@@ -140,6 +172,8 @@ def build_flux_map(
         Of the machine; a torque in the file is held against that of its flux linkages with it.
     torque:
         What the torque of the file is: 'air-gap', 'shaft', 'per-pole-pair', or 'ignore'.
+    treatment:
+        How the points become a map.
 
     Raises
     ------
@@ -157,29 +191,120 @@ def build_flux_map(
     findings = (*points.findings, *said, *_conversion(axes, known), *merged.findings)
     findings = findings if compared is None else (*findings, compared.sentence)
     single = converted(merged.points, axes, known)
-    plane = _filled_grid(single)
-    plane = _symmetric(plane, source) if plane is not None else _scattered(single)
+    plane, noise, is_grid = _plane(single, treatment.frame_angle)
     if plane.asymmetry > _WORST_ASYMMETRY * _largest(single.psi_d, single.psi_q):
+        if treatment.fit != "interpolate":
+            _refuse_single_points(plane, _turned(single, treatment.frame_angle), source)
         raise InputError(
             f"the halves i_q > 0 and i_q < 0 are no mirror images: they lie {format_quantity(plane.asymmetry, 'Wb')} "
             "from their mean; psi_d must be even and psi_q odd in i_q (d along the magnets), check the signs",
             source=source,
         )
     _check_size(plane.psi[0].size, source)
+    turned_points = _turned(single, treatment.frame_angle)
+    noise = _noise_of_repeats(converted(points, axes, known)) or noise
+    whole, symmetry = plane, treatment.symmetry
+    if plane.raw is None and symmetry != "average":
+        raise InputError(
+            f"symmetry: {symmetry} needs points of both halves, i_q > 0 and i_q < 0; leave it out", source=source
+        )
+    if symmetry in ("positive", "negative"):
+        plane = _one_half(plane, symmetry)
+        turned_points = _half_of(turned_points, symmetry)
+        if plane.hull is not None:
+            plane = replace(plane, hull=plane.hull.within(CurrentRegion.hull(turned_points.i_d, turned_points.i_q)))
     zero = _zero_current(plane.i_d, source)
+    if treatment.frame_angle:
+        findings = (*findings, f"the frame was turned by {np.degrees(treatment.frame_angle):.4g} deg (electrical)")
     try:
-        flux_map = FluxMap(plane.i_d, plane.i_q, plane.psi[0], plane.psi[1], extrapolate)
+        flux_map, used = fit_flux(_data(plane, plane.psi, turned_points, noise, is_grid=is_grid), treatment.fit, source)
+        flux_map = FluxMap(flux_map.i_d, flux_map.i_q, flux_map.psi_d, flux_map.psi_q, extrapolate, plane.hull)
+        halves = None
+        if whole.raw is not None:
+            data = _data(whole, whole.raw, _turned(single, treatment.frame_angle), noise, is_grid=is_grid)
+            both = fit_flux(data, used.used, source, even=False)[0]
+            halves = FluxMap(both.i_d, both.i_q, both.psi_d, both.psi_q, extrapolate, whole.hull)
     except InputError as error:
         raise InputError(error.message, source=source) from None
     checked = check_map(flux_map, source, expected_psi_pm)
+    done = tuple(_kept(sentence) for sentence in plane.findings) if symmetry == "keep" else plane.findings
+    findings = (*findings, *done, *zero, *checked)
     return FluxMapReading(
-        flux_map,
-        (*findings, *plane.findings, *zero, *checked),
-        energy_misfit(flux_map),
-        plane.asymmetry,
-        merged.scatter,
-        compared,
+        flux_map, findings, energy_misfit(flux_map), whole.asymmetry, used, halves, merged.scatter, compared
     )
+
+
+def _refuse_single_points(plane: _Plane, points: FluxPoints, source: str) -> None:
+    """Name the points that make the halves differ, where these are few."""
+    try:
+        fit_flux(_data(plane, plane.psi, points, None, is_grid=False), "smooth", source)
+    except InputError as error:
+        if "points lie far" in error.message:
+            raise
+
+
+def _plane(points: FluxPoints, angle: float) -> tuple[_Plane, FluxNoise | None, bool]:
+    """Symmetric plane through points in a frame turned by ``angle`` rad, their noise, and whether they fill a grid."""
+    grid = _filled_grid(points)
+    if grid is None:
+        return _scattered(_turned(points, angle)), None, False
+    noise = noise_of_grid(grid.i_d, grid.i_q, grid.psi)
+    if angle:
+        nodes = np.meshgrid(grid.i_d, grid.i_q, indexing="ij")
+        turned_psi = turned_flux(FluxMap(grid.i_d, grid.i_q, grid.psi[0], grid.psi[1]), angle, nodes[0], nodes[1])
+        grid = replace(grid, psi=np.stack(turned_psi))
+        if grid.i_q[0] >= 0.0 or grid.i_q[-1] <= 0.0:
+            raise InputError("frame_angle needs points of both halves, i_q > 0 and i_q < 0", source=points.source)
+    return _symmetric(grid, points.source), noise, True
+
+
+def _turned(points: FluxPoints, angle: float) -> FluxPoints:
+    """Points in a frame turned by ``angle`` rad."""
+    if not angle:
+        return points
+    i_d, i_q = in_turned_frame(angle, points.i_d, points.i_q)
+    psi_d, psi_q = in_turned_frame(angle, points.psi_d, points.psi_q)
+    return FluxPoints(points.source, i_d, i_q, psi_d, psi_q)
+
+
+def _noise_of_repeats(points: FluxPoints) -> FluxNoise | None:
+    """Noise that repeated points show, None where there are too few."""
+    tolerance = _SAME * _largest(points.i_d, points.i_q)
+    return noise_of_repeats(points.i_d, points.i_q, np.stack([points.psi_d, points.psi_q]), tolerance)
+
+
+def _half_of(points: FluxPoints, symmetry: FluxSymmetry) -> FluxPoints:
+    """Points of one half with i_q = 0, mirrored to i_q >= 0."""
+    sign = 1.0 if symmetry == "positive" else -1.0
+    kept = sign * points.i_q >= 0.0
+    i_d, i_q, psi_d, psi_q = (part[kept] for part in (points.i_d, points.i_q, points.psi_d, points.psi_q))
+    return FluxPoints(points.source, i_d, sign * i_q, psi_d, sign * psi_q)
+
+
+def _one_half(plane: _Plane, symmetry: FluxSymmetry) -> _Plane:
+    """A whole plane whose other half is the mirror image of the wanted one."""
+    assert plane.raw is not None
+    psi = plane.raw if symmetry == "positive" else plane.raw[:, :, ::-1] * _MIRROR
+    upper = plane.i_q >= 0.0
+    axis, values = plane.i_q[upper], psi[:, :, upper]
+    if axis[0] > 0.0:
+        axis, values = np.append(-axis[::-1], axis), np.concatenate([values[:, :, ::-1] * _MIRROR, values], axis=2)
+    i_q, psi_d, psi_q = complete_by_symmetry(axis, *values)
+    side = "i_q > 0" if symmetry == "positive" else "i_q < 0"
+    size = format_quantity(plane.asymmetry, "Wb", 3)
+    done = (f"the half {side} was mirrored; it lies at most {size} from the mean of both",)
+    return _Plane(plane.i_d, i_q, np.stack([psi_d, psi_q]), plane.asymmetry, done, plane.hull)
+
+
+def _kept(sentence: str) -> str:
+    """What is said of the halves where the current references keep them apart."""
+    return sentence.replace("were averaged", "are kept for the current references and averaged for all else")
+
+
+def _data(plane: _Plane, psi: FloatArray, points: FluxPoints, noise: FluxNoise | None, *, is_grid: bool) -> FluxData:
+    """What a fit needs to know of a plane."""
+    values = np.stack([points.psi_d, points.psi_q])
+    return FluxData(plane.i_d, plane.i_q, psi, points.i_d, points.i_q, values, noise, is_grid=is_grid)
 
 
 def _check_size(nodes: int, source: str) -> None:
@@ -240,13 +365,14 @@ def _symmetric(grid: _Plane, source: str) -> _Plane:
     else:
         axis, values = i_q[i_q >= 0.0], psi[:, :, i_q >= 0.0]
         _check_begin(axis, float(axis[1] - axis[0]) if axis.size > 1 else 0.0, source)
+    raw = (values[:, :, ::-1] * _MIRROR if turned else values) if whole else None
     shared = axis[(axis >= 0.0) & (axis <= other)]
     asymmetry = 0.5 * float(np.max(np.abs(along(shared) - along(-shared) * _MIRROR), initial=0.0))
     if not whole and axis[0] > 0.0:
         axis, values = np.append(-axis[::-1], axis), np.concatenate([values[:, :, ::-1] * _MIRROR, values], axis=2)
     done = _halves(whole, other > 0.0, turned, asymmetry, _largest(psi))
     i_q, psi_d, psi_q = complete_by_symmetry(axis, *values)
-    return _Plane(grid.i_d, i_q, np.stack([psi_d, psi_q]), asymmetry, done)
+    return _Plane(grid.i_d, i_q, np.stack([psi_d, psi_q]), asymmetry, done, raw=raw)
 
 
 def _check_begin(upper: FloatArray, step: float, source: str) -> None:
@@ -295,8 +421,10 @@ def _scattered(points: FluxPoints) -> _Plane:
     if (share := float(np.mean(outside))) > _MUCH_OUTSIDE:
         beyond = "of the nodes lie outside the convex hull of the points; the flux linkages there are extrapolated"
         findings = (*findings, f"warning: {100.0 * share:.0f} % {beyond}")
+    raw = (values[:, :, ::-1] * _MIRROR if turned else values) if whole else None
     axis_q, psi_d, psi_q = complete_by_symmetry(axis_q, *values)
-    return _Plane(axis_d, axis_q, np.stack([psi_d, psi_q]), asymmetry, findings)
+    hull = CurrentRegion.hull(i_d, i_q).within(CurrentRegion.rectangle(axis_d[0], axis_d[-1], axis_q[-1]))
+    return _Plane(axis_d, axis_q, np.stack([psi_d, psi_q]), asymmetry, findings, hull=hull, raw=raw)
 
 
 def _with_mirror_image(i_d: FloatArray, i_q: FloatArray, psi: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

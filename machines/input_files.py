@@ -51,7 +51,7 @@ def read_regular_file(place: str | Path, most_bytes: int, shown: str | None = No
         if not stat.S_ISREG(found.st_mode):
             kind = next((word for is_kind, word in _KINDS if is_kind(found.st_mode)), "no regular file")
             raise InputError(f"this is {kind}; name a regular file", source=name)
-        limit = f"at most {most_bytes / MEGABYTE:g} MB can be read"
+        limit = f"at most {most_bytes / MEGABYTE:.4g} MB can be read"
         if found.st_size > most_bytes:
             raise InputError(f"the file has {found.st_size / MEGABYTE:.4g} MB, {limit}", source=name)
         with os.fdopen(descriptor, "rb", closefd=False) as file:
@@ -61,18 +61,20 @@ def read_regular_file(place: str | Path, most_bytes: int, shown: str | None = No
     finally:
         os.close(descriptor)
     if len(content) > most_bytes:  # it grew while it was read, or belongs to /proc and states no size
-        raise InputError(f"the file has more than {most_bytes / MEGABYTE:g} MB, {limit}", source=name)
+        raise InputError(f"the file has more than {most_bytes / MEGABYTE:.4g} MB, {limit}", source=name)
     return content
 
 
 def _reason(error: OSError | ValueError) -> str:
     """Why a file cannot be opened, and what to do."""
     if not isinstance(error, OSError):
-        return "this is no file name; check it"
+        return "the file cannot be read: this is no file name; check it"
     if error.errno == errno.ELOOP:
         return "its links lead in a circle; name the file itself"
     if error.errno in (errno.ENOENT, errno.ENOTDIR):
         return "there is no such file; check the name"
     if error.errno == errno.EISDIR:
         return "this is a folder; name a regular file"
+    if error.errno == errno.EACCES:
+        return "the file may not be read; check its permissions"
     return f"the file cannot be read: {error.strerror}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dqforge.machines import checks, datasheet
@@ -11,9 +11,13 @@ from dqforge.machines.checks import si_of
 from dqforge.machines.choice_reader import read_choice
 from dqforge.machines.design import Design
 from dqforge.machines.device_reader import read_inverter_device
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.loss_reader import read_losses, read_machine_loss, read_winding_heat
 from dqforge.machines.machine_reader import read_machine
+from dqforge.machines.numerical import located
+from dqforge.machines.places import Places, about
+from dqforge.machines.plausibility import implausibilities
 from dqforge.machines.provenance import input_values, kind_assumptions
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
@@ -35,6 +39,7 @@ from dqforge.machines.settings import (
     ExportSettings,
     FitBudget,
     FitSettings,
+    GainWish,
     ObserverSettings,
     OperationSettings,
     PerUnitBases,
@@ -82,7 +87,13 @@ def load_text(text: bytes, source: str, folder: Path | None = None) -> Design:
         The content is wrong; with the position of the first fault.
     """
     document = parse_yaml(text, source)
-    return _Build(document, read_sections(document), Reading(document, text, folder)).design()
+    places = Places(source, document.keys, document.values, tuple(DesignFile.model_fields))
+    try:
+        with located(places, "machine"):
+            return _Build(document, read_sections(document), Reading(document, text, folder), places).design()
+    except NoSolutionError as error:
+        # Nothing has been asked of the design yet: what it says is wrong.
+        raise InputError(error.message, source=error.source, line=error.line, column=error.column) from error
 
 
 @dataclass(slots=True)
@@ -92,6 +103,7 @@ class _Build:
     document: YamlDocument
     sections: DesignFile
     reading: Reading
+    places: Places
 
     @property
     def remarks(self) -> list[str]:
@@ -108,6 +120,7 @@ class _Build:
         checks.check_loops(sections, machine, document)
         inverter = self.inverter(sections.inverter, machine.i_max)
         i_max = machine.i_max if inverter.i_max is None else min(machine.i_max, inverter.i_max)
+        checks.check_halves(sections, document)
         checks.check_fit(sections, machine, i_max, document)
         checks.check_waveform(sections, document)
         checks.check_comparison(sections, machine, document)
@@ -117,7 +130,7 @@ class _Build:
         weakening = read_weakening(sections, machine, self.reading)
         choice = read_choice(sections, machine, i_max, self.reading)
         losses = read_losses(sections, machine, self.reading)
-        return Design(
+        design = Design(
             name=sections.name,
             about=sections.about,
             machine=machine,
@@ -138,8 +151,13 @@ class _Build:
             winding=read_winding_heat(sections.machine, inverter.coolant_temperature),
             simulation=read_scenario(sections, machine, inverter, control, self.reading),
             modulation_choice=choice,
+            flux_evidence=tuple(self.reading.flux_evidence),
+            halves=found.halves,
+            places=self.places,
         )
+        return replace(design, assumptions=(*design.assumptions, *implausibilities(design, sections)))
 
+    @about("inverter")
     def inverter(self, section: InverterSection, machine_limit: float) -> Inverter:
         """Inverter in SI units; the machine's current limit in A is where tables of a device are made constants."""
         limit = section.max_current
@@ -159,6 +177,7 @@ class _Build:
             capacitor_esr=si_of(section.capacitor_esr) or 0.0,
         )
 
+    @about("control")
     def control(self, section: ControlSection, machine: Machine, inverter: Inverter, i_max: float) -> ControlSettings:
         """Controllers in SI units, with the bases that the file leaves open."""
         f_s = si_of(section.sampling_frequency)
@@ -176,7 +195,23 @@ class _Build:
             observer=None if section.observer is None else _observer(section.observer),
             bases=self.bases(section, machine, inverter, i_max),
             tolerances=read_tolerances(self.sections, machine, inverter, i_max, self.reading),
+            gains=self.gain_wish(section),
         )
+
+    def gain_wish(self, section: ControlSection) -> GainWish:
+        """Whether the design can do without gains, checked against what needs them."""
+        named = "control" in self.sections.model_fields_set
+        needed = bool(self.sections.export.control) or self.sections.simulation is not None
+        if section.gains:
+            return "required" if named or needed else "optional"
+        wants = (section.speed_loop, section.observer, section.tolerances)
+        if needed or section.current_loop.schedule or any(part is not None for part in wants):
+            raise self.document.error(
+                "control.gains is false, but the speed loop, observer, schedule, tolerances, export.control or "
+                "simulation of this design need gains; leave it out, or those",
+                ("control", "gains"),
+            )
+        return "none"
 
     def bases(self, section: ControlSection, machine: Machine, inverter: Inverter, i_max: float) -> PerUnitBases:
         """Bases of the per-unit gains; what the file leaves open is stated among the assumptions."""
@@ -209,6 +244,7 @@ class _Build:
         omega_m = inverter.v_dc / math.sqrt(3.0) / (machine.pole_pairs * machine.psi_pm)
         return omega_m, "where the back-EMF reaches v_dc/sqrt(3)"
 
+    @about("fit")
     def fit(self, section: FitSection, machine: Machine, bases: PerUnitBases) -> FitSettings:
         """Settings of the fit; what the machine or the number format cannot have is no default."""
         form, budget = section.form, _budget(section)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dqforge.machines.checks import si_of
 from dqforge.machines.machine_budget import COPPER_COEFFICIENT, WindingHeat
 from dqforge.machines.machine_loss import MachineLoss
-from dqforge.machines.mission import Mission, read_mission
+from dqforge.machines.mission import MOST_BYTES, Mission, read_mission
 from dqforge.machines.reading import Reading
 from dqforge.machines.schema import DesignFile
 from dqforge.machines.schema_machine import MachineSection
@@ -13,7 +13,6 @@ from dqforge.machines.settings import LoadPoint, LossSettings
 from dqforge.machines.synchronous import Machine
 
 _REFERENCE = 20.0
-_MOST_MISSION_BYTES = 50_000_000
 
 
 def read_machine_loss(section: MachineSection, reading: Reading) -> MachineLoss:
@@ -87,19 +86,13 @@ def read_losses(sections: DesignFile, machine: Machine, reading: Reading) -> Los
         points=tuple(LoadPoint(torque=point.torque.si, omega_m=point.speed.si) for point in section.points),
         strategies=section.strategies,
         modulations=section.modulations,
-        mission=None if section.mission is None else _mission(section.mission, sections, machine, reading),
+        mission=None if section.mission is None else _mission(section.mission, machine, reading),
     )
 
 
-def _mission(name: str, sections: DesignFile, machine: Machine, reading: Reading) -> Mission:
+def _mission(name: str, machine: Machine, reading: Reading) -> Mission:
     path = ("losses", "mission")
-    if sections.inverter.device is None:
-        message = "losses.mission needs the switch; write the section inverter.device"
-        raise reading.document.error(message, path, key=True)
-    content = reading.read_beside(name, path)
-    if len(content) > _MOST_MISSION_BYTES:
-        message = f"losses.mission: '{name}' has more than {_MOST_MISSION_BYTES // 1_000_000} MB; resample it"
-        raise reading.document.error(message, path)
+    content = reading.read_beside(name, path, MOST_BYTES)
     found = read_mission(content, name, omega_max=machine.omega_m_max)
     reading.remarks.extend(f"losses.mission: {sentence}" for sentence in found.findings)
     return found

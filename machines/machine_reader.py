@@ -13,9 +13,10 @@ from dqforge.machines.delta import check_connection
 from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import DqforgeError
-from dqforge.machines.flux_map import FluxMap, SaturatedMachine
-from dqforge.machines.flux_map_reader import read_flux_map
+from dqforge.machines.flux_map import FluxMap, SaturatedMachine, mirrored
+from dqforge.machines.flux_map_reader import FluxMaps, read_flux_maps
 from dqforge.machines.phase_machine_reader import read_phase_machine, read_saliency
+from dqforge.machines.places import about
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.salient_phase_machine import AnyPhaseMachine
@@ -49,10 +50,14 @@ _OWN: dict[str, MachineModel] = {
 
 @dataclass(frozen=True, slots=True)
 class MachineReading:
-    """The machine in dq coordinates; ``phases`` holds it in phase quantities where its back-EMF is not sinusoidal."""
+    """The machine in dq coordinates; ``phases`` holds it in phase quantities where its back-EMF is not sinusoidal.
+
+    ``halves`` as in `Design`.
+    """
 
     machine: Machine
     phases: AnyPhaseMachine | None = None
+    halves: tuple[Machine, Machine] | None = None
 
 
 def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
@@ -97,14 +102,18 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
     _refuse_magnet_coefficient(section, reading)
     if section.saturation is not None:
         _refuse_constants(section, reading)
-        flux_map = _saturation_map(section.saturation, common["i_max"], reading)
+        maps = FluxMaps(_saturation_map(section.saturation, common["i_max"], reading))
     else:
         known = any((section.magnet_flux, section.back_emf_constant, section.torque_constant))
         expected = _magnet_flux(section, pole_pairs, reading) if known else None
-        flux_map = read_flux_map(section, pole_pairs, reading, expected)
-    machine = SaturatedMachine(flux_map=flux_map, **common)
+        maps = read_flux_maps(section, pole_pairs, reading, expected, common["i_max"])
+    machine = SaturatedMachine(flux_map=maps.symmetric, **common)
     _check_range(machine, reading)
-    return MachineReading(machine)
+    if section.flux_map is None or section.flux_map.symmetry != "keep" or maps.whole is None:
+        return MachineReading(machine)
+    both = (maps.whole, mirrored(maps.whole))
+    positive, negative = (SaturatedMachine(flux_map=half, **common) for half in both)
+    return MachineReading(machine, halves=(positive, negative))
 
 
 def _check_model(section: MachineSection, reading: Reading) -> None:
@@ -193,6 +202,7 @@ def _refuse_constants(section: MachineSection, reading: Reading) -> None:
             raise reading.document.error(message, ("machine", key), key=True)
 
 
+@about("machine.saturation")
 def _saturation_map(section: SaturationSection, i_max: float, reading: Reading) -> FluxMap:
     bridge = section.bridge
     try:
@@ -222,6 +232,7 @@ def _check_range(machine: SaturatedMachine, reading: Reading) -> None:
     flux_map, i_max = machine.flux_map, machine.i_max
     reach = min(max(-float(flux_map.i_d[0]), float(flux_map.i_d[-1])), float(flux_map.i_q[-1]))
     if i_max <= reach * (1.0 + 1e-6):
+        _remark_on_the_region(machine, reading)
         return
     if flux_map.extrapolate:
         reading.remarks.append(
@@ -234,6 +245,25 @@ def _check_range(machine: SaturatedMachine, reading: Reading) -> None:
         f"{format_quantity(reach, 'A')}; lower it, or write flux_map: extrapolate: true",
         ("machine", "max_current"),
     )
+
+
+def _remark_on_the_region(machine: SaturatedMachine, reading: Reading) -> None:
+    """Say where the data end within the current limit, and what that means for the currents that are chosen."""
+    flux_map, i_max = machine.flux_map, machine.i_max
+    region = flux_map.region
+    if region.covers(i_max):
+        return
+    if flux_map.hull is None:
+        where = f"covers i_d from {flux_map.i_d[0]:.4g} to {flux_map.i_d[-1]:.4g} A (peak)"
+    else:
+        nearest = max(region.reach, 0.0)
+        where = f"covers a region that ends {format_quantity(nearest, 'A')} (peak) from zero current at its nearest"
+    meant = (
+        "results beyond are extrapolated along its tangents (extrapolate: true)"
+        if flux_map.extrapolate
+        else "operating points stay inside and say where they are held by the data"
+    )
+    reading.remarks.append(f"the flux map {where}, the current limit is {format_quantity(i_max, 'A')}: {meant}")
 
 
 def _magnet_flux(section: MachineSection, pole_pairs: int, reading: Reading) -> float:

@@ -27,6 +27,8 @@ _PER_MINUTE = re.compile(
 """Revolutions per minute as drives people write them, beyond the vocabulary of units."""
 
 _MOST_ROWS = 200_000
+MOST_BYTES = 50_000_000
+"""Bytes of the largest file of a mission."""
 
 
 @dataclass(frozen=True, slots=True)

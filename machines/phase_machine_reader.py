@@ -11,12 +11,12 @@ from dqforge.machines import datasheet
 from dqforge.machines.checks import si_of
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machine import PhaseMachine
+from dqforge.machines.places import KeyPath
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.reading import Reading
 from dqforge.machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.schema_machine import BackEmfSection, HarmonicSection, MachineSection
 from dqforge.machines.synchronous import FloatArray
-from dqforge.machines.yaml_source import KeyPath
 
 _PATH: KeyPath = ("machine", "back_emf")
 _SALIENCY: KeyPath = ("machine", "inductance_harmonics")
@@ -32,8 +32,9 @@ def read_phase_machine(section: MachineSection, common: Mapping[str, Any], readi
         The back-EMF is given twice or not at all, contradicts itself, or its capture is not sound.
     """
     given = section.back_emf
-    if given is None or section.self_inductance is None or (given.harmonics is None) == (given.file is None):
-        raise reading.document.error("machine.back_emf: write either harmonics or file", _PATH, key=True)
+    sources = () if given is None else (given.harmonics, given.file, given.files)
+    if given is None or section.self_inductance is None or sum(source is not None for source in sources) != 1:
+        raise reading.document.error("machine.back_emf: write either harmonics, file or files", _PATH, key=True)
     if section.temperature.magnet is not None:
         raise reading.document.error(
             "machine.temperature.magnet: a back-EMF holds for the magnets as they were; write it for the temperature",
@@ -42,7 +43,9 @@ def read_phase_machine(section: MachineSection, common: Mapping[str, Any], readi
         )
     l_s = reading.per_phase(section.self_inductance, "machine.self_inductance")
     m_s = si_of(section.mutual_inductance) or 0.0
-    orders, amplitudes, phases = _written(given, reading) if given.harmonics is not None else _captured(given, reading)
+    orders, amplitudes, phases = (
+        _written(given, reading) if given.harmonics is not None else _captured(given, common["pole_pairs"], reading)
+    )
     with reading.document.at(_PATH, key=True):
         machine = PhaseMachine.from_harmonics(
             orders,
@@ -54,7 +57,7 @@ def read_phase_machine(section: MachineSection, common: Mapping[str, Any], readi
             m_s=m_s,
             i_max=common["i_max"],
         )
-        if given.file is not None and given.symmetric:
+        if given.harmonics is None and given.symmetric:
             machine = machine.symmetrised()
             reading.remarks.append("machine.back_emf is the mean of the three phases and of both half waves")
     if section.inductance_harmonics is None:
@@ -132,21 +135,32 @@ def _amplitude(harmonic: HarmonicSection) -> float:
     return 0.0 if entry is None else datasheet.peak_flux(entry.si, entry.kind or "peak")
 
 
-def _captured(given: BackEmfSection, reading: Reading) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _captured(given: BackEmfSection, pole_pairs: int, reading: Reading) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Orders (H,), amplitudes in V s/rad and phases in rad, shapes (3, H), of a capture."""
     # Reading captures needs much that other designs do not.
-    from dqforge.machines.bemf_capture import analyse, capture_from_table
-    from dqforge.machines.text_table import read_table
+    from dqforge.machines.bemf_capture import analyse
+    from dqforge.machines.bemf_columns import CaptureOptions
+    from dqforge.machines.bemf_files import read_captures
 
-    name, path = given.file or "", (*_PATH, "file")
+    names, path = _names(given)
+    options = CaptureOptions(
+        connection=given.connection, scale=given.scale, pole_pairs=pole_pairs, interval=si_of(given.interval)
+    )
     try:
-        table = read_table(reading.read_beside(name, path), name)
-        capture = capture_from_table(table, connection=given.connection, scale=given.scale)
-        result = analyse(capture, harmonics=given.highest_order)
+        capture = read_captures(names, lambda name: reading.read_beside(name, path), reading.is_beside, options)
+        result = analyse(capture, pole_pairs=pole_pairs, harmonics=given.highest_order)
     except InputError as error:
         if error.line is not None:
             raise
-        about = error.message if name in error.message else f"{name}: {error.message}"
+        source = error.source or names[0]
+        about = error.message if source in error.message else f"{source}: {error.message}"
         raise reading.document.error(f"machine.back_emf: {about}", path) from None
-    reading.remarks.extend(f"{name}: {finding}" for finding in result.findings)
+    reading.remarks.extend(f"{', '.join(names)}: {finding}" for finding in result.findings)
     return result.orders.astype(np.float64), result.amplitudes, result.phases
+
+
+def _names(given: BackEmfSection) -> tuple[tuple[str, ...], KeyPath]:
+    """Names of a capture's files, and the key that holds them."""
+    if given.file is not None:
+        return (given.file,), (*_PATH, "file")
+    return given.files or (), (*_PATH, "files")

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Mapping
 
 from dqforge.machines.design import InputValue
 from dqforge.machines.entries import Quantity
+from dqforge.machines.places import KeyPath, dotted
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.schema import DesignFile
 from dqforge.machines.schema_entries import Section
 from dqforge.machines.two_sided import Between
-from dqforge.machines.yaml_source import KeyPath, dotted
 
 _ALTERNATIVE = {
     "phase": "write kind: line-to-line if it was measured between two terminals",

@@ -11,10 +11,12 @@ from dqforge.machines.datasheet import Connection
 from dqforge.machines.design import DesignFiles, InputValue
 from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import InputError
+from dqforge.machines.flux_evidence import FluxEvidence
 from dqforge.machines.input_files import read_regular_file
-from dqforge.machines.yaml_source import KeyPath, YamlDocument, dotted
+from dqforge.machines.places import KeyPath, dotted
+from dqforge.machines.yaml_source import YamlDocument
 
-MAX_FILE_BYTES = 200_000_000
+MAX_FILE_BYTES = 256_000_000
 
 
 @dataclass(slots=True)
@@ -32,7 +34,8 @@ class Reading:
 
     ``converted`` holds for paths of converted values what is used and what was done, ``derived`` values that follow
     from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names,
-    ``names`` the names of these. ``connection`` is that of the machine's windings.
+    ``names`` the names of these, ``flux_evidence`` what was found about its flux maps. ``connection`` is that of the
+    machine's windings.
     """
 
     document: YamlDocument
@@ -42,6 +45,7 @@ class Reading:
     derived: list[InputValue] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     files: list[bytes] = field(default_factory=list)
+    flux_evidence: list[FluxEvidence] = field(default_factory=list)
     connection: Connection = "star"
     names: list[str] = field(default_factory=list)
 
@@ -113,7 +117,11 @@ class Reading:
             self.converted[path] = (value, "; ".join(parts))
         return value
 
-    def read_beside(self, name: str, path: KeyPath) -> bytes:
+    def is_beside(self, name: str) -> bool:
+        """Whether there is such a file in the folder of the design or below it."""
+        return self.folder is not None and (self.folder / name).is_file()
+
+    def read_beside(self, name: str, path: KeyPath, most_bytes: int = MAX_FILE_BYTES) -> bytes:
         """Content of a file that the design names, from its own folder or one below it.
 
         Raises
@@ -135,7 +143,7 @@ class Reading:
         try:
             if not place.exists():
                 raise self.document.error(f"there is no file '{name}' beside the design file; check the name", path)
-            content = read_regular_file(place, MAX_FILE_BYTES, name)
+            content = read_regular_file(place, most_bytes, name)
         except OSError as error:
             raise self.document.error(f"the file '{name}' cannot be read: {error.strerror}", path) from None
         except InputError as error:

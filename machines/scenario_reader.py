@@ -9,6 +9,7 @@ from dqforge.machines.checks import si_of
 from dqforge.machines.entries import Quantity
 from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import Inverter
+from dqforge.machines.places import KeyPath
 from dqforge.machines.reading import Reading
 from dqforge.machines.scenario import (
     ControlMode,
@@ -33,7 +34,6 @@ from dqforge.machines.schema_simulation import (
 )
 from dqforge.machines.settings import ControlSettings
 from dqforge.machines.synchronous import Machine
-from dqforge.machines.yaml_source import KeyPath
 
 MOST_SAMPLES = 10_000_000
 _PATH: KeyPath = ("simulation",)

@@ -60,6 +60,7 @@ from dqforge.machines.settings import (
     FitMethod,
     FitSettings,
     LossSettings,
+    LossStrategy,
     ModulationName,
     NumberFormat,
     ObserverMethodName,
@@ -214,6 +215,7 @@ class ControlSection(Section):
     tolerances: TolerancesSection | None = Field(
         default=None, description="how far the drive may be from its data; every loop must hold throughout"
     )
+    gains: bool = Field(default=True, description="false: no loops are tuned, the header holds the references alone")
 
 
 class OperationSection(Section):
@@ -282,8 +284,8 @@ class LossSection(Section):
         default=None,
         description="text file beside the design with time, speed and torque, over which energy is counted",
     )
-    strategies: Annotated[Listing[Strategy], Field(min_length=1, max_length=10)] = Field(
-        default=_LOSSES.strategies, description="strategies to compare"
+    strategies: Annotated[Listing[LossStrategy], Field(min_length=1, max_length=10)] = Field(
+        default=_LOSSES.strategies, description="strategies to compare: mtpa, id0, least-loss"
     )
     modulations: Annotated[Listing[ModulationName], Field(min_length=1, max_length=12)] = Field(
         default=_LOSSES.modulations, description="modulations to compare"
@@ -306,7 +308,7 @@ class WaveformSection(Section):
 
 
 class WeakeningSection(Section):
-    """Current references over torque and available flux linkage, for field weakening."""
+    """Current references over torque, voltage and speed, for field weakening."""
 
     speed: Speed | None = Field(
         default=None, description="largest mechanical speed (rad/s; write rpm); default machine.max_speed"

@@ -30,6 +30,7 @@ from dqforge.machines.schema_entries import (
     Power,
     Ratio,
     Resistance,
+    SampleInterval,
     Section,
     Speed,
     Temperature,
@@ -37,7 +38,14 @@ from dqforge.machines.schema_entries import (
     Torque,
     TorqueConstant,
 )
-from dqforge.machines.settings import FluxAxes, FluxScaling, FluxTorque, MachineModel
+from dqforge.machines.settings import (
+    FluxAxes,
+    FluxFitName,
+    FluxScaling,
+    FluxSymmetry,
+    FluxTorque,
+    MachineModel,
+)
 
 
 class RatedSection(Section):
@@ -121,6 +129,23 @@ class FluxMapSection(Section):
     extrapolate: bool = Field(
         default=False, description="permit currents beyond the map; results that use them are marked"
     )
+    fit: FluxFitName = Field(
+        default="auto",
+        description="interpolate: a spline through the points; smooth: a smooth co-energy near them; auto: smooth "
+        "where noise makes more than 3 % of the incremental inductances or one is not positive",
+    )
+    symmetry: FluxSymmetry = Field(
+        default="average",
+        description="of the halves i_q > 0 and i_q < 0: average; keep: a current reference for each sign of the "
+        "torque; positive, negative: one half, mirrored",
+    )
+    frame_angle: Angle | None = Field(
+        default=None, description="turn of the file's frame (rad electrical; write deg), against a misaligned sensor"
+    )
+
+
+Exponent = Annotated[Nonnegative, Field(le=20.0)]
+"""Published exponents are at most 7; far beyond, powers of flux linkages vanish, and the magnets with them."""
 
 
 class BridgeSection(Section):
@@ -130,7 +155,7 @@ class BridgeSection(Section):
     a_b: Nonnegative = Field(description="coefficient of the inverse inductance (1/H at 1 Wb)")
     a_bp: Nonnegative = Field(description="coefficient of its saturation (at 1 Wb)")
     k_q: Nonnegative = Field(description="share of the q flux linkage, squared")
-    w: Nonnegative = Field(description="exponent")
+    w: Exponent = Field(description="exponent")
 
 
 class SaturationSection(Section):
@@ -138,13 +163,13 @@ class SaturationSection(Section):
 
     a_d0: Positive = Field(description="1/H")
     a_dd: Nonnegative = Field(description="coefficient of |psi_d|^s")
-    s: Nonnegative = Field(description="exponent")
+    s: Exponent = Field(description="exponent")
     a_q0: Positive = Field(description="1/H")
     a_qq: Nonnegative = Field(description="coefficient of |psi_q|^t")
-    t: Nonnegative = Field(description="exponent")
+    t: Exponent = Field(description="exponent")
     a_dq: Nonnegative = Field(description="coefficient of the cross-saturation")
-    u: Nonnegative = Field(description="exponent of |psi_d| there")
-    v: Nonnegative = Field(description="exponent of |psi_q| there")
+    u: Exponent = Field(description="exponent of |psi_d| there")
+    v: Exponent = Field(description="exponent of |psi_q| there")
     bridge: BridgeSection | None = Field(default=None, description="magnets and bridges, if there are any")
 
 
@@ -219,12 +244,20 @@ class InductanceHarmonicSection(Section):
 
 
 class BackEmfSection(Section):
-    """Back-EMF of the three phases: harmonics, or a capture in a text file."""
+    """Back-EMF of the three phases: harmonics, or a capture in one or several files."""
 
     harmonics: Annotated[Listing[HarmonicSection], Field(min_length=1, max_length=100)] | None = Field(
         default=None, description="list of {order: 1, amplitude: 0.2 Wb}, {order: 3, share: 18 %, phase: 0 deg}"
     )
-    file: FileName | None = Field(default=None, description="capture beside the design file, in place of harmonics")
+    file: FileName | None = Field(
+        default=None, description="capture beside the design file, in place of harmonics: text or .mat, also .gz"
+    )
+    files: Annotated[Listing[FileName], Field(min_length=2, max_length=3)] | None = Field(
+        default=None, description="the files of a capture that has one for each channel, in place of file"
+    )
+    interval: SampleInterval | None = Field(
+        default=None, description="time between two samples (s; write us), for captures that do not say it"
+    )
     connection: Literal["phase", "line-to-line"] = Field(default="phase", description="what the channels measured")
     scale: Annotated[tuple[float, float, float], Field(strict=False)] = Field(
         default=(1.0, 1.0, 1.0), description="factors of the channels (probes)"

@@ -8,12 +8,17 @@ from typing import Literal, get_args
 from dqforge.machines.mission import Mission
 
 Strategy = Literal["mtpa", "id0"]
+LossStrategy = Literal["mtpa", "id0", "least-loss"]
+"""``mtpa``: least copper loss, the field weakened where the voltage asks for it; ``id0``: no d current; ``least-loss``:
+least loss of machine and inverter together, within the same limits."""
 MachineModel = Literal["linear", "flux-map", "saturation", "waveform"]
 OpenPhase = Literal["a", "b", "c"]
 WaveformForm = Literal["cheapest", "table", "harmonics"]
 FluxAxes = Literal["magnet-d", "reluctance"]
 FluxScaling = Literal["peak", "rms", "power-invariant"]
 FluxTorque = Literal["air-gap", "shaft", "per-pole-pair", "ignore"]
+FluxFitName = Literal["interpolate", "smooth", "auto"]
+FluxSymmetry = Literal["average", "keep", "positive", "negative"]
 FitMethod = Literal["lagrange", "least-squares", "minimax"]
 FitForm = Literal["polynomial", "even-odd", "torque-exact", "closed-form"]
 NumberFormat = Literal["float32", "q15", "q31"]
@@ -25,6 +30,7 @@ ObserverMethodName = Literal[
     "reduced-order", "extended-emf", "flux", "open-loop-flux", "matsui-voltage", "matsui-current", "ekf"
 ]
 ObserverTuningName = Literal["named", "optimised"]
+GainWish = Literal["required", "optional", "none"]
 QFormats = tuple[int, int] | Literal["auto"]
 ModulationName = Literal[
     "spwm",
@@ -99,7 +105,7 @@ class FitSettings:
 
 @dataclass(frozen=True, slots=True)
 class WeakeningSettings:
-    """Current references over torque and available flux linkage.
+    """Current references over torque, voltage and speed.
 
     ``omega_m`` in rad/s (mechanical) is the largest speed that they reach. ``torque_error``, over the largest torque,
     and ``voltage_excess``, over the voltage limit, are the largest permitted ones, ``flash`` the bytes of code and
@@ -161,6 +167,11 @@ Deviation = float | tuple[float, float]
 """How far a value may be off: both ways, or from the first (zero or negative) to the second (zero or positive)."""
 
 
+def both_sides(deviation: Deviation) -> tuple[float, float]:
+    """Least and largest value of a deviation; a single number goes to either side."""
+    return deviation if isinstance(deviation, tuple) else (-deviation, deviation)
+
+
 @dataclass(frozen=True, slots=True)
 class Tolerances:
     """How far the drive may be from its data; 0 where a value is taken as exact.
@@ -182,8 +193,7 @@ class Tolerances:
 
     def limits(self, name: ToleranceName) -> tuple[float, float]:
         """Least (zero or negative) and largest (zero or positive) deviation of one parameter."""
-        deviation = getattr(self, name)
-        return deviation if isinstance(deviation, tuple) else (-deviation, deviation)
+        return both_sides(getattr(self, name))
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +228,8 @@ class PerUnitBases:
 class ControlSettings:
     """Sampling and controllers; ``t_s`` is the current-control sampling period in s.
 
-    ``tolerances`` is the box in which every loop must hold, None where only the data themselves count.
+    ``tolerances`` is the box in which every loop must hold, None where only the data themselves count. ``gains`` are
+    ``optional`` where the design says nothing of control: a machine without them still has its current references.
     """
 
     t_s: float
@@ -227,6 +238,7 @@ class ControlSettings:
     observer: ObserverSettings | None
     bases: PerUnitBases
     tolerances: Tolerances | None = None
+    gains: GainWish = "required"
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +274,7 @@ class LossSettings:
     """Which alternatives are compared, and where: at points, and over a mission where there is one."""
 
     points: tuple[LoadPoint, ...]
-    strategies: tuple[Strategy, ...] = ("id0", "mtpa")
+    strategies: tuple[LossStrategy, ...] = ("id0", "mtpa")
     modulations: tuple[ModulationName, ...] = ("spwm", "svpwm", "ddt-gdpwm")
     mission: Mission | None = None
 

@@ -8,10 +8,10 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from dqforge.machines.entries import Quantity, QuantityRule
+from dqforge.machines.places import dotted
 from dqforge.machines.provenance import quantities
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.schema import DesignFile
-from dqforge.machines.yaml_source import dotted
 
 FACTOR = 3.0
 """How far above the largest speed a speed without a unit is taken for one in rpm (30/pi = 9.5 lies between them)."""

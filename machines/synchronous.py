@@ -6,10 +6,13 @@ All dq quantities are amplitude-invariant (peak of phase) and in SI units; the d
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:  # which works on the arrays that are named here
+    from dqforge.machines.current_region import CurrentRegion
 
 FloatArray = NDArray[np.float64]
 
@@ -117,6 +120,11 @@ class Machine(Protocol):
         ...
 
     @property
+    def region(self) -> CurrentRegion | None:
+        """Currents that operating points may not leave, because the model has no data there; None: all may be used."""
+        ...
+
+    @property
     def saliency(self) -> float:
         """Inductance difference l_q - l_d in H."""
         ...
@@ -143,6 +151,11 @@ class MachineFormulas:
     def known(self, i_d: FloatArray, i_q: FloatArray) -> NDArray[np.bool_]:
         """Whether the model has data at currents in A, any one shape: a formula holds everywhere."""
         return np.ones(np.broadcast_shapes(np.shape(i_d), np.shape(i_q)), dtype=np.bool_)
+
+    @property
+    def region(self) -> CurrentRegion | None:
+        """Currents that operating points may not leave: a formula has no such limit."""
+        return None
 
     @property
     def saliency(self: Machine) -> float:

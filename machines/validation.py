@@ -9,9 +9,10 @@ from pydantic_core import ErrorDetails
 
 from dqforge.machines.entries import EntryError, not_one_of, spoken, unknown_key
 from dqforge.machines.errors import InputError
+from dqforge.machines.places import KeyPath, dotted
 from dqforge.machines.schema import FORMAT_VERSION, DesignFile
 from dqforge.machines.schema_device import TAGS
-from dqforge.machines.yaml_source import KeyPath, YamlDocument, YamlValue, dotted
+from dqforge.machines.yaml_source import YamlDocument, YamlValue
 
 _Model = TypeVar("_Model", bound=BaseModel)
 # What engineers call the keys elsewhere.

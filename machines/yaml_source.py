@@ -13,11 +13,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 
 import yaml
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.input_files import read_regular_file
+from dqforge.machines.places import KeyPath, Position, dotted, nearest
 from dqforge.machines.quantities import close_matches, shown
 
 MAX_BYTES = 1 << 20
@@ -26,7 +28,6 @@ MAX_NODES = 20_000
 MAX_DIGITS = 40
 
 YamlValue = bool | int | float | str | list["YamlValue"] | dict[str, "YamlValue"] | None
-KeyPath = tuple[str | int, ...]
 
 _INT = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
@@ -67,13 +68,6 @@ _PLAIN_ENGLISH = (
 )
 
 
-class Position(NamedTuple):
-    """One-based line and column in a file."""
-
-    line: int
-    column: int
-
-
 @dataclass(frozen=True, slots=True)
 class YamlDocument:
     """The content of one file and the position of each of its parts.
@@ -89,12 +83,7 @@ class YamlDocument:
 
     def position(self, path: KeyPath, *, key: bool = False) -> Position:
         """Where a part begins, or the nearest enclosing part that is in the file."""
-        for length in range(len(path), 0, -1):
-            # For a key that is missing, its section's key is the line to look at.
-            table = self.keys if key or length < len(path) else self.values
-            if path[:length] in table:
-                return table[path[:length]]
-        return self.values[()]
+        return nearest(self.keys, self.values, path, key=key)
 
     def error(self, message: str, path: KeyPath, *, key: bool = False) -> InputError:
         """Build an error that points to a part of this file."""
@@ -112,37 +101,29 @@ class YamlDocument:
             raise self.error(f"{dotted(path)}: {error.message}", path, key=key) from None
 
 
-def dotted(path: KeyPath) -> str:
-    """Path as it is written in messages: ``losses.points[0].torque``."""
-    text = ""
-    for part in path:
-        # A key is the user's text until it has been recognised.
-        text += f"[{part}]" if isinstance(part, int) else ("." if text else "") + shown(part)[1:-1]
-    return text
-
-
 def read_bytes(path: str | Path) -> bytes:
     """Content of a design file.
 
     Raises
     ------
     InputError
-        There is no such file, it is a folder, it cannot be read, or it is larger than 1 MiB.
+        There is no such file, it is no regular file, it cannot be read, or it is larger than 1 MiB.
     """
-    source = str(path)
     try:
-        with Path(path).open("rb") as stream:
-            content = stream.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise InputError(f"no such file{_similar_files(Path(path))}", source=source) from None
-    except IsADirectoryError:
-        raise InputError("this is a folder; name the design file in it", source=source) from None
-    except PermissionError:
-        raise InputError("the file may not be read; check its permissions", source=source) from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"the file cannot be read: {reason}", source=source) from None
-    return content
+        return read_regular_file(path, MAX_BYTES)
+    except InputError as error:
+        raise InputError(_advice(Path(path), error), source=str(path)) from None
+
+
+def _advice(path: Path, error: InputError) -> str:
+    """What to say of a design file that cannot be read."""
+    if error.message.startswith("there is no such file"):
+        return f"no such file{_similar_files(path)}"
+    if error.message.startswith("this is a folder"):
+        return "this is a folder; name the design file in it"
+    if "can be read" in error.message:
+        return f"{error.message}; a design file has a few kilobytes"
+    return error.message
 
 
 def _similar_files(path: Path) -> str:

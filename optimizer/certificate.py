@@ -48,6 +48,9 @@ _DEEPEST = 20
 _MOST_INTERVALS = 1500
 """Intervals that are looked at; what is left then keeps its bounds."""
 
+_HELD_POINTS = 201
+"""Torques at which it is asked whether the data of a flux map hold the currents."""
+
 _FAR = 1.05
 """Bounds above this multiple of what was found are worth a second way."""
 
@@ -202,9 +205,12 @@ def certify(choice: CurrentChoice, reference: Reference, errors: ReferenceErrors
     -------
     Certificate
         For every torque between zero and the end of the domain, by symmetry for both signs, with and without fused
-        multiply-add; None for a machine that is neither linear nor a flux map, and where nothing could be proven.
+        multiply-add; None for a machine that is neither linear nor a flux map, where the data of a flux map hold the
+        currents on their edge, and where nothing could be proven.
     """
     if not isinstance(choice.machine, LinearMachine | SaturatedMachine):
+        return None
+    if np.any(choice.held(np.linspace(0.0, float(reference.torque_max), _HELD_POINTS)[1:])):
         return None
     form = None if isinstance(reference, FixedReference) else reference.form
     with _ball_arithmetic():

@@ -16,6 +16,7 @@ from dqforge.optimizer.local_terms import LossCoefficients
 from dqforge.optimizer.loss_model import DriveLosses, drive_losses
 from dqforge.optimizer.mtpa_locus import MtpaLocus, mtpa_locus
 from dqforge.optimizer.operating_points import Active, OptimalPoints, optimal_points
+from dqforge.optimizer.region_edges import intervals_of, region_that_holds
 
 _FASTEST = 1e6
 """Electrical speed in rad/s beyond which a machine is said to have no largest speed."""
@@ -34,7 +35,8 @@ class Characteristics:
     ``characteristic_current`` in A whose d-axis flux cancels the magnet (None without magnet, or beyond a map);
     ``speed_max`` in rad/s up to which the voltage limit can be kept (None where there is no end); ``power_max`` in W,
     the largest mechanical power up to the speed that the machine's mechanics, or else ``speed_max``, permits (or ten
-    times the base speed), at ``power_speed`` in rad/s.
+    times the base speed), at ``power_speed`` in rad/s. ``held`` names the figures (``torque_max``, ``base_speed``,
+    ``speed_max``, ``power_max``) that the data of a flux map hold: more may lie beyond them.
     """
 
     torque_max: float
@@ -43,6 +45,7 @@ class Characteristics:
     speed_max: float | None
     power_max: float
     power_speed: float
+    held: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,8 +136,34 @@ def limit_speed(machine: Machine, i_d: FloatArray, i_q: FloatArray, v_max: float
     return np.asarray(np.where(root > 0.0, omega_e, np.inf) / machine.pole_pairs)
 
 
-def _largest_speed(machine: Machine, v_max: float, i_max: float) -> float | None:
-    """Largest electrical speed in rad/s at which any current of the limit keeps the voltage limit, or None."""
+def _largest_speed(machine: Machine, v_max: float, i_max: float) -> tuple[float | None, bool]:
+    """Largest electrical speed in rad/s at which any current keeps the voltage limit, or None; and if data hold it."""
+    free, region = _free_largest_speed(machine, v_max, i_max), region_that_holds(machine, i_max)
+    if region is None:
+        return free, False
+    limits = make_limits(machine, np.array([_FASTEST if free is None else free]), np.array([v_max]), i_max)
+    if region.contains(limits.centre_d, limits.centre_q)[0]:
+        return free, False
+    # What is kept at a speed shrinks as the speed grows: its last measured current lies on the edge.
+    edges = intervals_of(machine, region, i_max)
+    which, share = np.arange(edges.d.size), np.linspace(0.0, 1.0, 33)
+    best = 0.0
+    low, high = np.zeros(which.size), np.ones(which.size)
+    for _ in range(7):
+        trial = low[:, np.newaxis] + (high - low)[:, np.newaxis] * share
+        speed = limit_speed(machine, *edges.point(np.repeat(which, share.size), trial.ravel()), v_max)
+        speed = speed.reshape(trial.shape)
+        chosen = int(np.argmax(np.max(speed, axis=1)))
+        place = int(np.argmax(speed[chosen]))
+        best = max(best, float(speed[chosen, place]))
+        low, high = trial[chosen, max(place - 1, 0)][np.newaxis], trial[chosen, min(place + 1, 32)][np.newaxis]
+        which = which[chosen : chosen + 1]
+    fastest = best * machine.pole_pairs
+    return (None if fastest >= _FASTEST else fastest), True
+
+
+def _free_largest_speed(machine: Machine, v_max: float, i_max: float) -> float | None:
+    """As `_largest_speed`, wherever the data of a flux map end."""
 
     def kept(omega_e: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
         volts = np.full_like(omega_e, v_max)
@@ -159,7 +188,10 @@ def _characteristic_current(machine: Machine, i_max: float) -> float | None:
         return None
     if isinstance(machine, LinearMachine):
         return machine.psi_pm / machine.l_d
-    current = abs(least_flux_current(machine, i_max))
+    least = least_flux_current(machine, i_max)
+    region, current = machine.region, abs(least)
+    if region is not None and not region.contains(np.array([least]), np.zeros(1))[0]:
+        return None
     return current if current < (1.0 - 1e-5) * i_max else None
 
 
@@ -218,7 +250,7 @@ def loci(machine: Machine, v_max: float, i_max: float | None = None) -> Loci:
     locus = mtpa_locus(machine, limit)
     beyond = 2.0 * float(locus.torque[-1])
     base = float(limit_speed(machine, locus.i_d[-1:], locus.i_q[-1:], v_max)[0])
-    last = _largest_speed(machine, v_max, limit)
+    last, _ = _largest_speed(machine, v_max, limit)
     end = 1e3 * base if last is None else last / machine.pole_pairs
     grid = np.geomspace(max(base, 1e-6 * end), end, 257) if end > 0.0 else np.zeros(1)
     speeds = np.unique(np.concatenate([grid, limit_changes(machine, v_max, grid, limit)]))
@@ -243,10 +275,10 @@ def characteristics(machine: Machine, v_max: float, i_max: float | None = None) 
     limit = machine.i_max if i_max is None else i_max
     locus = mtpa_locus(machine, limit)
     base_speed = float(limit_speed(machine, locus.i_d[-1:], locus.i_q[-1:], v_max)[0])
-    last = _largest_speed(machine, v_max, limit)
+    last, last_held = _largest_speed(machine, v_max, limit)
     speed_max = None if last is None else last / machine.pole_pairs
     ends = [speed for speed in (machine.omega_m_max, speed_max) if speed is not None]
-    power_max, power_speed = _largest_power(
+    power_max, power_speed, power_held = _largest_power(
         machine, v_max, limit, 2.0 * float(locus.torque[-1]), min(ends, default=_FAR * base_speed), base_speed
     )
     return Characteristics(
@@ -256,19 +288,33 @@ def characteristics(machine: Machine, v_max: float, i_max: float | None = None) 
         speed_max=speed_max,
         power_max=power_max,
         power_speed=power_speed,
+        held=tuple(
+            name
+            for name, held in (
+                ("torque_max", bool(locus.held[-1])),
+                ("base_speed", bool(locus.held[-1])),
+                ("speed_max", last_held),
+                ("power_max", power_held),
+            )
+            if held
+        ),
     )
 
 
 def _largest_power(
     machine: Machine, v_max: float, i_max: float, beyond: float, fastest: float, base_speed: float
-) -> tuple[float, float]:
-    """Largest mechanical power in W up to ``fastest`` rad/s, and its speed; ``beyond`` is a torque above all others."""
+) -> tuple[float, float, bool]:
+    """Largest mechanical power in W up to ``fastest`` rad/s, its speed, and whether the data hold it.
+
+    ``beyond`` is a torque above all others.
+    """
     near = np.linspace(base_speed, min(3.0 * base_speed, fastest), 100) if base_speed < fastest else np.zeros(0)
     speeds = np.unique(np.concatenate([np.linspace(0.0, fastest, 300), near]))
     for _ in range(4):
-        power = optimal_points(machine, beyond, speeds, v_max=v_max, i_max=i_max).torque * speeds
+        points = optimal_points(machine, beyond, speeds, v_max=v_max, i_max=i_max)
+        power = points.torque * speeds
         best = int(np.argmax(power))
-        found = float(power[best]), float(speeds[best])
+        found = float(power[best]), float(speeds[best]), bool(points.active[best] == Active.DATA)
         speeds = np.linspace(speeds[max(best - 1, 0)], speeds[min(best + 1, speeds.size - 1)], 41)
     return found
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dqforge.machines.design import Design
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.modulation import BoolArray
+from dqforge.machines.numerical import on_design
 from dqforge.machines.settings import ChoiceSettings, ModulationName
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.characteristics import characteristics
@@ -148,6 +149,7 @@ def choice_limits(settings: ChoiceSettings) -> ChoiceLimits:
     )
 
 
+@on_design("modulation_choice")
 def solve_choice(design: Design) -> ModulationChoice | None:
     """Choice of modulator and switching frequency of a design, None where it asks for none.
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqforge.machines.settings import Core, FitForm, NumberFormat
-from dqforge.optimizer.current_reference import ClosedForm, Reference
+from dqforge.optimizer.current_reference import ClosedForm, Emitted, SignedReference
 from dqforge.optimizer.fixed_reference import FIXED_WIDTHS, FixedReference
 from dqforge.optimizer.single_precision import SinglePolynomial, multiply_add
 
@@ -106,10 +106,12 @@ def _fixed_bytes(reference: FixedReference) -> int:
     return 4 * len(words - {0}) + reference.width // 4 * len(constants - {0})
 
 
-def reference_bytes(reference: Reference) -> int:
+def reference_bytes(reference: Emitted) -> int:
     """Bytes of the different constants of a reference that is emitted, the end of its domain included."""
     if isinstance(reference, FixedReference):
         return _fixed_bytes(reference)
+    if isinstance(reference, SignedReference):
+        return reference_bytes(reference.positive) + reference_bytes(reference.negative)
     constants = {float(reference.torque_max)}
     for name in reference.form.__dataclass_fields__:
         value = getattr(reference.form, name)

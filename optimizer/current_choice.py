@@ -9,13 +9,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dqforge.machines.current_region import CurrentRegion
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.settings import Strategy
 from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
 from dqforge.optimizer.mtpa import id0_currents, mtpa_at_current, mtpa_currents
 from dqforge.optimizer.mtpa_locus import mtpa_locus
-from dqforge.optimizer.operating_points import optimal_points
+from dqforge.optimizer.operating_points import Active, OptimalPoints, optimal_points
+from dqforge.optimizer.region_edges import region_that_holds
 
 _NO_LIMIT = 1e9
 """Phase voltage in V that no machine takes at standstill."""
@@ -43,7 +46,8 @@ class OperatingPoints:
     ``torque`` is the largest that can be had. ``torque_residual`` is the machine's torque at (i_d, i_q) in A minus
     ``torque``, relative to the largest torque of the set; ``stationarity`` is the scaled derivative of the copper loss
     along the curve of constant torque, zero at the optimum (not meaningful for ``id0``, where limited, and where the
-    field is weakened).
+    field is weakened). ``held`` marks currents that the data of a flux map hold on their edge: better ones may lie
+    beyond.
     """
 
     torque_request: FloatArray
@@ -53,6 +57,7 @@ class OperatingPoints:
     limited: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
     torque_residual: FloatArray
     stationarity: FloatArray
+    held: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,19 +109,42 @@ class CurrentChoice:
         i_d, i_q = self._id0(flat) if self.strategy == "id0" else self._least_loss(flat)
         return i_d.reshape(torque.shape), i_q.reshape(torque.shape)
 
-    def _least_loss(self, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
+    @property
+    def region(self) -> CurrentRegion | None:
+        """Where the data of a flux map hold the currents, None where they cover the current limit or may be left."""
+        return region_that_holds(self.machine, self.i_max)
+
+    def held(self, torque: FloatArray) -> NDArray[np.bool_]:
+        """Whether the data of a flux map hold the currents for torque >= 0 in N m on their edge, shape (N,)."""
+        if self.region is None:
+            return np.zeros(torque.shape, dtype=np.bool_)
+        if self.strategy == "id0":
+            end = self._end_of_id0()
+            return np.asarray((self.currents(torque)[1] >= end * (1.0 - 1e-9)) & (end < self.i_max))
+        return np.asarray(self._points(torque).active == Active.DATA)
+
+    def _points(self, torque: FloatArray) -> OptimalPoints:
         if self.speed is None:
-            found = optimal_points(self.machine, torque, 0.0, v_max=_NO_LIMIT, i_max=_ROOM * self.i_max)
-        else:
-            found = optimal_points(self.machine, torque, self.speed.omega_m, v_max=self.speed.v_max, i_max=self.i_max)
+            # What lies just beyond the current limit must not be taken from beyond the data.
+            i_max = self.i_max if self.region is not None else _ROOM * self.i_max
+            return optimal_points(self.machine, torque, 0.0, v_max=_NO_LIMIT, i_max=i_max)
+        return optimal_points(self.machine, torque, self.speed.omega_m, v_max=self.speed.v_max, i_max=self.i_max)
+
+    def _least_loss(self, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
+        found = self._points(torque)
         return found.i_d, found.i_q
+
+    def _end_of_id0(self) -> float:
+        """Largest q current in A that ``id0`` may take: the limit, or where the data of a flux map end."""
+        region = self.region
+        return self.i_max if region is None else min(self.i_max, region.end_of_ray(0.5 * np.pi))
 
     def _id0(self, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Newton's method on T(0, i_q) from a table of the torque over i_q."""
         if self.machine.psi_pm == 0.0:
             raise InputError("strategy id0 needs magnet flux; without it no torque is made at i_d = 0: use mtpa")
         factor = 1.5 * self.machine.pole_pairs
-        grid = np.linspace(0.0, _ROOM * self.i_max, _TABLE_POINTS)
+        grid = np.linspace(0.0, self._end_of_id0() if self.region is not None else _ROOM * self.i_max, _TABLE_POINTS)
         i_q = np.interp(torque, self.machine.torque(np.zeros_like(grid), grid), grid)
         zero = np.zeros_like(i_q)
         for _ in range(_POLISHING_STEPS):
@@ -134,7 +162,7 @@ class CurrentChoice:
         """
         limit = np.array([self.i_max])
         if self.strategy == "id0":
-            return float(self.machine.torque(np.zeros(1), limit)[0])
+            return float(self.machine.torque(np.zeros(1), np.array([self._end_of_id0()]))[0])
         if self.closed_form is not None:
             return float(self.machine.torque(*mtpa_at_current(self.closed_form, limit))[0])
         locus = mtpa_locus(self.machine, self.i_max)
@@ -162,8 +190,17 @@ class CurrentChoice:
             at = "" if self.speed is None else f" and {self.speed.v_max:.4g} V at {self.speed.omega_m:.4g} rad/s"
             raise NoSolutionError(
                 f"{where}: {torque:.4g} N m cannot be had: {self.i_max:.4g} A (peak){at} give at most {most:.4g} N m"
-                f" with strategy {self.strategy}; ask for less torque or raise max_current"
+                f" with strategy {self.strategy}{self._remedy(most)}"
             )
+
+    def _remedy(self, most: float) -> str:
+        """What to change where more than the largest torque in N m is asked for."""
+        if self.held(np.array([most * (1.0 - 1e-9)]))[0]:
+            return (
+                " (held by the data: the flux map ends there); ask for less torque, measure further, or write "
+                "flux_map: extrapolate: true"
+            )
+        return "; ask for less torque or raise max_current"
 
     def points(self, torque: FloatArray) -> OperatingPoints:
         """Operating points for torques in N m of any sign, shape (N,), clipped to what the limits allow.
@@ -185,7 +222,8 @@ class CurrentChoice:
         i_d, magnitude = self.currents(np.abs(granted))
         i_q = np.copysign(magnitude, granted)
         residual = (self.machine.torque(i_d, i_q) - granted) / max(float(np.max(np.abs(granted), initial=0.0)), 1e-300)
-        return OperatingPoints(request, granted, i_d, i_q, limited, residual, _stationarity(self.machine, i_d, i_q))
+        sine = _stationarity(self.machine, i_d, i_q)
+        return OperatingPoints(request, granted, i_d, i_q, limited, residual, sine, self.held(np.abs(granted)))
 
     def curves(self, end: float) -> dict[str, Callable[[FloatArray], FloatArray]]:
         """Curves i_d(T) and i_q(T) in A that are cheap to call often, for torques in N m from 0 to ``end``.

@@ -159,8 +159,40 @@ class CurrentReference:
         return np.unique(np.minimum(np.concatenate(parts).astype(np.float32), end))
 
 
+@dataclass(frozen=True, slots=True)
+class SignedReference:
+    """Two references, of a machine whose halves differ: one for torques >= 0, one for those below.
+
+    ``negative`` is that of the mirrored machine, whose torque and i_q count the other way.
+    """
+
+    positive: CurrentReference
+    negative: CurrentReference
+
+    @property
+    def torque_max(self) -> np.float32:
+        """Torque in N m that both signs have."""
+        return min(self.positive.torque_max, self.negative.torque_max)
+
+    def currents(self, torque: NDArray[Any], *, fused: bool = False) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A as `CurrentReference.currents`; not-a-number is no negative torque."""
+        torque = np.asarray(torque, dtype=np.float32)
+        below = torque < 0.0
+        plus = self.positive.currents(torque, fused=fused)
+        minus = self.negative.currents(torque, fused=fused)
+        return np.where(below, minus[0], plus[0]), np.where(below, minus[1], plus[1])
+
+    def samples(self, count: int) -> SingleArray:
+        """Magnitudes of torques in both domains, as `CurrentReference.samples`."""
+        return np.union1d(self.positive.samples(count), self.negative.samples(count))
+
+
+FloatReference = CurrentReference | SignedReference
 Reference = CurrentReference | FixedReference
-"""What the firmware evaluates: in floats, in N m and A, or in fixed point."""
+"""One reference of the firmware, even and odd in the torque: in floats, in N m and A, or in fixed point."""
+
+Emitted = Reference | SignedReference
+"""What the firmware evaluates."""
 
 
 @dataclass(frozen=True, slots=True)

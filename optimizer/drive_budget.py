@@ -8,7 +8,7 @@ figures that must agree; `DriveBudget.imbalance` says how well they do.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from dqforge.machines.bridge_losses import BridgeAverages, bridge_averages
 from dqforge.machines.bridge_tables import BridgeTables, bridge_tables
 from dqforge.machines.dead_time import dead_time_factor
 from dqforge.machines.errors import InputError
-from dqforge.machines.inverter import Inverter
+from dqforge.machines.inverter import Inverter, SwitchDevice
 from dqforge.machines.machine_budget import MachineBudget, WindingHeat, machine_budget
 from dqforge.machines.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.modulation import BoolArray, linear_limit
@@ -89,6 +89,8 @@ class DriveBudget:
     ----------
     torque, shaft_power:
         Of the currents, in N m and W.
+    friction:
+        Share of the shaft power in W that friction takes; no part of the total, since no alternative changes it.
     copper, ripple_copper, iron, ripple_iron, magnet:
         Losses of the machine in W; the second is what the ripple of the current adds, the fourth what switched voltages
         add.
@@ -125,6 +127,7 @@ class DriveBudget:
 
     torque: FloatArray
     shaft_power: FloatArray
+    friction: FloatArray
     copper: FloatArray
     ripple_copper: FloatArray
     iron: FloatArray
@@ -161,6 +164,14 @@ class DriveBudget:
         return np.asarray(self.input_power - self.total - self.shaft_power)
 
 
+_LOSSLESS = SwitchDevice("mosfet", 0.0, 0.0, 0.0, 1.0, 1.0, thermal_resistance=1.0, max_junction_temperature=1e4)
+
+
+def known_bridge(inverter: Inverter) -> BridgeTables:
+    """Tables of the bridge; of one without losses where nothing is known of its switch."""
+    return bridge_tables(inverter if inverter.device is not None else replace(inverter, device=_LOSSLESS))
+
+
 def stacked_budgets(budgets: Sequence[DriveBudget], axis: int) -> DriveBudget:
     """Budgets of one shape along a new axis."""
     names = [part.name for part in fields(DriveBudget)]
@@ -183,7 +194,8 @@ def drive_budget(
     Parameters
     ----------
     machine, inverter:
-        The drive; the inverter with a device. Its tables are used where it has them, else its constants.
+        The drive. The tables of its device are used where it has them, else its constants; without a device the
+        bridge counts as lossless, and its temperatures are NaN.
     i_d, i_q:
         Currents in A (peak) that make the torque, broadcastable to (M, P): each modulator may have its own. NaN where
         there are none.
@@ -203,10 +215,10 @@ def drive_budget(
     Raises
     ------
     InputError
-        The inverter has no device, there is no modulator, or a frequency is not positive.
+        There is no modulator, or a frequency is not positive.
     """
     chosen = BudgetOptions() if options is None else options
-    tables = bridge_tables(inverter)
+    tables = known_bridge(inverter)
     carrier = np.atleast_1d(np.asarray(inverter.f_sw if frequencies is None else frequencies, dtype=np.float64))
     if not modulations or not (carrier.size and np.all((carrier > 0.0) & np.isfinite(carrier))):
         raise InputError("drive budget: give a modulator and positive carrier frequencies at least")
@@ -302,6 +314,7 @@ def _budget(
     numbers = losses | {
         "torque": found.torque,
         "shaft_power": found.shaft_power,
+        "friction": machine.friction * omega_m * omega_m,
         "total": total,
         "input_power": inverter.v_dc * average.dc_current + added,
         "junction_temperature": np.max(balance.temperature[:, 0], axis=0),
@@ -313,6 +326,8 @@ def _budget(
         "ripple_current": np.sqrt(ripple_square),
         "thermal_residual": np.max(np.abs(balance.residual), axis=(0, 1)),
     }
+    if inverter.device is None:
+        numbers |= {name: np.full(known.shape, np.nan) for name in ("junction_temperature", "diode_temperature")}
     low, high = tables.temperature_reach
     inside = (size <= tables.current_reach) & np.all(
         (balance.temperature >= low - 1e-9) & (balance.temperature <= high + 1e-9), axis=(0, 1)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,17 +18,13 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.machine_budget import machine_budget
 from dqforge.machines.modulation import BoolArray, linear_limit
-from dqforge.machines.settings import ModulationName
+from dqforge.machines.settings import LossStrategy, ModulationName
 from dqforge.machines.synchronous import FloatArray, Machine
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.drive_budget import BudgetOptions, DriveBudget, drive_budget, stacked_budgets
 from dqforge.optimizer.local_terms import LossCoefficients
 from dqforge.optimizer.loss_model import loss_coefficients
 from dqforge.optimizer.operating_points import optimal_points
-
-DriveStrategy = Literal["mtpa", "id0", "least-loss"]
-"""``mtpa``: least copper loss, the field weakened where the voltage asks for it; ``id0``: no d current; ``least-loss``:
-least loss of machine and inverter together (`loss_coefficients`), within the same limits."""
 
 _EQUAL_LOSS = 1e-9
 _WARM = 100.0
@@ -44,7 +39,7 @@ _EXCESS, _AIM = 1e-7, 1e-6
 class Alternatives:
     """What is compared: S strategies, M modulators, F carrier frequencies in Hz."""
 
-    strategies: tuple[DriveStrategy, ...]
+    strategies: tuple[LossStrategy, ...]
     modulations: tuple[ModulationName, ...]
     frequencies: tuple[float, ...]
 
@@ -53,7 +48,7 @@ class Alternatives:
         """(S, M, F)."""
         return len(self.strategies), len(self.modulations), len(self.frequencies)
 
-    def label(self, index: int) -> tuple[DriveStrategy, ModulationName, float]:
+    def label(self, index: int) -> tuple[LossStrategy, ModulationName, float]:
         """Strategy, modulator and frequency of a flat index."""
         s, m, f = np.unravel_index(index, self.shape)
         return self.strategies[int(s)], self.modulations[int(m)], self.frequencies[int(f)]
@@ -92,7 +87,7 @@ class DriveComparison:
 
 def strategy_currents(
     machine: Machine,
-    strategy: DriveStrategy,
+    strategy: LossStrategy,
     torque: FloatArray,
     omega_m: FloatArray,
     *,
@@ -117,6 +112,8 @@ def strategy_currents(
         What ``least-loss`` minimises.
     """
     if strategy == "id0":
+        if machine.psi_pm == 0.0:
+            return np.zeros(torque.shape), np.zeros(torque.shape), torque == 0.0
         points = CurrentChoice(machine, "id0", i_max).points(torque)
         return points.i_d, points.i_q, ~points.limited
     volts = np.full(torque.shape, v_max)
@@ -206,7 +203,7 @@ def _strategy(
     inverter: Inverter,
     torque: FloatArray,
     omega_m: FloatArray,
-    strategy: DriveStrategy,
+    strategy: LossStrategy,
     alternatives: Alternatives,
     i_max: float,
     options: BudgetOptions,
@@ -238,7 +235,7 @@ def _currents(
     inverter: Inverter,
     torque: FloatArray,
     omega_m: FloatArray,
-    strategy: DriveStrategy,
+    strategy: LossStrategy,
     names: Sequence[ModulationName],
     i_max: float,
     options: BudgetOptions,

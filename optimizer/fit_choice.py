@@ -16,6 +16,7 @@ from dqforge.optimizer.breakpoints import SegmentErrors, round_significant, segm
 from dqforge.optimizer.cost_model import AXES, constant_bytes, estimated_cycles, reference_bytes
 from dqforge.optimizer.current_choice import CurrentChoice
 from dqforge.optimizer.current_reference import ReferenceErrors
+from dqforge.optimizer.data_use import COVERED, DataUse
 from dqforge.optimizer.fitting import Curve, SideConditions
 from dqforge.optimizer.fixed_scales import holds
 from dqforge.optimizer.reference_fit import (
@@ -53,10 +54,11 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class FitChoice:
-    """The chosen reference, and what was tried on the way to it, in order of cost."""
+    """The chosen reference, what was tried on the way to it in order of cost, and what it owes to the ends of data."""
 
     fit: ReferenceFit
     trials: tuple[Trial, ...]
+    data: DataUse = COVERED
 
 
 def _keeps(errors: ReferenceErrors, budget: FitBudget) -> bool:

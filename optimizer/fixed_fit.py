@@ -20,23 +20,11 @@ from dqforge.optimizer.piecewise import PiecewisePolynomial
 _HEADROOM = 1.0 - 2.0**-9
 """Share of the accumulator that scales may fill; the interval analysis decides in the end."""
 
+_NOTHING = 1e-200
+"""Sizes in codes below this one count as this one: scales are bounded long before."""
+
 _STEPS = (0.75, 0.5, 0.25, 0.125, 0.0625)
 """Sizes of the trial changes of the search, in codes of the result."""
-
-_BROKEN = 1e3
-"""Codes of error that one code of a broken side condition counts."""
-
-_SHORT_LEADING = 2**11
-"""Leading coefficients below this are tried one by one: their rounding would be seen."""
-
-_ROUNDING_SEEN = 2.0
-"""Errors in codes below which the rounding of every step is worth a look."""
-
-_LEADING_REACH = 2
-"""So many integers on either side of the real leading coefficient are tried."""
-
-_MOST_CODES = 2**16
-"""Codes of a segment that are all looked at; longer segments are sampled."""
 
 _BROKEN = 1e3
 """Codes of error that one code of a broken side condition counts."""
@@ -96,12 +84,15 @@ def _scales(row: FloatArray, length: int, width: int) -> list[int]:
     for power in range(degree - 1, -1, -1):
         partial[power] = partial[power + 1] * x + row[power]
     room, word = _HEADROOM * 2.0 ** (2 * width - 1), _HEADROOM * 2.0 ** (min(2 * width, 32) - 1)
+    apart, longest = (_UPPER_WORD if width > 16 else 0), 2 * width - 2
+    # Without a bound a current that is next to nothing, or nothing at all, would be scaled up without end.
+    most = float(degree * longest)
     limits = []
     for power in range(1, degree + 1):
         product = max(np.max(np.abs(partial[power] * x)), np.max(np.abs(partial[power - 1])), abs(row[power - 1]))
         value = np.max(np.abs(partial[power]))
-        limits.append(math.floor(min(math.log2(room / max(product, 1e-300)), math.log2(word / max(value, 1e-300)))))
-    apart, longest = (_UPPER_WORD if width > 16 else 0), 2 * width - 2
+        wanted = min(math.log2(room / max(product, _NOTHING)), math.log2(word / max(value, _NOTHING)), most)
+        limits.append(math.floor(wanted))
     scales = [limits[-1]]
     for limit in limits[-2::-1]:
         scales.insert(0, min(limit, scales[0] - apart))
@@ -162,7 +153,15 @@ class _Segment:
     def judge(self, row: FloatArray) -> tuple[float, FixedSegment]:
         """The integers of a real polynomial, and what they err by."""
         segment = _rounded(row, self.scales, self.start)
-        return self.error(segment), segment
+        return (self.error(segment) if self.held(segment) else math.inf), segment
+
+    def held(self, segment: FixedSegment) -> bool:
+        """Whether every integer has the width of its word or product; without that nothing can be evaluated.
+
+        A change by a part of a code leaves them where the polynomial is next to nothing: its scales are large.
+        """
+        word, product = 2 ** (min(2 * self.width, 32) - 1), 2 ** (2 * self.width - 1)
+        return abs(segment.leading) < word and all(abs(constant) < product for constant in segment.constants)
 
     def error(self, segment: FixedSegment) -> float:
         """Largest error in codes, raised where a side condition is broken."""
@@ -217,6 +216,7 @@ def _search(row: FloatArray, task: _Segment) -> FixedSegment:
             share = (leading * unit - row[degree]) / directions[degree, degree]
             held = row + share * directions[degree]
             found.append(_descend(held, task, _with_pairs(directions[:degree])))
+    found = [result for result in found if task.safe(result[2])]
     _, row, _ = min(found, key=lambda result: result[0])
     found.append(_descend(row, task, _with_pairs(directions)))
     return min((_polish(segment, task) for _, _, segment in found), key=lambda result: result[0])[1]

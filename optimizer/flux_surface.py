@@ -13,7 +13,8 @@ import numpy as np
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.synchronous import FloatArray, Machine
 from dqforge.optimizer.mtpa_locus import mtpa_locus
-from dqforge.optimizer.operating_points import OptimalPoints, optimal_points
+from dqforge.optimizer.operating_points import Active, OptimalPoints, optimal_points
+from dqforge.optimizer.region_edges import region_that_holds
 
 _OMEGA = 1e9
 """Electrical speed in rad/s at which the points are solved: the resistance drop is some 1e-9 of the voltage there."""
@@ -25,6 +26,7 @@ _LEAST_SHARE = 0.02
 """Share of the largest torque that must be left at the least flux linkage: below, nothing is worth fitting."""
 
 _LOCUS_POINTS = 801
+_DATA_POINTS = 33
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +76,7 @@ def weakening_region(machine: Machine, i_max: float, flux_min: float) -> Weakeni
     Raises
     ------
     NoSolutionError
-        Even ``flux_min`` limits nothing, or it leaves next to no torque.
+        Even ``flux_min`` limits nothing, it leaves next to no torque, or the data of a flux map hold the currents.
     """
     torque_max = float(mtpa_locus(machine, i_max).torque[-1])
     probe = WeakeningRegion(machine, i_max, flux_min, np.inf, torque_max)
@@ -90,4 +92,28 @@ def weakening_region(machine: Machine, i_max: float, flux_min: float) -> Weakeni
             f"field_weakening: within {flux_min:.4g} Wb and {i_max:.4g} A the machine makes less than"
             f" {100.0 * _LEAST_SHARE:g} % of its largest torque; lower the speed"
         )
-    return WeakeningRegion(machine, i_max, flux_min, flux_max, torque_max)
+    region = WeakeningRegion(machine, i_max, flux_min, flux_max, torque_max)
+    _refuse_what_data_hold(region)
+    return region
+
+
+def _refuse_what_data_hold(region: WeakeningRegion) -> None:
+    """Refuse a domain in which the data of a flux map hold the currents: a fit would leave them.
+
+    Raises
+    ------
+    NoSolutionError
+        Names the least torque at which that happens.
+    """
+    if region_that_holds(region.machine, region.i_max) is None:
+        return
+    share = np.linspace(0.0, 1.0, _DATA_POINTS)
+    torque, flux = np.meshgrid(
+        share[1:] * region.torque_max, region.flux_min + share * (region.flux_max - region.flux_min)
+    )
+    held = region.points(torque.ravel(), flux.ravel()).active == Active.DATA
+    if np.any(held):
+        raise NoSolutionError(
+            f"field_weakening: from {float(np.min(torque.ravel()[held])):.4g} N m on the currents are held by the data:"
+            " the flux map ends there; measure further, lower max_current, or write flux_map: extrapolate: true"
+        )

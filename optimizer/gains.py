@@ -30,6 +30,7 @@ from dqforge.optimizer.loops import (
     speed_loop,
     speed_step,
 )
+from dqforge.optimizer.observed_margins import ObservedLoop
 from dqforge.optimizer.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.pi_methods import (
     CURRENT_DELAY,
@@ -71,6 +72,9 @@ class LoopGains:
         Answer to a unit step of the disturbance: 1 V at the winding, or 1 N m of load torque.
     inductance:
         Inductance of the winding in H that a current loop is meant for; None for the speed loop.
+    observed:
+        Of a speed loop that runs on an observer what that makes of it; poles and margins are then those with its lag,
+        at the worst speed. None for all others.
     """
 
     loop: LoopName
@@ -82,6 +86,7 @@ class LoopGains:
     margins: LoopMargins
     disturbance: DisturbanceResponse
     inductance: float | None = None
+    observed: ObservedLoop | None = None
 
     @property
     def ki_ts(self) -> float:
@@ -109,7 +114,7 @@ class LoopGains:
     @property
     def stable(self) -> bool:
         """Whether all closed-loop poles lie inside the unit circle."""
-        return bool(np.all(np.abs(self.poles) < 1.0))
+        return bool(np.all(np.abs(self.poles) < 1.0)) and (self.observed is None or self.observed.stable)
 
     @property
     def crossover(self) -> float:

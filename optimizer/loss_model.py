@@ -87,7 +87,7 @@ def loss_coefficients(
 
     Notes
     -----
-    Equal to `loss_budget` for MOSFETs with continuous modulators, and for IGBTs whose diode has the transistor's
+    Exact for MOSFETs with continuous modulators, and for IGBTs whose diode has the transistor's
     parameters. Transistor and diode of an IGBT bridge share the current evenly here; what the duty cycle shifts between
     them is in truth 3/2 |v| |i| cos(phi) (V_CE0 - V_F0) / v_dc, and likewise for the resistances. GDPWM and DDT-GDPWM
     switch half of the rectified current where the load angle is within 30 degrees of 0 or 180, and more beyond. The

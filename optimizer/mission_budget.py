@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.bridge_heat import at_temperature
-from dqforge.machines.bridge_tables import BridgeTables, bridge_tables
+from dqforge.machines.bridge_tables import BridgeTables
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.inverter import Inverter
 from dqforge.machines.junction_transient import JunctionNetworks, junction_history, junction_networks
 from dqforge.machines.machine_budget import MachineBudget, WindingHeat, machine_budget
 from dqforge.machines.mission import Mission
-from dqforge.machines.settings import ModulationName
+from dqforge.machines.settings import LossStrategy, ModulationName
 from dqforge.machines.synchronous import FloatArray, Machine
-from dqforge.optimizer.drive_budget import PARTS, BudgetOptions, switched_iron, waveform_averages
-from dqforge.optimizer.drive_comparison import Alternatives, DriveStrategy, least, strategy_currents, usable_limit
+from dqforge.optimizer.drive_budget import PARTS, BudgetOptions, known_bridge, switched_iron, waveform_averages
+from dqforge.optimizer.drive_comparison import Alternatives, least, strategy_currents, usable_limit
 from dqforge.optimizer.loss_model import loss_coefficients
 
 _WARM = 100.0
@@ -40,7 +40,8 @@ class MissionRun:
     input_energy:
         From the DC source in J.
     junction_max, swing:
-        Largest junction temperature in degC, and largest less smallest of any junction in K, over the mission.
+        Largest junction temperature in degC, and largest less smallest of any junction in K, over the mission; NaN
+        where nothing is known of the switch.
     winding_temperature:
         Of the mean copper loss of the mission, in degC; NaN where nothing is known of the winding's heat.
     missed:
@@ -53,7 +54,7 @@ class MissionRun:
         Course of the hottest junction: s and degC, shape (2 N,), each interval with its start and end.
     """
 
-    strategy: DriveStrategy
+    strategy: LossStrategy
     modulation: ModulationName
     frequency: float
     energy: dict[str, float]
@@ -120,8 +121,8 @@ def compare_mission(
     Parameters
     ----------
     machine, inverter:
-        The drive; the inverter with a device. Junctions follow the networks of its device; what lies behind the case
-        has no capacity.
+        The drive; without a device the bridge counts as lossless. Junctions follow the networks of its device; what
+        lies behind the case has no capacity.
     mission:
         Torque and speed over time. Where a torque cannot be had, the largest is driven, and its line listed.
     alternatives:
@@ -145,7 +146,7 @@ def compare_mission(
     if 0 in alternatives.shape:
         raise InputError("loss comparison: give a strategy, a modulator and a carrier frequency at least")
     chosen = BudgetOptions() if options is None else options
-    tables = bridge_tables(inverter)
+    tables = known_bridge(inverter)
     networks = junction_networks(inverter, tables)
     drive = _Drive(machine, inverter, tables, networks, chosen, mission, i_max, margin, repeated)
     runs = []
@@ -157,7 +158,7 @@ def compare_mission(
 
 
 def _runs(
-    drive: _Drive, strategy: DriveStrategy, name: ModulationName, frequencies: tuple[float, ...]
+    drive: _Drive, strategy: LossStrategy, name: ModulationName, frequencies: tuple[float, ...]
 ) -> list[MissionRun]:
     """All frequencies of one strategy with one modulator; they share currents and averages where they can."""
     if strategy == "least-loss" or drive.inverter.dead_time > 0.0:
@@ -166,7 +167,7 @@ def _runs(
 
 
 def _shared(
-    drive: _Drive, strategy: DriveStrategy, name: ModulationName, frequencies: tuple[float, ...]
+    drive: _Drive, strategy: LossStrategy, name: ModulationName, frequencies: tuple[float, ...]
 ) -> list[MissionRun]:
     found, reached, options = _machine_side(drive, strategy, name, frequencies[0])
     voltage = np.hypot(found.v_d, found.v_q) * (1.0 - _VOLTAGE_ROUNDING)
@@ -204,11 +205,12 @@ def _shared(
         put_in = link + ripple + powers["ripple_iron"] + powers["capacitor"] + sum(bridge.values(), np.zeros(1))
         both = np.stack([history.start, history.end], axis=-1)
         swing = np.max(both, axis=(2, 3)) - np.min(both, axis=(2, 3))
-        hottest = np.max(both, axis=(0, 1))
+        known = drive.inverter.device is not None
+        hottest = np.max(both, axis=(0, 1)) if known else np.full(both.shape[2:], np.nan)
         low, high = tables.temperature_reach
         size = float(np.max(np.hypot(found.i_d, found.i_q)))
         inside = size <= tables.current_reach and bool(np.min(both) >= low - 1e-9 and np.max(both) <= high + 1e-9)
-        peak = float(np.max(hottest))
+        peak = float(np.max(both))
         runs.append(
             MissionRun(
                 strategy,
@@ -218,8 +220,8 @@ def _shared(
                 driving=float(np.sum(length * np.maximum(found.shaft_power, 0.0))),
                 braking=float(np.sum(length * np.minimum(found.shaft_power, 0.0))),
                 input_energy=float(np.sum(length * put_in)),
-                junction_max=peak,
-                swing=float(np.max(swing)),
+                junction_max=peak if known else np.nan,
+                swing=float(np.max(swing)) if known else np.nan,
                 winding_temperature=float(warm),
                 missed=missed,
                 steady=history.steady,
@@ -233,7 +235,7 @@ def _shared(
 
 
 def _machine_side(
-    drive: _Drive, strategy: DriveStrategy, name: ModulationName, frequency: float
+    drive: _Drive, strategy: LossStrategy, name: ModulationName, frequency: float
 ) -> tuple[MachineBudget, NDArray[np.bool_], BudgetOptions]:
     """Machine at all intervals, what torque is made, and the options with the winding as warm as its mean loss."""
     options, mission, machine = drive.options, drive.mission, drive.machine

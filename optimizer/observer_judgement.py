@@ -1,9 +1,7 @@
-"""How good a position observer is: steady error, poles and noise at any speed, and the speed range that follows.
+"""How good a position observer is: errors of angle and speed over the speed, and the range that follows.
 
-In coordinates that turn with the rotor a steady drive stands still, and so does its observer: its state is a fixed
-point of the step, found by Newton's method at many speeds and many wrong machines at once. The derivative there has the
-poles of the whole observer, loop included, as eigenvalues; it carries the noise of currents and voltages into the angle
-(Lyapunov equation). A constant acceleration is a steady state, too, with a speed that moves by a t_s per sample.
+Judged are steady states (`dqforge.optimizer.steady_observer`) at the loads of the drive, with the machine as it is
+there: exact data, each parameter wrong to both sides, the voltage that a dead time costs, noise, and an acceleration.
 """
 
 from __future__ import annotations
@@ -12,229 +10,108 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dqforge.machines.drive_motion import ComplexArray, Plants, plants, steady_voltage
+from dqforge.machines.drive_motion import ComplexArray, Plants
 from dqforge.machines.synchronous import FloatArray, LinearMachine
-from dqforge.optimizer.observer_parts import EXACT, ObserverState, Pair
-from dqforge.optimizer.observer_settings import LARGEST_TURN, Disturbances
+from dqforge.optimizer.observer_settings import LARGEST_TURN, Disturbances, Load
 from dqforge.optimizer.position_observers import ObserverMethod
+from dqforge.optimizer.steady_observer import steady_observer
 
 ANGLE_LIMIT = np.radians(10.0)
 """Largest r.m.s. error of the angle in rad at which an observer counts as holding: 1.5 % of the torque."""
 
-_NEWTON_STEPS = 12
-_DOUBLINGS = 40
+SPEED_LIMIT = 0.05
+"""Largest r.m.s. of the steady speed error, over the speed, at which an observer counts as holding."""
+
+PARAMETERS = ("r_s", "l_d", "l_q", "psi_pm")
+DEAD_TIME, EXACT_DATA = "dead_time", "exact_data"
 _SPEEDS = 60
-_PARAMETERS = ("r_s", "l_d", "l_q", "psi_pm")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SteadyObserver:
-    """Steady states of an observer, arrays over M cases.
-
-    ``theta_error`` in rad and ``omega_error`` in rad/s are estimate minus truth, shape (M,); ``jacobian`` (M, n, n) the
-    derivative of one step by the state (vectors, angle, speed); ``by_current``, ``by_voltage`` (M, n, 2) that by the
-    measured current and voltage; ``found`` (M,) whether a fixed point was found.
-    """
-
-    theta_error: FloatArray
-    omega_error: FloatArray
-    jacobian: FloatArray
-    by_current: FloatArray
-    by_voltage: FloatArray
-    found: NDArray[np.bool_]
-
-    @property
-    def poles(self) -> ComplexArray:
-        """Poles in the z plane, largest modulus first, shape (M, n)."""
-        values = np.linalg.eigvals(self.jacobian).astype(np.complex128)
-        order = np.argsort(-np.abs(values), axis=1, kind="stable")
-        return np.take_along_axis(values, order, axis=1)
-
-    def angle_noise(self, i_noise: float, v_noise: float) -> FloatArray:
-        """Standard deviation of the angle in rad under white noise of A and V per component; inf if unstable."""
-        drive = i_noise**2 * _square(self.by_current) + v_noise**2 * _square(self.by_voltage)
-        covariance, power = drive, self.jacobian.copy()
-        stable = np.max(np.abs(np.linalg.eigvals(self.jacobian)), axis=1) < 1.0 - 1e-9
-        power[~stable] = 0.0
-        for _ in range(_DOUBLINGS):
-            covariance = covariance + power @ covariance @ np.swapaxes(power, 1, 2)
-            power = power @ power
-        return np.where(stable, np.sqrt(np.maximum(covariance[:, -2, -2], 0.0)), np.inf)
-
-
-def _square(matrix: FloatArray) -> FloatArray:
-    return np.asarray(matrix @ np.swapaxes(matrix, 1, 2), dtype=np.float64)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Case:
-    """M steady operating points in rotor coordinates at the instant of sampling."""
-
-    omega: FloatArray
-    turn: FloatArray
-    drift: FloatArray
-    v: ComplexArray
-    i: ComplexArray
-
-    def repeated(self, count: int) -> _Case:
-        omega, turn, drift = (np.tile(part, count) for part in (self.omega, self.turn, self.drift))
-        return _Case(omega, turn, drift, np.tile(self.v, count), np.tile(self.i, count))
-
-
-def _pair(value: ComplexArray) -> Pair:
-    return value.real.copy(), value.imag.copy()
-
-
-def _vectors(method: ObserverMethod) -> int:
-    """How many vectors the state of an observer holds."""
-    return len(method.start(np.zeros(1), np.zeros(1)).vectors)
-
-
-def _stepped(method: ObserverMethod, gains: Any, case: _Case, states: FloatArray) -> FloatArray:
-    """States (M, n) one sample on; angle and speed in them are relative to the truth."""
-    back = np.exp(-1j * case.turn)
-    count = _vectors(method)
-    vectors = tuple(_pair((states[:, 2 * n] + 1j * states[:, 2 * n + 1]) * back) for n in range(count))
-    scalars = tuple(states[:, n] for n in range(2 * count, states.shape[1] - 2))
-    angle, speed = states[:, -2] - case.turn, states[:, -1] + case.omega - case.drift
-    before = ObserverState(vectors, angle, speed, scalars=scalars)
-    after = method.step(gains, before, _pair(case.v), _pair(case.i), EXACT)
-    columns = [part for vector in after.vectors for part in vector] + list(after.scalars)
-    return np.stack([*columns, EXACT.wrap(after.theta_e), after.omega_e - case.omega], axis=1)
-
-
-def _first(method: ObserverMethod, gains: Any, case: _Case) -> FloatArray:
-    state = method.step(gains, method.start(np.zeros_like(case.omega), case.omega), _pair(case.v), _pair(case.i), EXACT)
-    columns = [part for vector in state.vectors for part in vector] + list(state.scalars)
-    states = np.stack([*columns, np.zeros_like(case.omega), np.zeros_like(case.omega)], axis=1)
-    for _ in range(method.settle):
-        states = _stepped(method, gains, case, states)
-    return states
-
-
-def _derivative(method: ObserverMethod, gains: Any, case: _Case, states: FloatArray) -> FloatArray:
-    """Central differences of a step by the state, shape (M, n, n)."""
-    m, n = states.shape
-    size = np.ones((m, n))
-    count = 2 * _vectors(method)
-    if method.sizes is not None:
-        size[:, count:-2] = method.sizes(states[:, count:-2], case.omega)
-    for k in range(0, count, 2):
-        norm = np.hypot(states[:, k], states[:, k + 1])
-        size[:, k] = size[:, k + 1] = np.where(norm > 0.0, norm, 1.0)
-    size[:, -1] = np.maximum(np.abs(case.omega), 1.0)
-    steps = 1e-6 * size
-    moved = np.concatenate([states + sign * steps * np.eye(n)[k] for sign in (1.0, -1.0) for k in range(n)])
-    values = _stepped(method, gains, case.repeated(2 * n), moved).reshape(2, n, m, n)
-    slope = (values[0] - values[1]) / (2.0 * steps.T[:, :, None])
-    return np.asarray(np.moveaxis(slope, 0, -1), dtype=np.float64)
-
-
-def _by_input(method: ObserverMethod, gains: Any, case: _Case, states: FloatArray, name: str) -> FloatArray:
-    """Central differences of a step by current or voltage, shape (M, n, 2)."""
-    columns = []
-    value = case.i if name == "i" else case.v
-    size = 1e-6 * (np.max(np.abs(value)) + 1e-3)
-    for direction in (1.0, 1j):
-        ends = []
-        for sign in (1.0, -1.0):
-            other = value + sign * size * direction
-            moved = _Case(
-                case.omega,
-                case.turn,
-                case.drift,
-                case.v if name == "i" else other,
-                other if name == "i" else case.i,
-            )
-            ends.append(_stepped(method, gains, moved, states))
-        columns.append((ends[0] - ends[1]) / (2.0 * size))
-    return np.stack(columns, axis=-1)
-
-
-def steady_observer(
-    method: ObserverMethod,
-    gains: Any,
-    t_s: float,
-    plant: Plants,
-    i_dq: ComplexArray,
-    omega: FloatArray,
-    acceleration: FloatArray | float = 0.0,
-) -> SteadyObserver:
-    """Steady states of an observer on M drives.
-
-    Parameters
-    ----------
-    plant:
-        The true machines, M of them; the observer knows the one of its gains.
-    i_dq:
-        True currents i_d + j i_q in A, shape (M,).
-    omega, acceleration:
-        Electrical speed in rad/s at the sampling instant and acceleration in rad/s^2, shape (M,).
-    """
-    drift = np.broadcast_to(np.asarray(acceleration, dtype=np.float64) * t_s, omega.shape)
-    mean = omega - 0.5 * drift
-    i_dq = np.array(np.broadcast_to(i_dq, omega.shape), dtype=np.complex128)
-    case = _Case(omega, mean * t_s, np.array(drift), steady_voltage(plant, i_dq, mean, t_s), i_dq)
-    with np.errstate(all="ignore"):  # beyond the range of an observer its numbers may grow without bound
-        return _solved(method, gains, case)
-
-
-def _solved(method: ObserverMethod, gains: Any, case: _Case) -> SteadyObserver:
-    """Newton's method on all cases; one whose numbers are not finite counts as lost and unstable."""
-    states = _first(method, gains, case)
-    jacobian = _derivative(method, gains, case, states)
-    for _ in range(_NEWTON_STEPS):
-        gap = _stepped(method, gains, case, states) - states
-        gap[:, -2] = EXACT.wrap(gap[:, -2])
-        if np.max(np.abs(gap) / (1.0 + np.abs(states))) < 1e-11:
-            break
-        move = np.linalg.solve(np.eye(states.shape[1]) * (1.0 + 1e-13) - jacobian, gap[..., None])[..., 0]
-        states = states + move
-        states[:, -2] = EXACT.wrap(states[:, -2])
-        jacobian = _derivative(method, gains, case, states)
-    gap = _stepped(method, gains, case, states) - states
-    found = (np.abs(EXACT.wrap(gap[:, -2])) < 1e-9) & (np.abs(states[:, -2]) < 0.5 * np.pi)
-    inputs = [_by_input(method, gains, case, states, name) for name in ("i", "v")]
-    finite = np.all(np.isfinite(states), axis=1)
-    for part in (jacobian, *inputs):
-        finite &= np.all(np.isfinite(part), axis=(1, 2))
-    jacobian[~finite] = 2.0 * np.eye(states.shape[1])
-    return SteadyObserver(
-        theta_error=states[:, -2],
-        omega_error=states[:, -1],
-        jacobian=jacobian,
-        by_current=np.where(finite[:, None, None], inputs[0], 0.0),
-        by_voltage=np.where(finite[:, None, None], inputs[1], 0.0),
-        found=found & finite,
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObserverJudgement:
-    """Errors of an observer over S electrical speeds in rad/s, ascending; all angles in rad, shape (S,).
+    """Errors of an observer over S electrical speeds in rad/s, ascending; arrays of shape (S,), angles in rad.
 
-    ``bias`` maps a parameter to the steady angle error where the machine's is off by the tolerance to the worse side
-    (inf where the angle is lost); ``lag`` is the error at the acceleration, ``noise`` the standard deviation, ``total``
-    the root of the sum of all squares (inf where unstable); ``poles`` (S, n) in the z plane, largest first.
-    ``omega_low`` and ``omega_high`` in rad/s bound the speeds at which bias and noise stay below 10 degrees together;
-    nan where they never do.
+    ``bias`` maps a cause to the steady angle error, estimate minus truth, inf where the angle is lost or not held
+    stably: a parameter that
+    is off by its tolerance to the worse side, the dead time, or exact data (what sampling and saturation leave).
+    ``speed_bias`` likewise in rad/s, ``speed_total`` the root of the sum of its squares. ``lag`` is the angle error
+    that the acceleration adds, ``noise`` the standard deviation of the angle, ``steady`` the root of the squares of
+    bias and noise, ``total`` with the lag (both inf where unstable); ``poles`` (S, n) in the z plane, largest first.
+    Of the loads that counts at each speed which is worst for the angle (``load``, its index), and for the speed.
+
+    ``omega_low`` and ``omega_high`` in rad/s bound the speeds at which ``total`` stays below 10 degrees and
+    ``speed_total`` below 5 % of the speed, ``steady_low`` and ``steady_high`` those without acceleration; nan where
+    they never do.
     """
 
     omega: FloatArray
     bias: dict[str, FloatArray]
+    speed_bias: dict[str, FloatArray]
+    speed_total: FloatArray
     lag: FloatArray
     noise: FloatArray
+    steady: FloatArray
     total: FloatArray
+    load: FloatArray
     poles: ComplexArray
     omega_low: float
     omega_high: float
+    steady_low: float
+    steady_high: float
 
     @property
     def radius(self) -> FloatArray:
         """Largest modulus of a pole, shape (S,)."""
         return np.abs(self.poles[:, 0])
+
+
+@dataclass(frozen=True, slots=True)
+class _Case:
+    """One cause at one load: relative errors of the machine, voltage lost in V, acceleration in rad/s^2."""
+
+    name: str
+    load: int
+    errors: dict[str, float]
+    lost: float = 0.0
+    acceleration: float = 0.0
+
+
+def _cases(disturbances: Disturbances, count: int) -> list[_Case]:
+    """All causes at all loads, block by block; the acceleration at the first load alone, last of all."""
+    found: list[_Case] = []
+    for k in range(count):
+        found.append(_Case(EXACT_DATA, k, {}))
+        for name in PARAMETERS:
+            found += [_Case(name, k, {name: error}) for error in reversed(disturbances.limits(name))]
+        if (disturbances.lost_least, disturbances.lost) != (0.0, 0.0):
+            found += [_Case(DEAD_TIME, k, {}, lost) for lost in (disturbances.lost, disturbances.lost_least)]
+    return [*found, _Case("lag", 0, {}, 0.0, disturbances.acceleration)]
+
+
+def _plants(machine: LinearMachine, loads: tuple[Load, ...], cases: list[_Case], count: int) -> Plants:
+    """The true machines, ``count`` of each case."""
+    rows = []
+    for case in cases:
+        load = loads[case.load]
+        true = {"r_s": machine.r_s, "l_d": load.l_d, "l_q": load.l_q, "psi_pm": load.psi_pm}
+        rows.append([true[name] * (1.0 + case.errors.get(name, 0.0)) for name in PARAMETERS])
+    return Plants(*np.repeat(np.array(rows), count, axis=0).T)
+
+
+def _worse(high: FloatArray, low: FloatArray) -> FloatArray:
+    return np.where(np.abs(high) >= np.abs(low), high, low)
+
+
+def _added(value: FloatArray, base: FloatArray) -> FloatArray:
+    """What a cause adds to the error with exact data; inf where either is lost."""
+    with np.errstate(invalid="ignore"):
+        gap = value - base
+    return np.where(np.isfinite(gap), gap, np.inf)
+
+
+def _root(parts: list[FloatArray]) -> FloatArray:
+    return np.asarray(np.sqrt(np.sum(np.square(parts), axis=0)), dtype=np.float64)
 
 
 def judge_at(
@@ -246,37 +123,92 @@ def judge_at(
     omega: FloatArray,
 ) -> ObserverJudgement:
     """Judge an observer at electrical speeds in rad/s, ascending, shape (S,)."""
-    count = len(omega)
-    cases = 2 * len(_PARAMETERS) + 2
-    case = np.repeat(np.arange(cases), count)
-    errors = {
-        name: ((case == 2 * k + 2) * 1.0 - (case == 2 * k + 3) * 1.0) * getattr(disturbances, name)
-        for k, name in enumerate(_PARAMETERS)
-    }
-    acceleration = (case == 1) * disturbances.acceleration
+    loads = disturbances.loads or (Load.on(machine, disturbances.i_load),)
+    count, cases = len(omega), _cases(disturbances, len(loads))
+
+    def repeated(values: list[Any]) -> Any:
+        return np.repeat(np.array(values), count)
+
     found = steady_observer(
         method,
         gains,
         t_s,
-        plants(machine, errors),
-        np.full(cases * count, 1j * disturbances.i_load),
-        np.tile(omega, cases),
-        acceleration,
+        _plants(machine, loads, cases, count),
+        repeated([complex(loads[case.load].i_d, loads[case.load].i_q) for case in cases]),
+        np.tile(omega, len(cases)),
+        repeated([case.acceleration for case in cases]),
+        repeated([case.lost for case in cases]),
     )
-    theta = np.where(found.found, found.theta_error, np.inf).reshape(cases, count)
-    poles = found.poles[:count]
-    noise = found.angle_noise(disturbances.i_noise, disturbances.v_noise).reshape(cases, count)[0]
-    offset = theta[0]
-    bias = {name: _worse(theta[2 * k + 2], theta[2 * k + 3]) for k, name in enumerate(_PARAMETERS)}
-    lag = theta[1] - np.where(np.isfinite(offset), offset, 0.0)
-    squares = noise**2 + sum((part**2 for part in bias.values()), np.zeros(count))
-    steady, total = (np.where(np.abs(poles[:, 0]) < 1.0, np.sqrt(part), np.inf) for part in (squares, squares + lag**2))
-    low, high = _range(omega, steady)
-    return ObserverJudgement(omega, bias, lag, noise, total, poles, low, high)
+    shape = (len(cases), count)
+    poles = found.poles.reshape(*shape, -1)
+    holds = found.found.reshape(shape) & (np.abs(poles[..., 0]) < 1.0)  # nobody stays at an unstable rest
+    theta = np.where(holds, found.theta_error.reshape(shape), np.inf)
+    speed = np.where(holds, found.omega_error.reshape(shape), np.inf)
+    noise = found.angle_noise(disturbances.i_noise, disturbances.v_noise).reshape(shape)
+    per_load = (len(cases) - 1) // len(loads)
+    lag = _added(theta[-1], np.where(np.isfinite(theta[0]), theta[0], 0.0))
+    names = [case.name for case in cases[:per_load]]
+    blocks = [slice(k * per_load, (k + 1) * per_load) for k in range(len(loads))]
+    judged = [_at_load(names, theta[rows], speed[rows], noise[rows], poles[rows]) for rows in blocks]
+    return _worst(omega, judged, lag)
 
 
-def _worse(high: FloatArray, low: FloatArray) -> FloatArray:
-    return np.where(np.abs(high) >= np.abs(low), high, low)
+@dataclass(frozen=True, slots=True, eq=False)
+class _AtLoad:
+    """Errors at one load; as in `ObserverJudgement`."""
+
+    bias: dict[str, FloatArray]
+    speed_bias: dict[str, FloatArray]
+    noise: FloatArray
+    steady: FloatArray
+    speed_total: FloatArray
+    poles: ComplexArray
+
+
+def _at_load(names: list[str], theta: FloatArray, speed: FloatArray, noise: FloatArray, poles: ComplexArray) -> _AtLoad:
+    """Rows: exact data, then pairs of each cause to either side."""
+
+    def causes(rows: FloatArray) -> dict[str, FloatArray]:
+        found = {EXACT_DATA: rows[0]}
+        for k in range(1, len(names), 2):
+            found[names[k]] = _worse(_added(rows[k], rows[0]), _added(rows[k + 1], rows[0]))
+        return found
+
+    bias, speed_bias = causes(theta), causes(speed)
+    steady = _root([noise[0], *bias.values()])
+    return _AtLoad(bias, speed_bias, noise[0], steady, _root(list(speed_bias.values())), poles[0])
+
+
+def _worst(omega: FloatArray, judged: list[_AtLoad], lag: FloatArray) -> ObserverJudgement:
+    """The worst load at each speed."""
+    angle = np.argmax([part.steady for part in judged], axis=0)
+    slip = np.argmax([part.speed_total for part in judged], axis=0)
+
+    def at(values: list[Any], index: Any) -> Any:
+        return np.stack(values)[index, np.arange(len(omega))]
+
+    steady, speed_total = at([part.steady for part in judged], angle), at([part.speed_total for part in judged], slip)
+    total = _root([steady, lag])
+    kept = speed_total <= SPEED_LIMIT * omega
+    low, high = _range(omega, (total <= ANGLE_LIMIT) & kept)
+    steady_low, steady_high = _range(omega, (steady <= ANGLE_LIMIT) & kept)
+    names = judged[0].bias
+    return ObserverJudgement(
+        omega=omega,
+        bias={name: at([part.bias[name] for part in judged], angle) for name in names},
+        speed_bias={name: at([part.speed_bias[name] for part in judged], slip) for name in names},
+        speed_total=speed_total,
+        lag=lag,
+        noise=at([part.noise for part in judged], angle),
+        steady=steady,
+        total=total,
+        load=angle,
+        poles=at([part.poles for part in judged], angle),
+        omega_low=low,
+        omega_high=high,
+        steady_low=steady_low,
+        steady_high=steady_high,
+    )
 
 
 def judge(
@@ -287,23 +219,11 @@ def judge(
     return judge_at(method, gains, t_s, machine, disturbances, omega)
 
 
-def _range(omega: FloatArray, total: FloatArray) -> tuple[float, float]:
-    """Ends of the longest run of speeds at which the error stays within the limit."""
-    good = np.concatenate([[False], total <= ANGLE_LIMIT, [False]])
+def _range(omega: FloatArray, holds: Any) -> tuple[float, float]:
+    """Ends of the longest run of speeds at which the observer holds, shape (S,)."""
+    good = np.concatenate([[False], holds, [False]])
     starts, ends = np.flatnonzero(good[1:] & ~good[:-1]), np.flatnonzero(~good[1:] & good[:-1])
     if not len(starts):
         return float("nan"), float("nan")
     longest = int(np.argmax(ends - starts))
     return float(omega[starts[longest]]), float(omega[ends[longest] - 1])
-
-
-def closed_form_error(machine: LinearMachine, believed: LinearMachine, i_dq: complex, omega: FloatArray) -> FloatArray:
-    """Steady angle error in rad of the extended EMF and of the open-loop flux, shape (S,).
-
-    Both follow psi_a = psi_pm + (L_d - L_q^) i_d + j (L_q - L_q^) i_q + (R - R^) (i_d + j i_q)/(j omega), with ^ for
-    what the observer believes; neither L_d^ nor psi_pm^ matters. The error theta_hat - theta is the angle of psi_a.
-    """
-    along = machine.psi_pm + (machine.l_d - believed.l_q) * i_dq.real
-    across = (machine.l_q - believed.l_q) * i_dq.imag
-    drop = (machine.r_s - believed.r_s) * i_dq / (1j * omega)
-    return np.asarray(np.arctan2(across + drop.imag, along + drop.real), dtype=np.float64)

@@ -50,7 +50,7 @@ def prove(observer: PositionObserver | None) -> ObserverProof | None:
     """
     if observer is None or not isinstance(observer.gains, FluxGains):
         return None
-    low, high = observer.judgement.omega_low, observer.omega_max
+    low, high = observer.judgement.steady_low, observer.omega_max
     if not (np.isfinite(low) and low < high):
         low = _LEAST_SHARE * high
     i_q = observer.disturbances.i_load

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.settings import Deviation, both_sides
 from dqforge.machines.synchronous import LinearMachine
 
 LARGEST_TURN = 0.8
@@ -35,21 +36,51 @@ class ObserverTuning:
 
 
 @dataclass(frozen=True, slots=True)
+class Load:
+    """A steady load: currents in A, and the machine there.
+
+    ``l_d`` in H is the incremental inductance, ``psi_pm`` in Wb what psi_d has beside l_d i_d, ``l_q`` in H the ratio
+    of psi_q and i_q: of a saturated machine these make the flux linkages that it has at this very load.
+    """
+
+    i_d: float
+    i_q: float
+    l_d: float
+    l_q: float
+    psi_pm: float
+
+    @classmethod
+    def on(cls, machine: LinearMachine, i_q: float) -> Load:
+        """A load of a linear machine with i_d = 0."""
+        return cls(0.0, i_q, machine.l_d, machine.l_q, machine.psi_pm)
+
+
+@dataclass(frozen=True, slots=True)
 class Disturbances:
     """What an observer has to live with.
 
     ``i_noise`` in A and ``v_noise`` in V are r.m.s. values per component; ``r_s``, ``l_d``, ``l_q``, ``psi_pm``
-    relative parameter errors; ``acceleration`` in rad/s^2 (electrical); ``i_load`` in A the current i_q of the load.
+    relative parameter errors, to either side or from the first to the second; ``acceleration`` in rad/s^2
+    (electrical). ``lost`` in V is the voltage along the current that a dead time costs and the observer knows nothing
+    of, ``lost_least`` the least that it may be: negative where it may as well be compensated too much.
+    ``loads`` are the steady loads, the acceleration at the first of them; none for one of ``i_load`` A with i_d = 0.
     """
 
     i_noise: float
     v_noise: float
     i_load: float
     acceleration: float
-    r_s: float = 0.3
-    l_d: float = 0.1
-    l_q: float = 0.1
-    psi_pm: float = 0.1
+    r_s: Deviation = 0.3
+    l_d: Deviation = 0.1
+    l_q: Deviation = 0.1
+    psi_pm: Deviation = 0.1
+    lost: float = 0.0
+    lost_least: float = 0.0
+    loads: tuple[Load, ...] = ()
+
+    def limits(self, name: str) -> tuple[float, float]:
+        """Least and largest relative error of one parameter."""
+        return both_sides(getattr(self, name))
 
 
 def usual_disturbances(machine: LinearMachine, v_dc: float, omega_max: float) -> Disturbances:

@@ -22,6 +22,9 @@ from dqforge.optimizer.observer_settings import (
 from dqforge.optimizer.pll import FASTEST
 from dqforge.optimizer.position_observers import ObserverMethod, method_named
 
+SHOWN = (0.05, 0.1, 0.25, 0.5, 1.0)
+"""Shares of the largest speed that tables show."""
+
 _SPEEDS = 8
 _EVALUATIONS = 100
 _UNSTABLE = 10.0
@@ -32,7 +35,8 @@ _WIDEST = 100.0
 class PositionObserver:
     """A tuned observer: ``gains`` for the firmware, and how good it is on the linear ``machine``.
 
-    ``omega_max`` is the largest electrical speed of the drive in rad/s.
+    ``omega_max`` is the largest electrical speed of the drive in rad/s; ``judgement`` covers the whole range of speeds,
+    ``shown`` some shares of ``omega_max`` for tables.
     """
 
     machine: LinearMachine
@@ -43,6 +47,7 @@ class PositionObserver:
     omega_max: float
     disturbances: Disturbances
     judgement: ObserverJudgement
+    shown: ObserverJudgement
 
 
 def _top(omega_max: float, t_s: float) -> float:
@@ -160,4 +165,5 @@ def tune_position_observer(
         tuning = optimise(method, tuning, machine, t_s, known, omega_max)
     gains = method.design(machine, tuning, t_s, _top(omega_max, t_s))
     judgement = judge(method, gains, t_s, machine, known, omega_max)
-    return PositionObserver(machine, method, tuning, gains, t_s, omega_max, known, judgement)
+    shown = judge_at(method, gains, t_s, machine, known, np.array(SHOWN) * omega_max)
+    return PositionObserver(machine, method, tuning, gains, t_s, omega_max, known, judgement, shown)

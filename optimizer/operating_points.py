@@ -3,12 +3,13 @@
 Least loss for a torque at a speed, within the current limit and the voltage limit of the modulator, the resistance drop
 included. In two currents every optimum is the meeting of two curves: the torque and the valley of the loss, the torque
 and the voltage limit, the voltage limit and the current limit, or the touching point of torque and voltage limit
-(MTPV). Each is solved by Newton's method from a start that a scan of the feasible region gives, never from the user.
+(MTPV); where the data of a flux map end before, it lies on their edge. Each is solved by Newton's method from a start
+that a scan of the feasible region gives, never from the user.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.synchronous import FloatArray, Machine
+from dqforge.optimizer.data_limit import hold_by_data
 from dqforge.optimizer.local_terms import LossCoefficients
-from dqforge.optimizer.mtpa_locus import mtpa_locus
+from dqforge.optimizer.mtpa_locus import free_locus
 from dqforge.optimizer.optimality import residual
 from dqforge.optimizer.point_problem import Active, BoolArray, Problem
 from dqforge.optimizer.point_rescue import missed, rescue
 from dqforge.optimizer.point_solver import solve_chunk
+from dqforge.optimizer.region_edges import region_that_holds
 
 __all__ = ["Active", "OptimalPoints", "copper_only", "optimal_points"]
 
@@ -97,7 +100,8 @@ def optimal_points(
     Notes
     -----
     A negative torque is the mirror image (i_q, omega reversed) of a positive one. Where the torque cannot be had, the
-    largest that can is returned with ``reached`` false, and ``active`` names what stands in the way.
+    largest that can is returned with ``reached`` false, and ``active`` names what stands in the way. No point leaves
+    the data of a flux map unless that permits it.
     """
     shape = np.broadcast_shapes(np.shape(torque), np.shape(omega_m), np.shape(v_max))
     limit = machine.i_max if i_max is None else i_max
@@ -112,12 +116,13 @@ def optimal_points(
     sign = np.where(request < 0.0, -1.0, 1.0)
     whole = Problem(
         machine,
-        mtpa_locus(machine, limit),
+        free_locus(machine, limit),
         np.abs(request),
         sign * machine.pole_pairs * speed,
         volts,
         limit,
         spread,
+        region_that_holds(machine, limit),
     )
     solved = [_solve(whole.take(np.arange(k, min(k + CHUNK, request.size)))) for k in range(0, request.size, CHUNK)]
     i_d, i_q, produced, volts_taken, losses, active, reached, residuals = (
@@ -135,16 +140,21 @@ def optimal_points(
         active=active.astype(np.int8),
         reached=met,
         kkt_residual=residuals,
-        extrapolated=~machine.known(i_d, i_q),
+        # What the region holds lies inside but for rounding, which is no extrapolation.
+        extrapolated=~(machine.known(i_d, i_q) if whole.region is None else whole.region.contains(i_d, i_q)),
     )
 
 
 def _solve(problem: Problem) -> tuple[NDArray[Any], ...]:
     """Columns of one chunk: i_d, i_q, torque, voltage, loss, active, reached, residual."""
-    state = solve_chunk(problem)
-    residuals, torque, voltage, losses = residual(problem, state)
+    free = replace(problem, region=None)
+    state = solve_chunk(free)
+    residuals, torque, voltage, losses = residual(free, state)
     again = missed(state, residuals)
     if again.size:
-        rescue(problem, state, again, residuals)
+        rescue(free, state, again, residuals)
+        residuals, torque, voltage, losses = residual(free, state)
+    if problem.region is not None:
+        hold_by_data(problem, state, problem.region)
         residuals, torque, voltage, losses = residual(problem, state)
     return state.i_d, state.i_q, torque, voltage, losses, state.active, state.reached, residuals

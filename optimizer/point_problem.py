@@ -8,6 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.current_region import CurrentRegion
 from dqforge.machines.synchronous import FloatArray, Machine
 from dqforge.optimizer.local_terms import LossCoefficients
 from dqforge.optimizer.mtpa_locus import MtpaLocus
@@ -17,7 +18,7 @@ BoolArray = NDArray[np.bool_]
 
 
 class Active(IntEnum):
-    """What holds a point where it is."""
+    """What holds a point where it is; ``DATA`` that the flux map ends there."""
 
     NONE = 0
     VOLTAGE = 1
@@ -25,16 +26,20 @@ class Active(IntEnum):
     BOTH = 3
     MTPV = 4
     UNREACHABLE = 5
+    DATA = 6
 
     @property
     def label(self) -> str:
-        """Name for tables: none, voltage, current, both, MTPV, unreachable."""
+        """Name for tables: none, voltage, current, both, MTPV, unreachable, data."""
         return "MTPV" if self is Active.MTPV else self.name.lower()
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One chunk with torque counted positive (the q axis mirrored where it was negative), arrays of shape (N,)."""
+    """One chunk with torque counted positive (the q axis mirrored where it was negative), arrays of shape (N,).
+
+    ``region`` is where the data of the machine are, None where they limit nothing.
+    """
 
     machine: Machine
     locus: MtpaLocus
@@ -43,6 +48,7 @@ class Problem:
     v_max: FloatArray
     i_max: float
     loss: LossCoefficients
+    region: CurrentRegion | None = None
 
     @property
     def soft(self) -> float:
@@ -59,6 +65,7 @@ class Problem:
             self.v_max[index],
             self.i_max,
             self.loss.take(index),
+            self.region,
         )
 
 

@@ -30,7 +30,11 @@ from dqforge.optimizer.fitting import Curve, SideConditions, fit_curve, squared_
 from dqforge.optimizer.fixed_reference import FIXED_WIDTHS
 from dqforge.optimizer.fixed_scales import code_scale, in_fixed_point, on_codes
 from dqforge.optimizer.piecewise import PiecewisePolynomial
+from dqforge.optimizer.segmentations import Segmentations
 from dqforge.optimizer.single_precision import SinglePolynomial
+
+_LARGEST_BASE = 1e18
+"""Base current in A whose square single precision holds with room to spare."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +71,13 @@ def _search_edges(curves: list[Curve], settings: FitSettings, end: float) -> Flo
     side = SideConditions(settings.exact_at_zero, settings.continuous)
     if settings.method == "minimax":
         return level_edges(curves, settings.degree, settings.segments, side, end)
-    start = segment_errors(curves, settings.degree, side, end).best_edges(settings.segments, squared=True)
     cost = _cost(curves, settings)
-    return search(cost, cost, settings.segments, end, start)
+    if settings.segments == 1:
+        return search(cost, cost, 1, end)
+    errors = segment_errors(curves, settings.degree, side, end)
+    candidates = Segmentations(errors, settings.segments, squared=True)
+    starts = candidates.starts(lambda edges: np.array([cost(one) for one in edges]))
+    return min((search(cost, cost, settings.segments, end, start) for start in starts), key=cost)
 
 
 def find_edges(curves: dict[str, Curve], settings: FitSettings, end: float) -> dict[str, FloatArray]:
@@ -116,7 +124,12 @@ def possible_forms(choice: CurrentChoice, number_format: NumberFormat = "float32
         return ("polynomial",) if choice.speed is not None else ("polynomial", "closed-form")
     if choice.speed is not None:
         return ("polynomial", "torque-exact")
-    return ("polynomial", "even-odd", "torque-exact", "closed-form")
+    return ("polynomial", "even-odd", "torque-exact", *(("closed-form",) if _has_closed_form(machine) else ()))
+
+
+def _has_closed_form(machine: LinearMachine) -> bool:
+    """Whether single precision holds the squared base current of the MTPA locus: not next to equal inductances."""
+    return machine.saliency == 0.0 or abs(machine.psi_pm / (2.0 * machine.saliency)) < _LARGEST_BASE
 
 
 def _require_form(choice: CurrentChoice, settings: FitSettings, number_format: NumberFormat) -> None:
@@ -134,6 +147,8 @@ def _require_form(choice: CurrentChoice, settings: FitSettings, number_format: N
         reason = "needs constant inductances, the machine is a flux map"
     elif form == "even-odd" and machine.psi_pm == 0.0:
         reason = "needs currents that are smooth at zero torque, without a magnet they are not"
+    elif form == "closed-form" and choice.speed is None:
+        reason = "squares a base current that is no float: l_d and l_q are next to equal"
     elif form == "torque-exact":
         reason = "divides by the magnet torque, which this machine does not have"
     else:

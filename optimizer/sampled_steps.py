@@ -126,7 +126,7 @@ def ekf_sizes(scalars: FloatArray, _: FloatArray) -> FloatArray:
     """Noticeable changes of the scalars of M filters, shape (M, 12): a covariance counts by its two variances."""
     size = np.empty_like(scalars)
     norm = np.hypot(scalars[:, 0], scalars[:, 1])
-    size[:, 0] = size[:, 1] = np.where(norm > 0.0, norm, 1.0)
+    size[:, 0] = size[:, 1] = np.where(norm > 1e-6, norm, 1.0)
     root = np.sqrt(np.abs(scalars[:, [2 + _UPPER.index((n, n)) for n in range(4)]]))
     for k, (n, m) in enumerate(_UPPER):
         size[:, 2 + k] = np.maximum(root[:, n] * root[:, m], 1e-30)

@@ -25,12 +25,15 @@ from numpy.typing import NDArray
 
 from dqforge.machines.flux_map import SaturatedMachine
 from dqforge.machines.synchronous import FloatArray, LinearMachine
+from dqforge.optimizer.drop_reference import DropReference
 from dqforge.optimizer.flux_surface import WeakeningRegion
 from dqforge.optimizer.surface_enclosures import Bend, Boxes, rounding, taylor
 from dqforge.optimizer.surface_errors import Enclosed, enclose
-from dqforge.optimizer.surface_limit import LargestTorque, largest_torque, limit_range
+from dqforge.optimizer.surface_limit import LargestTorque, largest_torque, limit_decrease, limit_range
 from dqforge.optimizer.surface_reference import WeakeningReference
+from dqforge.optimizer.surface_voltage import FLUX_SHARE, ROUNDING, TORQUE_SHARE, Taken, moved, voltage_excess
 from dqforge.optimizer.vector_balls import Balls
+from dqforge.optimizer.voltage_region import VoltageRegion
 
 _FIRST = 16
 """Parts of the torques and of the excess flux linkages to begin with."""
@@ -40,12 +43,12 @@ _HALVINGS = 8
 _CLOSE = 1.02
 """Bounds within this factor of the errors found at centres are not refined."""
 
-_RESOLUTION = np.array([1e-6, 2e-6, 2e-6])
-"""Shares of torque, squared flux linkage and squared current below which no bound is refined."""
+_RESOLUTION = np.array([1e-6, 2e-6, 2e-6, 2e-6])
+"""Shares of torque, squared flux linkage, squared current and squared voltage below which no bound is refined."""
 
 _BATCH = 8192
 _MOST_BOXES = 200_000
-"""Boxes that are looked at; what is left then keeps its bounds."""
+"""Boxes that are looked at, and strips along the torque limit; what is left then keeps its bounds."""
 
 _MARGIN = 1.01
 
@@ -56,6 +59,9 @@ class SurfaceCertificate:
 
     ``model`` says what they are proven against: the ``equations`` of a machine with constant inductances, or the
     ``splines`` through the points of a flux map. ``boxes`` counts the parts of the domain that were looked at.
+    ``voltage_excess`` is that of the voltage with the resistance drop, relative to its limit, where a whole step is
+    certified: for every torque, either direction, voltages from `LEAST_VOLTAGE` of the design's up, and speeds up to
+    the largest one in proportion to the voltage.
     """
 
     model: Literal["equations", "splines"]
@@ -64,23 +70,32 @@ class SurfaceCertificate:
     flux_excess: float
     current_excess: float
     boxes: int
+    voltage_excess: float | None = None
 
 
 @dataclass(slots=True)
 class _Progress:
-    """Largest errors found, largest bounds of what is settled (both N m, squares, squares), and boxes looked at."""
+    """Largest errors found, largest bounds of what is settled (both N m, squares thrice), and boxes looked at.
+
+    ``rise`` in A^2/Wb and ``room`` (a share of the squared limit) bound what else there is to know of the current.
+    """
 
     found: FloatArray
     worst: FloatArray
     boxes: int = 0
+    rise: float = 0.0
+    room: float = 0.0
 
-    def enough(self, bounds: FloatArray, least: FloatArray) -> NDArray[np.bool_]:
-        """Which bounds, shape (3, N), need no refinement: those close to what was found or settled anyway."""
+    def enough(self, bounds: FloatArray, least: FloatArray, room: FloatArray) -> NDArray[np.bool_]:
+        """Which bounds, shape (4, N), need no refinement: those close to what was found or settled anyway.
+
+        Smaller boxes take nothing off what rounding adds, ``room`` of shape (4, N).
+        """
         aim = np.maximum(np.maximum(_CLOSE * self.found, self.worst), least)
-        return np.asarray(np.all(bounds <= aim[:, np.newaxis], axis=0))
+        return np.asarray(np.all(bounds - room <= aim[:, np.newaxis], axis=0))
 
     def settle(self, bounds: FloatArray) -> None:
-        """Count bounds of shape (3, N) among those that stay."""
+        """Count bounds of shape (4, N) among those that stay."""
         self.worst = np.maximum(self.worst, np.max(bounds, axis=1, initial=-np.inf))
 
 
@@ -93,6 +108,7 @@ class _Domain:
     ends: FloatArray  # of the segments, from the least torque to the largest
     most_excess: float
     seam: float  # by so much rounding may move the decision whether the field is weakened
+    overhang: float  # by so much in N m a torque may lie above the limit of its own flux linkage
 
     @classmethod
     def of(cls, region: WeakeningRegion, reference: WeakeningReference) -> _Domain:
@@ -101,7 +117,9 @@ class _Domain:
         starts = np.append(reference.flux.starts.astype(np.float64)[1:], np.inf)
         end = float(np.max(upper))
         ends = np.unique(np.minimum(np.concatenate([[min(0.0, float(np.min(lower)))], starts]), end))
-        whole = cls(region, reference, ends, 0.0, 0.0)
+        overhang = limit_decrease(reference)
+        ends[-1] += overhang
+        whole = cls(region, reference, ends, 0.0, 0.0, overhang)
         seam, largest = 0.0, -np.inf
         for segment in range(ends.size - 1):
             edges = np.linspace(ends[segment], ends[segment + 1], _STRIPS + 1)
@@ -133,10 +151,19 @@ class _Domain:
         x_low, x_high, a_low, a_high = x_low - slack, x_high + slack, a_low - slack, a_high + slack
         inside = np.flatnonzero((x_low <= x_high) & (a_low <= a_high))
         top = limit_range(self.reference, np.maximum(a_low[inside], least), np.minimum(a_high[inside], largest))[1]
-        t_high = np.minimum(boxes.t_high[inside], top)
+        t_high = np.minimum(boxes.t_high[inside], top + self.overhang)
         kept = t_high >= boxes.t_low[inside]
         inside = inside[kept]
         return boxes.chosen(inside, t_high=t_high[kept], x_low=x_low[inside], x_high=x_high[inside])
+
+    def available(self, boxes: Boxes) -> tuple[FloatArray, FloatArray]:
+        """Bounds of the available flux linkage in Wb on boxes inside the domain, shape (N,)."""
+        least, largest = float(self.reference.flux_min), float(self.reference.flux_max)
+        low, high = self.flux_range(boxes.segment, boxes.t_low, boxes.t_high)
+        if not boxes.weakens:
+            return np.clip(low - self.seam, least, largest) * (1.0 - 1e-15), np.full(low.shape, largest)
+        a_low, a_high = np.clip(low - boxes.x_high, least, None), np.clip(high - boxes.x_low, None, largest)
+        return a_low * (1.0 - 1e-15), np.maximum(a_high, a_low) * (1.0 + 1e-15)
 
     def holds(self, boxes: Boxes) -> NDArray[np.bool_]:
         """Whether the centres of boxes lie in the domain, so that errors there are really made; not proven."""
@@ -187,9 +214,31 @@ def _halves(boxes: Boxes, along: NDArray[np.bool_]) -> Boxes:
     )
 
 
-def _refine(domain: _Domain, progress: _Progress, least: FloatArray) -> None:
+@dataclass(frozen=True, slots=True)
+class _Voltage:
+    """The voltage that a step takes, resistance included."""
+
+    region: VoltageRegion
+    step: DropReference
+
+    def bounds(self, domain: _Domain, boxes: Boxes, enclosed: Enclosed) -> FloatArray:
+        """Bounds of |v|^2/V^2 - 1 on boxes, and what it is at their centres, shape (2, N)."""
+        low, high = domain.available(boxes)
+        square = self.region.flux.i_max**2
+        over = Taken(
+            boxes.t_low, boxes.t_high, low, high, enclosed.high, -enclosed.low,
+            enclosed.excess[0], (enclosed.excess[1] + 1.0) * square,
+        )  # fmt: skip
+        t, a, (torque, flux, current) = 0.5 * (boxes.t_low + boxes.t_high), 0.5 * (low + high), enclosed.centre
+        if not boxes.weakens:
+            a = low
+        here = Taken(t, t, a, a, torque, -torque, flux, (current + 1.0) * square)
+        return np.stack([voltage_excess(self.region, self.step, part) for part in (over, here)])
+
+
+def _refine(domain: _Domain, progress: _Progress, least: FloatArray, voltage: _Voltage | None) -> None:
     """Settle the torques that are within reach: boxes are halved until their bounds are close to what was found."""
-    waiting = list(domain.first())
+    waiting, most = list(domain.first()), progress.boxes + _MOST_BOXES
     while waiting:
         done: list[tuple[Boxes, Enclosed, FloatArray]] = []
         for boxes in waiting:
@@ -197,17 +246,22 @@ def _refine(domain: _Domain, progress: _Progress, least: FloatArray) -> None:
                 part = domain.clipped(boxes.chosen(slice(start, start + _BATCH)))
                 if part.count == 0:
                     continue
-                enclosed = enclose(domain.region, domain.reference, part)
-                held = enclosed.centre[:, domain.holds(part)]
+                enclosed = enclose(domain.region, domain.reference, part, domain.overhang)
+                volts = np.zeros((2, part.count)) if voltage is None else voltage.bounds(domain, part, enclosed)
+                held = np.vstack([enclosed.centre, volts[1]])[:, domain.holds(part)]
                 held[0] = np.abs(held[0])
                 progress.found = np.fmax(progress.found, np.fmax.reduce(held, axis=1, initial=0.0))
                 torque = np.maximum(enclosed.high, -enclosed.low)
-                done.append((part, enclosed, np.vstack([torque, enclosed.excess])))
+                done.append((part, enclosed, np.vstack([torque, enclosed.excess, volts[0]])))
                 progress.boxes += part.count
         waiting = []
         for part, enclosed, bounds in done:
-            settled = progress.enough(bounds, least) | (progress.boxes > _MOST_BOXES)
+            # Rounding moves the squared voltage by what it moves flux linkage, torque and current.
+            room = np.vstack([enclosed.room, np.sum(enclosed.room[1:], axis=0)])
+            settled = progress.enough(bounds, least, room) | (progress.boxes > most)
             progress.settle(bounds[:, settled])
+            progress.rise = max(progress.rise, float(np.max(enclosed.rise[settled], initial=0.0)))
+            progress.room = max(progress.room, float(np.max(enclosed.room[2, settled], initial=0.0)))
             rest = np.flatnonzero(~settled)
             if rest.size > 0:
                 waiting.append(_halves(part.chosen(rest), enclosed.along[rest]))
@@ -265,7 +319,9 @@ def _refine_limit(domain: _Domain, largest: LargestTorque, progress: _Progress, 
         low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
 
 
-def certify_surface(region: WeakeningRegion, reference: WeakeningReference) -> SurfaceCertificate | None:
+def certify_surface(
+    region: WeakeningRegion, reference: WeakeningReference, step: tuple[VoltageRegion, DropReference] | None = None
+) -> SurfaceCertificate | None:
     """Prove bounds of the errors of a two-dimensional reference over its whole domain.
 
     Parameters
@@ -274,6 +330,8 @@ def certify_surface(region: WeakeningRegion, reference: WeakeningReference) -> S
         Machine and limits that it is to keep.
     reference:
         The emitted constants.
+    step:
+        The step about it with its domain, whose voltage is to be bounded as well.
 
     Returns
     -------
@@ -285,32 +343,52 @@ def certify_surface(region: WeakeningRegion, reference: WeakeningReference) -> S
     if not isinstance(region.machine, LinearMachine | SaturatedMachine):
         return None
     try:
-        return _certify(region, reference)
+        return _certify(region, reference, None if step is None else _Voltage(*step))
     except ZeroDivisionError:  # intermediate results may be too large for single precision
         return None
 
 
-def _certify(region: WeakeningRegion, reference: WeakeningReference) -> SurfaceCertificate | None:
+def certify_step(region: VoltageRegion, step: DropReference) -> SurfaceCertificate | None:
+    """Prove bounds of the errors of a whole step; as `certify_surface`."""
+    return certify_surface(region.flux, step.surface, (region, step))
+
+
+def _certify(
+    region: WeakeningRegion, reference: WeakeningReference, voltage: _Voltage | None
+) -> SurfaceCertificate | None:
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         domain, largest = _Domain.of(region, reference), largest_torque(region)
         if largest is None:
             return None
         top = limit_range(reference, largest.flux[:-1], largest.flux[1:])[1]
         beyond = float(np.max(np.maximum(top - largest.torque[:-1], 0.0)))
-        least = _RESOLUTION * [region.torque_max, 1.0, 1.0]
-        progress = _Progress(np.zeros(3), np.zeros(3))
+        least = _RESOLUTION * [region.torque_max, 1.0, 1.0, 1.0]
+        progress = _Progress(np.zeros(4), np.zeros(4))
         _refine_limit(domain, largest, progress, beyond, float(least[0]))
         progress.worst[0] -= beyond
-        _refine(domain, progress, least)
+        _refine(domain, progress, least, voltage)
     torque = float(progress.worst[0]) + beyond
-    flux, current = (math.nextafter(math.sqrt(1.0 + over), math.inf) - 1.0 for over in progress.worst[1:].tolist())
+    flux, current = (math.nextafter(math.sqrt(1.0 + over), math.inf) - 1.0 for over in progress.worst[1:3].tolist())
     if not all(map(math.isfinite, (torque, flux, current))):
         return None
+    relative = torque / region.torque_max
     return SurfaceCertificate(
         model="equations" if isinstance(region.machine, LinearMachine) else "splines",
         torque=torque,
-        torque_relative=torque / region.torque_max,
+        torque_relative=relative,
         flux_excess=flux,
         current_excess=current,
         boxes=progress.boxes,
+        voltage_excess=None if voltage is None else _voltage(voltage, progress, (relative, flux, current)),
     )
+
+
+def _voltage(voltage: _Voltage, progress: _Progress, others: tuple[float, float, float]) -> float | None:
+    """Bound of the voltage over its limit less 1; None where the others are not good enough for it."""
+    relative, flux, current = others
+    if relative > TORQUE_SHARE or flux > FLUX_SHARE or current > FLUX_SHARE / 2.0:
+        return None
+    room = progress.room * voltage.region.flux.i_max**2
+    over = float(progress.worst[3]) + moved(voltage.region, voltage.step, progress.rise, room) + ROUNDING
+    found = math.nextafter(math.sqrt(1.0 + over), math.inf) - 1.0
+    return found if math.isfinite(found) else None

@@ -28,6 +28,9 @@ _POINTS = 601
 _CURRENT_SHARES = 0.02, 0.02
 """Permitted deviation of an MTPA current: share of itself plus share of the limit. It costs next to no loss."""
 
+_LEAST_SLOPE = 1e-4
+"""Least rise of the torque limit over its domain, over the largest torque: between the points it falls nowhere."""
+
 _NEAR = 0.97
 """Share of the least flux linkage from which the flux linkage of an MTPA point matters."""
 
@@ -68,25 +71,43 @@ def _segments(constant: float, weights: FloatArray, edges: FloatArray, degree: i
         for start, term in zip(edges[: segment + 1], terms, strict=False):
             total = total + term(Polynomial([edges[segment] - start, 1.0]))
         rows[segment, : total.coef.size] = total.coef
-    scaled = rows / end ** np.arange(degree + 1)
+    scaled = rows / end ** np.arange(degree + 1) + 0.0  # no negative zeros: C adds what the model leaves out
     return SinglePolynomial((edges[:-1] * end).astype(np.float32), scaled.astype(np.float32))
 
 
+def _slopes(share: FloatArray, edges: FloatArray, degree: int) -> FloatArray:
+    """Derivatives of `_functions`, shape (N, S n)."""
+    power = np.arange(1, degree + 1)
+    columns = []
+    for start in edges[:-1]:
+        local = np.maximum(share - start, 0.0)[:, np.newaxis]
+        columns.append(np.where(share[:, np.newaxis] >= start, power * local ** (power - 1), 0.0))
+    return np.concatenate(columns, axis=1)
+
+
 def _level_curve(
-    functions: FloatArray, target: FloatArray, unit: FloatArray, *, below: bool
+    functions: FloatArray, target: FloatArray, unit: FloatArray, *, rising: FloatArray | None = None
 ) -> tuple[FloatArray, float]:
-    """Constant and weights with the least largest |error| / unit (a linear programme), or of a fit from below."""
+    """Constant and weights with the least largest |error| / unit (a linear programme).
+
+    With ``rising``, the derivatives of the functions, that of a curve from below that rises everywhere.
+    """
     from scipy.optimize import linprog
 
     columns = np.column_stack([np.ones(target.size), functions])
     scale = np.max(np.abs(columns), axis=0)
     columns = columns / scale
-    room = np.zeros_like(unit) if below else -unit
+    room = -unit if rising is None else np.zeros_like(unit)
     rows = np.vstack([np.column_stack([columns, room]), np.column_stack([-columns, -unit])])
+    bounds = np.concatenate([target, -target])
+    if rising is not None:
+        nothing = np.zeros((rising.shape[0], 1))
+        rows = np.vstack([rows, np.column_stack([nothing, -rising / scale[1:], nothing])])
+        bounds = np.append(bounds, np.full(rising.shape[0], -_LEAST_SLOPE * float(np.max(target))))
     found = linprog(
         np.append(np.zeros(columns.shape[1]), 1.0),
         A_ub=rows,
-        b_ub=np.concatenate([target, -target]),
+        b_ub=bounds,
         bounds=(None, None),
         method="highs-ds",
     )
@@ -115,7 +136,8 @@ def fit_limit(region: WeakeningRegion, permitted: float) -> SinglePolynomial:
     for segments, degree in _SHAPES:
         for spacing in _SPACINGS[: 1 if segments == 1 else None]:
             edges = _edges(segments, spacing)
-            weights, worst = _level_curve(_functions(share, edges, degree), target, unit, below=True)
+            rising = _slopes(share, edges, degree)
+            weights, worst = _level_curve(_functions(share, edges, degree), target, unit, rising=rising)
             if worst <= 1.0:
                 return _segments(float(weights[0]), weights[1:], edges, degree, span)
     raise NoSolutionError(
@@ -173,7 +195,7 @@ def fit_mtpa(region: WeakeningRegion, torque_error: float, flux_error: float) ->
             taken = region.flux(in_double(d, torque), in_double(q, torque))
             unit = np.where(taken >= _NEAR * region.flux_min, 0.5 * flux_error * taken, 0.1 * region.flux_min)
             edges = _edges(segments, spacing)
-            weights, worst = _level_curve(_functions(share, edges, degree), taken, unit, below=False)
+            weights, worst = _level_curve(_functions(share, edges, degree), taken, unit)
             if worst <= 1.0:
                 return Mtpa(d, q, _segments(float(weights[0]), weights[1:], edges, degree, region.torque_max))
     raise NoSolutionError("field_weakening: the MTPA currents bend too sharply for 4 segments of degree 6")

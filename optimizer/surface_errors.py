@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.flux_surface import WeakeningRegion
+from dqforge.optimizer.surface_curves import in_double
 from dqforge.optimizer.surface_enclosures import (
     Bend,
     Boxes,
@@ -21,8 +22,9 @@ from dqforge.optimizer.surface_enclosures import (
     machine_parts,
     resolved,
 )
+from dqforge.optimizer.surface_limit import limit_room
 from dqforge.optimizer.surface_reference import WeakeningReference
-from dqforge.optimizer.vector_balls import Balls, magnitude
+from dqforge.optimizer.vector_balls import Balls, magnitude, most
 
 _LEAST_FLUX = 0.3
 """Share of the least flux linkage below which a box is halved first: it reaches far beyond the domain."""
@@ -37,13 +39,17 @@ class Enclosed:
     ``low`` and ``high`` in N m bound the torque made less t; ``excess`` (shape (2, N)) the squared flux linkage over
     the squared available one less 1, and likewise the squared current. ``centre`` (shape (3, N)) holds the three at the
     centres, nan where nothing is known; where the field is not weakened, that is at the least flux linkage that leaves
-    it so. ``along`` says whether the errors bend more along the torque than along the flux linkage.
+    it so. ``room`` (shape (3, N)) is what of the bounds is owed to rounding. ``rise`` bounds in A^2/Wb how the squared
+    current may rise with the available flux linkage. ``along`` says whether the errors bend more along the torque than
+    along the flux linkage.
     """
 
     low: FloatArray
     high: FloatArray
     excess: FloatArray
     centre: FloatArray
+    room: FloatArray
+    rise: FloatArray
     along: NDArray[np.bool_]
 
 
@@ -53,8 +59,50 @@ def _room(parts: Parts, boxes: Boxes, places: NDArray[np.intp] | slice) -> Float
     return np.asarray(room * (1.0 + _SLACK))
 
 
-def enclose(region: WeakeningRegion, reference: WeakeningReference, boxes: Boxes) -> Enclosed:
-    """Bounds of the errors on boxes: Taylor polynomials of second degree about the centres, with their remainders."""
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """Boxes some of which reach beyond the torque limit: available flux linkage at their centres and over them."""
+
+    at_centre: Bend
+    over: Bend
+    half: tuple[FloatArray, FloatArray]
+    t: Balls
+
+    def highest(self, reference: WeakeningReference, inner: Bend, outer: Bend, overhang: float) -> FloatArray:
+        """Upper bounds of a function on the part of each box within the limit; infinite where there is none.
+
+        With any m >= 0 it is at most its sum with m (L(a) - t), which is not negative there: with the m that leaves no
+        slope along the torque or along the excess, the slope beyond the limit costs nothing.
+        """
+        top = np.full(self.t.mid.shape, np.inf)
+        least = np.maximum(self.over.value.lower() - float(reference.flux_min), 0.0)
+        beyond = np.flatnonzero(in_double(reference.limit, least) < self.t.upper())
+        where, room, bends, error = limit_room(reference, self.at_centre, self.over, beyond)
+        if where.size == 0:
+            return top
+        t, one = self.t.at(where), Balls.exact(np.ones(where.size))
+        room = Bend(room.value - t.mid + (error + overhang), room.t - one, room.x, 0, 0, 0)
+        inner, outer = inner.at(where), outer.at(where)
+        half = self.half[0][where], self.half[1][where]
+        for slope, other in ((inner.t, room.t), (inner.x, room.x)):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                weight = np.nan_to_num(np.maximum(-Balls.of(slope).mid / other.mid, 0.0), posinf=0.0)
+            found = _raised(inner, room, weight).range(_raised(outer, bends, weight), *half)[1]
+            top[where] = np.fmin(top[where], found)
+        return top
+
+
+def _raised(one: Bend, other: Bend, weight: FloatArray) -> Bend:
+    """The first function and a multiple of the second one."""
+    parts = ((getattr(one, field.name), getattr(other, field.name)) for field in fields(Bend))
+    return Bend(*(first + (second * weight if isinstance(second, Balls) else second) for first, second in parts))
+
+
+def enclose(region: WeakeningRegion, reference: WeakeningReference, boxes: Boxes, overhang: float = 0.0) -> Enclosed:
+    """Bounds of the errors on boxes: Taylor polynomials of second degree about the centres, with their remainders.
+
+    The current is bounded for torques up to ``overhang`` N m above the limit, the others on the whole boxes.
+    """
     t, x = boxes.t, boxes.x
     here = currents(reference, boxes, Balls.exact(t.mid), Balls.exact(x.mid))
     exact = currents(reference, boxes, t, x)
@@ -66,6 +114,8 @@ def enclose(region: WeakeningRegion, reference: WeakeningReference, boxes: Boxes
     low, high = (np.where(known, -sign * np.inf, sign * np.inf) for sign in (-1.0, 1.0))
     excess = np.where(known, -np.inf, np.inf) * np.ones((2, 1))
     centre = np.full((3, boxes.count), np.nan)
+    room = np.zeros((3, boxes.count))
+    rise = np.where(known, 0.0, np.inf)
     # Where nothing is known, what counts is how far the currents reach.
     reach = [
         (magnitude(getattr(over.d, name)) + magnitude(getattr(over.q, name))) * part.rad
@@ -92,18 +142,25 @@ def enclose(region: WeakeningRegion, reference: WeakeningReference, boxes: Boxes
             top_flux = np.where(far[places], np.minimum(top_flux, plain), plain)
             at_centre = np.where(far[places], np.minimum(at_centre, plain_centre), plain_centre)
         top_current = current[0].range(current[1], *half)[1] + rooms[2]
+        if boxes.weakens:
+            held = _Held(here.available.at(places), over.available.at(places), half, t.at(places))
+            top_current = np.minimum(top_current, held.highest(reference, *current, overhang) + rooms[2])
         settled = known[places]
         low[places] = np.where(settled, np.minimum(low[places], ends[0] - rooms[0]), -np.inf)
         high[places] = np.where(settled, np.maximum(high[places], ends[1] + rooms[0]), np.inf)
         tops = np.stack([top_flux, top_current / region.i_max**2]) * (1.0 + _SLACK) - 1.0 + 2.0 * _SLACK
         excess[:, places] = np.where(settled, np.maximum(excess[:, places], tops), np.inf)
+        rising = np.maximum(most(-Balls.of(current[1].x)), 0.0)
+        rise[places] = np.where(settled, np.maximum(rise[places], rising), np.inf)
+        owed = np.stack([rooms[0], rooms[1] * magnitude(shares[1].value), rooms[2] / region.i_max**2])
+        room[:, places] = np.where(settled, np.maximum(room[:, places], owed), room[:, places])
         centre[:, places] = np.stack(
             [torque[0].value.mid - t.mid[places], at_centre - 1.0, current[0].value.mid / region.i_max**2 - 1.0]
         )
         for row, name in enumerate(("tt", "xx")):
             rate = magnitude(getattr(torque[1], name)) / region.torque_max + magnitude(getattr(ratio[1], name))
             bends[row, places] = np.where(settled, rate * half[row] ** 2, bends[row, places])
-    return Enclosed(low, high, excess, centre, bends[0] >= bends[1])
+    return Enclosed(low, high, excess, centre, room, rise, bends[0] >= bends[1])
 
 
 def _rest(bend: Bend) -> tuple[object, ...]:

@@ -9,12 +9,21 @@ import numpy as np
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.settings import WeakeningSettings
 from dqforge.machines.synchronous import FloatArray, Machine
-from dqforge.optimizer.flux_surface import WeakeningRegion, weakening_region
+from dqforge.optimizer.drop_fit import with_drop
+from dqforge.optimizer.drop_reference import DropReference
+from dqforge.optimizer.flux_surface import WeakeningRegion
 from dqforge.optimizer.single_precision import SinglePolynomial
-from dqforge.optimizer.surface_certificate import SurfaceCertificate, certify_surface
+from dqforge.optimizer.surface_certificate import SurfaceCertificate, certify_step
 from dqforge.optimizer.surface_curves import Mtpa, fit_limit, fit_mtpa, in_double
 from dqforge.optimizer.surface_reference import SingleSurface, SurfaceErrors, WeakeningReference, surface_errors
 from dqforge.optimizer.surface_solver import Aims, level
+from dqforge.optimizer.voltage_region import (
+    VoltageErrors,
+    VoltageRegion,
+    voltage_errors,
+    voltage_region,
+    voltage_samples,
+)
 
 _FLUX_LEVELS = 48
 _TORQUE_LEVELS = 40
@@ -63,8 +72,9 @@ def monomials(torque_degree: int, excess_degree: int) -> list[tuple[int, int]]:
 class SurfaceTrial:
     """One candidate: degrees in torque and excess flux linkage, number of constants, bytes, and its errors.
 
-    ``grid_error`` is the largest error on the grid of the fit over the permitted one; ``errors`` are those of the
-    float32 arithmetic, None where ``grid_error`` rules the candidate out.
+    ``grid_error`` is the largest error on the grid of the fit over the permitted one; ``errors`` (over torque and flux
+    linkage) and ``voltage`` (over torque, voltage and speed) are those of the float32 arithmetic, None where
+    ``grid_error`` rules the candidate out.
     """
 
     degrees: tuple[int, int]
@@ -72,22 +82,36 @@ class SurfaceTrial:
     flash: int
     grid_error: float
     errors: SurfaceErrors | None
+    voltage: VoltageErrors | None
     chosen: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class WeakeningFit:
-    """A two-dimensional reference with its domain, its errors, what was tried, and proven bounds of the errors.
+    """A reference with its domain, its errors, what was tried, and proven bounds of the errors.
 
-    ``certificate`` is None for machines that are neither linear nor flux maps, and where no bound could be proven.
+    ``reference`` are the currents over torque and flux linkage, ``step`` the whole step over torque, voltage and speed
+    that is emitted. ``certificate`` is None for machines that are neither linear nor flux maps, and where no bound
+    could be proven.
     """
 
     settings: WeakeningSettings
-    region: WeakeningRegion
-    reference: WeakeningReference
+    domain: VoltageRegion
+    step: DropReference
     errors: SurfaceErrors
+    voltage: VoltageErrors
     trials: tuple[SurfaceTrial, ...]
     certificate: SurfaceCertificate | None
+
+    @property
+    def region(self) -> WeakeningRegion:
+        """Domain of torque and available flux linkage."""
+        return self.domain.flux
+
+    @property
+    def reference(self) -> WeakeningReference:
+        """Currents over torque and available flux linkage."""
+        return self.step.surface
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,39 +218,52 @@ def fit_weakening(machine: Machine, i_max: float, v_max: float, settings: Weaken
     NoSolutionError
         The voltage limits nothing, leaves no torque, or no candidate keeps the budget.
     """
-    region = weakening_region(machine, i_max, v_max / (machine.pole_pairs * settings.omega_m))
+    domain = voltage_region(machine, i_max, v_max, settings.omega_m)
+    region, samples = domain.flux, voltage_samples(domain)
     torque_error = settings.torque_error * region.torque_max
     mtpa = fit_mtpa(region, _MTPA_SHARE * torque_error, _MTPA_SHARE * settings.voltage_excess)
     limit = fit_limit(region, _LIMIT_SHARE * torque_error)
     grid = _grid(region, settings, mtpa, limit)
     trials: list[SurfaceTrial] = []
     for degrees in sorted(_DEGREES, key=lambda pair: len(monomials(*pair))):
-        reference, worst = _fit_surfaces(region, grid, mtpa, limit, degrees)
-        if reference.flash > settings.flash:
-            break
-        errors = surface_errors(region, reference) if worst <= _GOOD else None
-        trials.append(SurfaceTrial(degrees, reference.coefficients, reference.flash, worst, errors))
-        if errors is not None and _keeps(errors, settings):
-            trials[-1] = replace(trials[-1], chosen=True)
-            certificate = certify_surface(region, reference)
-            return WeakeningFit(settings, region, reference, errors, tuple(trials), certificate)
+        surface, worst = _fit_surfaces(region, grid, mtpa, limit, degrees)
+        step = with_drop(domain, surface, settings)
+        close = worst <= _GOOD
+        errors = surface_errors(region, surface) if close else None
+        voltage = voltage_errors(domain, step, samples) if close else None
+        trial = SurfaceTrial(degrees, step.coefficients, step.flash, worst, errors, voltage)
+        keeps = errors is not None and voltage is not None and _keeps(errors, voltage, settings, region)
+        if step.flash > settings.flash:
+            if keeps:
+                raise NoSolutionError(_too_small(step.flash, settings))
+            continue
+        trials.append(replace(trial, chosen=keeps))
+        if errors is not None and voltage is not None and keeps:
+            certificate = certify_step(domain, step)
+            return WeakeningFit(settings, domain, step, errors, voltage, tuple(trials), certificate)
     raise NoSolutionError(_refusal(trials, settings))
 
 
-def _keeps(errors: SurfaceErrors, settings: WeakeningSettings) -> bool:
-    excess = max(errors.flux_excess, errors.current_excess)  # the current limit is kept as well as the voltage limit
-    return errors.torque_relative <= settings.torque_error and excess <= settings.voltage_excess
+def _keeps(errors: SurfaceErrors, voltage: VoltageErrors, settings: WeakeningSettings, region: WeakeningRegion) -> bool:
+    # The current limit is kept as well as the voltage limit.
+    excess = max(errors.flux_excess, errors.current_excess, voltage.voltage_excess)
+    torque = max(errors.torque, voltage.torque)
+    return torque <= settings.torque_error * region.torque_max and excess <= settings.voltage_excess
+
+
+def _too_small(needed: int, settings: WeakeningSettings) -> str:
+    return (
+        f"field_weakening: the permitted errors take {needed} B, more than the {settings.flash} B that are allowed;"
+        f" write flash: {needed} B, raise torque_error or voltage_excess, or lower the speed"
+    )
 
 
 def _refusal(trials: list[SurfaceTrial], settings: WeakeningSettings) -> str:
-    if not trials:
-        return (
-            f"field_weakening: the limit and the MTPA currents alone take more than {settings.flash} B;"
-            " raise flash or the permitted errors"
-        )
-    best = min(trials, key=lambda trial: trial.grid_error)
+    best = min(trials, key=lambda trial: trial.grid_error) if trials else None
+    found = (
+        "" if best is None else f" ({best.grid_error:.3g} times the permitted ones within {settings.flash} B at best)"
+    )
     return (
-        f"field_weakening: within {settings.flash} B the errors are {best.grid_error:.3g} times the permitted ones at"
-        f" best (degrees {best.degrees[0]} and {best.degrees[1]}, {best.flash} B); lower the speed, raise flash,"
-        " torque_error or voltage_excess"
+        f"field_weakening: no size keeps the permitted errors{found}; lower the speed, raise torque_error or"
+        " voltage_excess"
     )

@@ -102,10 +102,18 @@ class WeakeningReference:
             most = self.limit.evaluate(a - self.flux_min, muladd)
             return np.where(t > most, most, t), a
 
+    def weakened(
+        self, t: SingleArray, delta: SingleArray, base: tuple[SingleArray, SingleArray], muladd: MultiplyAdd
+    ) -> tuple[SingleArray, SingleArray]:
+        """Currents in A where MTPA currents ``base`` in A take ``delta`` Wb too much, shape (N,)."""
+        x, y = t - self.torque_mid, delta - self.excess_mid
+        i_d = muladd(delta, self.surface_d.evaluate(x, y, muladd), base[0])
+        return i_d, muladd(delta * t, self.surface_q.evaluate(x, y, muladd), base[1])
+
     def currents(
         self, torque: SingleArray, flux: SingleArray, *, fused: bool = False
     ) -> tuple[SingleArray, SingleArray]:
-        """(i_d, i_q) in A as the emitted C returns them, bit for bit, for any float32 inputs, shape (N,).
+        """(i_d, i_q) in A for float32 torques and available flux linkages, shape (N,), in the operations of the header.
 
         ``fused`` models a compiler that contracts products and sums.
         """
@@ -114,9 +122,7 @@ class WeakeningReference:
         with np.errstate(invalid="ignore", under="ignore"):
             i_d, i_q = self.d.evaluate(t, muladd), self.q.evaluate(t, muladd)
             delta = self.flux.evaluate(t, muladd) - a
-            x, y = t - self.torque_mid, delta - self.excess_mid
-            weakened_d = muladd(delta, self.surface_d.evaluate(x, y, muladd), i_d)
-            weakened_q = muladd(delta * t, self.surface_q.evaluate(x, y, muladd), i_q)
+            weakened_d, weakened_q = self.weakened(t, delta, (i_d, i_q), muladd)
             weakens = delta > 0.0
             i_d, i_q = np.where(weakens, weakened_d, i_d), np.where(weakens, weakened_q, i_q)
             return i_d, np.where(np.asarray(torque, dtype=np.float32) < 0.0, -i_q, i_q)

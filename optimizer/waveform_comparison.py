@@ -12,6 +12,7 @@ import numpy as np
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.inverter import Topology
+from dqforge.machines.numerical import on_design
 from dqforge.machines.phase_machine import PhaseMachine
 from dqforge.machines.salient_phase_machine import AnyPhaseMachine, SalientPhaseMachine
 from dqforge.machines.settings import WaveformSettings
@@ -138,6 +139,7 @@ def _dq_currents(design: Design, torque: float) -> tuple[float, float]:
     return float(i_d[0]), math.copysign(float(i_q[0]), torque)
 
 
+@on_design("waveform")
 def compare_waveforms(design: Design, settings: WaveformSettings | None = None) -> WaveformComparison:
     """Phase currents by dq, dqx, dqy, and within all limits, at one operating point.
 

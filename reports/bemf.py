@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from dqforge.machines.bemf_capture import BemfCapture, BemfResult, Connection, analyse, capture_from_table
+from dqforge.machines.bemf_capture import BemfResult, analyse
+from dqforge.machines.bemf_columns import BemfCapture, CaptureOptions
+from dqforge.machines.bemf_files import MOST_BYTES, read_captures
 from dqforge.machines.errors import InputError
-from dqforge.machines.quantities import format_quantity, parse_option
-from dqforge.machines.text_table import read_table
-from dqforge.machines.yaml_source import read_bytes
+from dqforge.machines.input_files import read_regular_file
+from dqforge.machines.quantities import format_quantity, parse_option, read_quantity
+from dqforge.machines.text_blocks import Progress
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.tables import Table
 
@@ -31,6 +34,7 @@ class CaptureRequest:
     scale: str | None = None
     columns: str | None = None
     harmonics: int = 25
+    interval: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,30 +64,61 @@ def _columns(text: str | None) -> list[str | int] | None:
     return [int(part) if part.isdigit() else part for part in parts]
 
 
-def read_capture(path: Path, request: CaptureRequest) -> CaptureReading:
-    """Read and analyse a text file with the back-EMF of three phases.
+def _interval(text: str | None) -> float | None:
+    seconds = parse_option(text, "time", "--interval")
+    if text is not None and seconds is not None:
+        if read_quantity(text, "time").bare:
+            raise InputError(f"--interval: {text} has no unit; write {text} us, {text} ms or {text} s")
+        if seconds <= 0.0:
+            raise InputError(f"--interval: expected a time above 0, got '{text}'; write e.g. 2 us")
+    return seconds
+
+
+def read_capture(paths: Sequence[Path], request: CaptureRequest, progress: Progress | None = None) -> CaptureReading:
+    """Read and analyse the back-EMF of three phases in one file, or in several with some of the channels each.
+
+    Parameters
+    ----------
+    paths:
+        The files.
+    request:
+        The options.
+    progress:
+        Told the share that is done, of which reading is half.
 
     Raises
     ------
     InputError
-        The file is not what it claims to be, with the line where that begins, or an option is not understood.
+        A file is not what it claims to be, with the line where that begins, or an option is not understood.
     """
-    connection: Connection = "line-to-line" if request.line_to_line else "phase"
     speed = parse_option(request.speed, "speed", "--speed")
     if request.pole_pairs is not None and request.pole_pairs < 1:
         raise InputError(f"--pole-pairs: expected a whole number above 0, got {request.pole_pairs}")
     if not 1 <= request.harmonics <= 200:
         raise InputError(f"--harmonics: expected 1 to 200, got {request.harmonics}")
-    table = read_table(read_bytes(path), str(path))
-    capture = capture_from_table(
-        table,
-        connection=connection,
+    options = CaptureOptions(
+        connection="line-to-line" if request.line_to_line else "phase",
         columns=_columns(request.columns),
         scale=_scale(request.scale),
         pole_pairs=request.pole_pairs,
+        interval=_interval(request.interval),
     )
-    result = analyse(capture, pole_pairs=request.pole_pairs, speed=speed, harmonics=request.harmonics)
-    return CaptureReading(path.name, capture, result, request.pole_pairs)
+    capture = read_captures(
+        [str(path) for path in paths],
+        lambda name: read_regular_file(name, MOST_BYTES),
+        lambda name: Path(name).is_file(),
+        options,
+        _half(progress, 0.0),
+    )
+    result = analyse(
+        capture, pole_pairs=request.pole_pairs, speed=speed, harmonics=request.harmonics, progress=_half(progress, 0.5)
+    )
+    return CaptureReading(", ".join(path.name for path in paths), capture, result, request.pole_pairs)
+
+
+def _half(progress: Progress | None, start: float) -> Progress | None:
+    """What tells the share of one half of the work as that of the whole."""
+    return None if progress is None else lambda share: progress(start + 0.5 * share)
 
 
 def _constant_rows(reading: CaptureReading) -> list[tuple[str, str]]:

@@ -71,8 +71,13 @@ def points_tables(
 
 
 def _extrapolation_notes(points: OptimalPoints) -> tuple[str, ...]:
-    beyond = int(np.count_nonzero(points.extrapolated))
-    return (f"{beyond} of {points.extrapolated.size} points lie beyond the flux map: extrapolated",) if beyond else ()
+    beyond, held = int(np.count_nonzero(points.extrapolated)), int(np.count_nonzero(points.active == Active.DATA))
+    notes = [f"{beyond} of {points.extrapolated.size} points lie beyond the flux map: extrapolated"] if beyond else []
+    if held:
+        notes.append(
+            f"{held} of {points.active.size} points are held by the data: better ones may lie beyond the flux map"
+        )
+    return tuple(notes)
 
 
 _HELD_BY = {
@@ -82,6 +87,7 @@ _HELD_BY = {
     Active.BOTH: "current and voltage",
     Active.MTPV: "voltage: most torque per volt (MTPV)",
     Active.UNREACHABLE: "voltage: no current keeps it",
+    Active.DATA: "the data: the flux map ends there",
 }
 
 
@@ -160,18 +166,24 @@ def _envelope_rows(envelope: Envelope) -> tuple[tuple[str, ...], ...]:
     )
 
 
+def _held_text(figures: Characteristics, name: str) -> str:
+    return ", held by the data" if name in figures.held else ""
+
+
 def envelope_tables(
     design: Design, figures: Characteristics, envelope: Envelope, chart: OperatingMap, limit: VoltageLimit
 ) -> list[Table]:
     """Figures of the drive, and the largest torque over speed."""
     current = figures.characteristic_current
     end = figures.speed_max
+    power = f"{figures.power_max * 1e-3:.4g} kW at {_number(figures.power_speed * _RPM)} rpm"
+    last = "any speed" if end is None else f"{_number(end * _RPM)} rpm"
     rows = (
-        ("largest torque", f"{figures.torque_max:.4g} N m"),
-        ("base speed", f"{_number(figures.base_speed * _RPM)} rpm"),
-        ("largest power", f"{figures.power_max * 1e-3:.4g} kW at {_number(figures.power_speed * _RPM)} rpm"),
+        ("largest torque", f"{figures.torque_max:.4g} N m{_held_text(figures, 'torque_max')}"),
+        ("base speed", f"{_number(figures.base_speed * _RPM)} rpm{_held_text(figures, 'base_speed')}"),
+        ("largest power", f"{power}{_held_text(figures, 'power_max')}"),
         ("characteristic current", "none" if current is None else f"{current:.4g} A (peak)"),
-        ("voltage limit can be kept up to", "any speed" if end is None else f"{_number(end * _RPM)} rpm"),
+        ("voltage limit can be kept up to", f"{last}{_held_text(figures, 'speed_max')}"),
     )
     columns = (
         "speed rpm",
@@ -234,7 +246,7 @@ def _plain_losses(losses: DriveLosses) -> PlainData:
 
 
 def _plain_locus(locus: MtpaLocus) -> PlainData:
-    return {"torque_Nm": locus.torque, "i_d_A": locus.i_d, "i_q_A": locus.i_q}
+    return {"torque_Nm": locus.torque, "i_d_A": locus.i_d, "i_q_A": locus.i_q, "held_by_data": locus.held}
 
 
 def plain_points(
@@ -263,6 +275,7 @@ def plain_map(
             "power_speed_rad_per_s": figures.power_speed,
             "characteristic_current_A": figures.characteristic_current,
             "speed_max_rad_per_s": figures.speed_max,
+            "held_by_data": figures.held,
         },
         "envelope": _plain_points(envelope.points),
         "braking_envelope": _plain_points(envelope.braking),

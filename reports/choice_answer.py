@@ -6,13 +6,15 @@ from typing import Any
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.numerical import on_design
 from dqforge.optimizer.choice_solution import solve_choice
 from dqforge.reports.choice_tables import choice_tables, plain_choice
 from dqforge.reports.drive_losses import LossReply
 
 
-def answer_choice(design: Design, source: str) -> LossReply:
-    """Choose modulator and switching frequency as the design asks; ``source`` is its name for messages.
+@on_design("modulation_choice")
+def answer_choice(design: Design) -> LossReply:
+    """Choose modulator and switching frequency as the design asks.
 
     Raises
     ------
@@ -24,7 +26,7 @@ def answer_choice(design: Design, source: str) -> LossReply:
     found = solve_choice(design)
     if found is None:
         message = "the design asks for no choice; add a section 'modulation_choice' with min_frequency, max_frequency"
-        raise InputError(message, source=source)
+        raise InputError(message)
 
     def figure() -> Any:
         from dqforge.reports.figures_choice import plot_choice

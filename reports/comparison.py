@@ -135,6 +135,10 @@ def _same_point(a: PlainData, b: PlainData) -> bool:
 def _loss_rows(sides: tuple[Side, Side]) -> tuple[tuple[LossRow, ...], list[str]]:
     """Common alternatives at common points, and notes on what only one side has."""
     first, second = (_loss_table(side) for side in sides)
+    scopes = [side.value("losses", "scope") or "drive" for side in sides]
+    if first and second and scopes[0] != scopes[1]:
+        without = "AB"[scopes.index("without-bridge")]
+        return (), [f"losses are not compared: those of {without} are without the bridge, whose switch is unknown"]
     rows = []
     for a in first:
         b = next((other for other in second if _same_alternative(a, other)), None)

@@ -11,7 +11,7 @@ from typing import Any
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
-from dqforge.reports.files import read_output
+from dqforge.reports.files import LARGEST_FILE, LARGEST_JSON, read_output
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.result_json import FORMAT, plain_solution, to_text
 
@@ -127,14 +127,12 @@ def header_macros(header: str, prefix: str) -> dict[str, str]:
     return {name.removeprefix(start): value for name, value in _MACRO.findall(header) if name.startswith(start)}
 
 
-def _read(path: Path) -> bytes:
-    if path.exists() and not path.is_file():
-        raise InputError("is no file; give what 'dqforge run' or 'dqforge export' wrote", source=str(path))
-    return read_output(path, "a design, a library name, or what 'dqforge run' or 'dqforge export' wrote")
+def _read(path: Path, most_bytes: int = LARGEST_FILE) -> bytes:
+    return read_output(path, "a design, a library name, or what 'dqforge run' or 'dqforge export' wrote", most_bytes)
 
 
 def _from_result(text: str, path: Path) -> Side:
-    source, content = str(path), _read(path)
+    source, content = str(path), _read(path, LARGEST_JSON)
     try:
         result = json.loads(content)
     except (ValueError, RecursionError) as error:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from threading import Event, Lock, Thread
+from typing import TYPE_CHECKING
 
-from dqforge.reports.tables import Table
+if TYPE_CHECKING:
+    from dqforge.reports.tables import Table
 
 _PIPE_WIDTH = 160
 
@@ -40,27 +43,52 @@ def show(tables: Sequence[Table]) -> None:
         console.print()
 
 
+_moving = Lock()
+"""Held by what moves on the terminal, of which there is room for one."""
+
+
 @contextmanager
-def status(text: str) -> Iterator[None]:
-    """Show a spinner on a terminal while the block runs; silent in a pipe."""
-    if not sys.stderr.isatty():
+def status(text: str, after: float = 0.0) -> Iterator[None]:
+    """Show a spinner on a terminal while the block runs, once it has run for ``after`` s; silent in a pipe.
+
+    Within another spinner or a bar it is silent, too.
+    """
+    if not sys.stderr.isatty() or not _moving.acquire(blocking=False):
         yield
+        return
+    done = Event()
+    thread = Thread(target=_spin, args=(text, after, done), daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+        _moving.release()
+
+
+def _spin(text: str, after: float, done: Event) -> None:
+    """Turn a spinner until the work is done; quick work shows none."""
+    if done.wait(after):
         return
     from rich.console import Console
 
     with Console(stderr=True).status(text):
-        yield
+        done.wait()
 
 
 @contextmanager
 def progress(text: str) -> Iterator[Callable[[float], None] | None]:
     """Show a bar on a terminal, moved by a callback for the share that is done; None and silent in a pipe."""
-    if not sys.stderr.isatty():
+    if not sys.stderr.isatty() or not _moving.acquire(blocking=False):
         yield None
         return
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(text, total=1.0)
-        yield lambda share: bar.update(task, completed=share)
+    try:
+        with Progress(console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(text, total=1.0)
+            yield lambda share: bar.update(task, completed=share)
+    finally:
+        _moving.release()

@@ -21,6 +21,7 @@ from dqforge.optimizer.fixed_transforms import FIXED_MODULATORS, full_scale, rot
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.control_fixed_model import input_names, output_names, row_inputs, row_results
 from dqforge.reports.header_title import title
+from dqforge.reports.observed_text import margin_words
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.templating import render
 
@@ -141,7 +142,10 @@ def _loops_comment(fit: FixedControlFit) -> list[str]:
         lines.append(
             f"{name}: kp {loop.kp.text()} ({loop.kp.error:+.2e}), ki t_s {loop.ki_ts.text()} ({loop.ki_ts.error:+.2e});"
         )
-        lines.append(f"  phase margin {margins[0]:.2f} deg with real gains, {margins[1]:.2f} deg with these;")
+        if loop.exact.observed is None:
+            lines.append(f"  phase margin {margins[0]:.2f} deg with real gains, {margins[1]:.2f} deg with these;")
+        else:
+            lines.append(f"  phase margin with real gains and the observer's lag {margin_words(loop.exact)} deg;")
         band = fit.dead_bands.get(name)
         lines.append(
             f"  the smallest error that moves the integral is {band.largest} codes." if band else "  no integral."
@@ -224,8 +228,8 @@ def plain_fixed_evidence(fit: FixedControlFit) -> PlainData:
             "kp_error": loop.kp.error,
             "ki_ts_error": loop.ki_ts.error,
             "velocity_ki_error": loop.velocity_ki_error,
-            "phase_margin_rad": loop.found.phase_margin,
-            "poles": [[pole.real, pole.imag] for pole in loop.found.poles.tolist()],
+            "phase_margin_rad": loop.found.phase_margin if loop.exact.observed is None else None,
+            "poles": [[z.real, z.imag] for z in loop.found.poles.tolist()] if loop.exact.observed is None else None,
             "dead_band_codes": None if band is None else band.largest,
         }
     ranges = [

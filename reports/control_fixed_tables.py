@@ -9,6 +9,7 @@ from dqforge.optimizer.fixed_design import FixedControlFit
 from dqforge.optimizer.fixed_ranges import dead_band
 from dqforge.reports.html_tables import HtmlTable, Row
 from dqforge.reports.html_text import symbols
+from dqforge.reports.observed_text import margin_words
 from dqforge.reports.tables import Table
 
 _COLUMNS = (
@@ -38,9 +39,9 @@ def _rows(fit: FixedControlFit) -> list[tuple[str, ...]]:
                 loop.ki_ts.text(),
                 f"{loop.ki_ts.error:+.1e}",
                 f"{loop.velocity_ki_error:+.1e}",
-                f"{abs(loop.found.poles[0]):.6f}",
-                f"{math.degrees(loop.found.phase_margin):.2f}",
-                f"{math.degrees(loop.exact.phase_margin):.2f}",
+                f"{abs(loop.found.poles[0]):.6f}" if loop.exact.observed is None else "-",
+                f"{math.degrees(loop.found.phase_margin):.2f}" if loop.exact.observed is None else "-",
+                margin_words(loop.exact) if loop.exact.observed else f"{math.degrees(loop.exact.phase_margin):.2f}",
                 "none" if band is None else f"{band.largest}",
                 "none" if band is None else f"{dead_band(loop.ki_ts).largest}",
             )

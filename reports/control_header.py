@@ -78,7 +78,7 @@ def plain_control(solution: Solution) -> PlainData:
         "psi_pm": machine.psi_pm,
         "voltage_share": LINEAR_LIMITS[operation.modulation] * (1.0 - operation.voltage_margin),
         "advance": 1.5 * control.t_s,
-        "torque_max": float(solution.fit.reference.torque_max),
+        "torque_max": float(solution.reference.torque_max),
         "speed_filter": speed_filter(settings.filter_time if settings is not None else 0.0, control.t_s),
     }
     return {

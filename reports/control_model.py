@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.settings import ModulationName
-from dqforge.optimizer.current_reference import CurrentReference
+from dqforge.optimizer.current_reference import FloatReference
+from dqforge.optimizer.drop_reference import DropReference
 from dqforge.optimizer.single_precision import SingleArray
-from dqforge.optimizer.surface_reference import WeakeningReference
 from dqforge.reports.control_types_model import clarke, clarke_inverse, park, park_inverse, rotation, wrap
 
 Singles = tuple[SingleArray, ...]
@@ -137,14 +137,14 @@ class ControlModel:
     reference:
         Current references of the torque.
     weakening:
-        Current references of torque and available flux linkage, None where there are none.
+        Current references of torque, voltage and speed, None where there are none.
     """
 
     gains: Mapping[str, Any]
     ratio: int
     modulation: ModulationName
-    reference: CurrentReference
-    weakening: WeakeningReference | None = None
+    reference: FloatReference
+    weakening: DropReference | None = None
     modulator: Modulator = field(init=False)
 
     def __post_init__(self) -> None:
@@ -228,16 +228,8 @@ class ControlModel:
         state.torque = torque
         if self.weakening is None:
             return self.current_control(state, measured, self.reference.currents(torque))
-        reference = self.weakening.currents(torque, self._available_flux(state, measured))
-        return self.current_control(state, measured, reference)
-
-    def _available_flux(self, state: ControlState, measured: SingleArray) -> SingleArray:
-        gains, (i_d, i_q) = self.gains, state.reference
-        omega_e = np.abs(gains["pole_pairs"] * measured[:, 4])
-        used = (i_d * i_d) + (i_q * i_q)
-        voltage = (gains["voltage_share"] * measured[:, 5]) - (gains["r_s"] * np.sqrt(used))
-        moving = omega_e > _ONE
-        return np.asarray(np.where(moving, voltage / np.where(moving, omega_e, _ONE), voltage), dtype=np.float32)
+        v_max, omega_e = self.gains["voltage_share"] * measured[:, 5], self.gains["pole_pairs"] * measured[:, 4]
+        return self.current_control(state, measured, self.weakening.currents(torque, v_max, omega_e))
 
     def speed_loop(self, state: ControlState, omega_m: SingleArray, reference: SingleArray) -> SingleArray:
         """Torque reference in N m for a speed in rad/s."""

@@ -11,18 +11,19 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.input_files import read_regular_file
 from dqforge.machines.inverter import Inverter
-from dqforge.machines.mission import Mission, read_mission
+from dqforge.machines.mission import MOST_BYTES, Mission, read_mission
 from dqforge.machines.modulation import linear_limit
+from dqforge.machines.numerical import on_design
 from dqforge.machines.quantities import parse_quantity
-from dqforge.machines.settings import ModulationName
+from dqforge.machines.settings import LossStrategy, ModulationName
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.characteristics import VoltageLimit, characteristics, voltage_limit
 from dqforge.optimizer.drive_budget import BudgetOptions
 from dqforge.optimizer.drive_comparison import (
     Alternatives,
     DriveComparison,
-    DriveStrategy,
     compare_drives,
     usable_limit,
 )
@@ -34,7 +35,6 @@ from dqforge.reports.tables import Table
 
 _DEFAULT_MODULATIONS: tuple[ModulationName, ...] = ("spwm", "svpwm", "dpwm1", "ddt-gdpwm")
 _MOST_BUDGETS = 4_000_000
-_MOST_MISSION_BYTES = 50_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +94,9 @@ def _frequencies(text: str) -> tuple[float, ...]:
 
 def requested_alternatives(design: Design, request: LossRequest) -> Alternatives:
     """What the options and the design's section ``losses`` ask to compare."""
-    known_strategies, known_names = get_args(DriveStrategy), get_args(ModulationName)
+    known_strategies, known_names = get_args(LossStrategy), get_args(ModulationName)
     settings = design.losses
-    strategies: tuple[DriveStrategy, ...] = ("mtpa",) if settings is None else settings.strategies
+    strategies: tuple[LossStrategy, ...] = ("mtpa",) if settings is None else settings.strategies
     names = _DEFAULT_MODULATIONS if settings is None else settings.modulations
     if request.strategies is not None:
         wanted = _listed(request.strategies, "--strategies", known_strategies)
@@ -120,18 +120,17 @@ def _margin(text: str) -> float:
     return share
 
 
+@on_design("losses")
 def answer(design: Design, request: LossRequest) -> LossReply:
     """Compare what the options ask for, over a map or a mission.
 
     Raises
     ------
     InputError
-        An option or the mission file is not understood, options exclude each other, or the design has no device.
+        An option or the mission file is not understood, or options exclude each other.
     NoSolutionError
         The limits leave no speed at all, or the winding has no steady temperature.
     """
-    if design.inverter.device is None:
-        raise InputError("losses need the switch, but the design has none; write the section inverter.device")
     if request.chart is not None and request.mission is not None:
         raise InputError("--map and --mission are two questions; ask one at a time")
     alternatives = requested_alternatives(design, request)
@@ -186,13 +185,7 @@ def solve_map(design: Design, alternatives: Alternatives, margin: float, torques
 
 
 def _read(path: Path, omega_max: float | None) -> Mission:
-    try:
-        if path.stat().st_size > _MOST_MISSION_BYTES:
-            raise InputError("the file is too large for a mission; resample it", source=str(path))
-        content = path.read_bytes()
-    except OSError as error:
-        message = f"cannot be read ({error.strerror or 'error'}); name a text file with time, speed and torque"
-        raise InputError(message, source=str(path)) from None
+    content = read_regular_file(path, MOST_BYTES)
     return read_mission(content, str(path), omega_max=omega_max)
 
 

@@ -14,7 +14,7 @@ from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.drive_budget import PARTS
 from dqforge.optimizer.drive_comparison import Alternatives
 from dqforge.optimizer.mission_budget import MissionComparison, MissionRun
-from dqforge.reports.labels import part_label
+from dqforge.reports.labels import WITHOUT_BRIDGE, part_label
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.tables import Table
 
@@ -107,10 +107,14 @@ def map_tables(design: Design, found: LossMap) -> list[Table]:
     columns = (*columns, "junction max degC", "ripple max A", "drives %", "least at %")
     title = f"{design.name}: losses over {found.torque.size} torques by {found.omega_m.size} speeds"
     notes = [f"mean losses over the {100.0 * np.mean(shared):.0f} % of the points that all alternatives drive"]
-    notes += _dead_time_notes(design, alternatives)
+    notes += _bridge_notes(design) + _dead_time_notes(design, alternatives)
     if np.any(~budget.within_tables & comparison.usable):
         notes.append("at some points the device tables are carried on beyond their ends")
     return [Table(title, columns, tuple(rows), tuple(notes)), _winner_table(found)]
+
+
+def _bridge_notes(design: Design) -> list[str]:
+    return [] if design.inverter.device is not None else [WITHOUT_BRIDGE]
 
 
 def _dead_time_notes(design: Design, alternatives: Alternatives) -> list[str]:
@@ -225,7 +229,7 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
         f"{mission.length.size} intervals, {length:.6g} s; the mission follows itself",
         f"at the shaft {_energy(first.driving)} Wh go out and {_energy(-first.braking)} Wh come back",
     ]
-    notes += _dead_time_notes(design, found.alternatives)
+    notes += _bridge_notes(design) + _dead_time_notes(design, found.alternatives)
     if len(found.runs) > _MOST_ROWS:
         notes.append(f"{len(found.runs) - _MOST_ROWS} more alternatives are in the JSON")
     if math.isfinite(first.winding_temperature):

@@ -11,14 +11,17 @@ import numpy as np
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.numerical import on_design
 from dqforge.machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.scenario import Profile, Scenario
+from dqforge.machines.settings import NumberFormat
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control_header import control_files
 from dqforge.reports.header import header_files
 from dqforge.reports.observer_header import observer_files
 from dqforge.reports.plant_input import Drive
+from dqforge.reports.simulated_format import in_float32, not_simulated
 from dqforge.reports.simulation import Simulation, require_compiler, simulate, simulator
 from dqforge.reports.speed_observer_header import REDUCED_ORDER, speed_observer_files
 from dqforge.reports.surface_header import weakening_files
@@ -68,7 +71,8 @@ class DriveSimulation:
 
     ``unit`` is that of the reference and of `StepFigures`; ``steps`` are the answers to steps, none where the
     reference does not step; ``tracking`` the largest and the r.m.s. deviation from the reference over the run.
-    ``copper`` is the mean copper loss in W.
+    ``copper`` is the mean copper loss in W. ``not_simulated`` are the fixed-point formats that the design emits; what
+    ran is float32.
     """
 
     design: Design
@@ -77,6 +81,7 @@ class DriveSimulation:
     steps: tuple[StepFigures, ...]
     tracking: tuple[float, float]
     copper: float
+    not_simulated: tuple[NumberFormat, ...] = ()
 
 
 def drive_of(design: Design) -> Drive:
@@ -120,6 +125,7 @@ def observers_of(solution: Solution) -> tuple[dict[str, bytes], tuple[str, ...]]
     return {}, ()
 
 
+@on_design("simulation")
 def require_scenario(design: Design, *, switched: bool = False) -> Scenario:
     """The simulation that a design asks for.
 
@@ -136,6 +142,7 @@ def require_scenario(design: Design, *, switched: bool = False) -> Scenario:
     return replace(design.simulation, inverter="switched") if switched else design.simulation
 
 
+@on_design("simulation")
 def simulate_design(
     design: Design,
     *,
@@ -143,7 +150,7 @@ def simulate_design(
     solution: Solution | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> DriveSimulation:
-    """Solve a design, emit its controller, compile it with the plant, and run the scenario.
+    """Solve a design, emit its controller in float32, compile it with the plant, and run the scenario.
 
     Parameters
     ----------
@@ -165,12 +172,13 @@ def simulate_design(
     """
     scenario = require_scenario(design, switched=switched)
     require_compiler()
-    solved = solve(design) if solution is None else solution
+    whole = solve(design) if solution is None else solution
+    solved = in_float32(whole)
     drive = drive_of(design)
     stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
     with simulator(controller_files(solved), design.export.prefix, observers_of(solved)[1]) as program:
         run = simulate(program, drive, scenario, stride=stride, progress=progress)
-    return evaluate(design, run)
+    return replace(evaluate(design, run), not_simulated=not_simulated(whole))
 
 
 def evaluate(design: Design, run: Simulation) -> DriveSimulation:

@@ -39,6 +39,7 @@ _REGIONS = {
     Active.CURRENT: "current limit",
     Active.BOTH: "both limits",
     Active.MTPV: "MTPV",
+    Active.DATA: "held by the data",
 }
 
 

@@ -214,7 +214,7 @@ def _draw_courses(axes: Axes, found: MissionComparison) -> None:
     last = 1.0
     for k, colour in shown:
         run = found.runs[k]
-        if not run.steady:
+        if not (run.steady and math.isfinite(run.junction_max)):
             continue
         time = run.time - run.time[0]
         last = float(time[-1])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dqforge.machines.design import Design
 from dqforge.machines.synchronous import FloatArray
 from dqforge.optimizer.gains import LoopGains, current_step_response, speed_step_response
-from dqforge.optimizer.loops import StepResponse, current_loop, speed_loop
+from dqforge.optimizer.loops import StepResponse, current_loop, current_step, speed_loop
 from dqforge.optimizer.sampled import SampledSystem
 from dqforge.optimizer.solution import GainSet, tuning_inductances
 from dqforge.reports.figures_style import INK, LOOP_COLOURS, MUTED, new_figure, prefixed, style
@@ -69,7 +69,13 @@ def loop_curves(design: Design, gains: GainSet) -> list[LoopCurves]:
         step = current_step_response(machine.r_s, inductance, loop, duration)
         model = current_loop(machine.r_s, inductance, loop.t_s, loop.kp, loop.ki)
         curves.append(_curves(loop, step, model.open_loop, low))
-    if gains.speed is not None and control.speed_loop is not None and machine.inertia is not None:
+    seen = None if gains.speed is None else gains.speed.observed
+    if seen is not None and gains.speed is not None:
+        if seen.stable:
+            count = int(max(_STEP_TIMES["speed"] / gains.speed.crossover / gains.speed.t_s, 12.0))
+            step = current_step(seen.loop, count)  # of the speed: its loop has the same shape
+            curves.append(_curves(gains.speed, step, seen.loop.open_loop, low))
+    elif gains.speed is not None and control.speed_loop is not None and machine.inertia is not None:
         duration = max(_STEP_TIMES["speed"] / gains.speed.crossover, 12.0 * gains.speed.t_s)
         step = speed_step_response(machine, gains.i_q, control, gains.speed, duration)
         speed = speed_loop(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.design import Design
-from dqforge.optimizer.loss_budget import LossComparison
+from dqforge.optimizer.point_losses import LossComparison
 from dqforge.reports.figures_style import FAINT, INK, MUTED, PART_COLOURS, new_figure, style
 from dqforge.reports.labels import (
     MODULATION_LABELS,
@@ -34,7 +35,7 @@ _LONG_NAMES = 5
 def _draw_parts(axes: Axes, comparison: LossComparison, index: tuple[int, int, int], y: float) -> float:
     """One bar of parts side by side; the end of it in W. What cannot be used is an empty bar with its text inside."""
     budget = comparison.budget
-    if not budget.feasible[index]:
+    if not comparison.usable[index]:
         total = float(np.nan_to_num(budget.total[index]))
         axes.barh(y, total, height=0.72, facecolor="white", edgecolor=FAINT, linewidth=0.8)
         return 0.0
@@ -48,10 +49,11 @@ def _draw_parts(axes: Axes, comparison: LossComparison, index: tuple[int, int, i
 
 def _bar_text(comparison: LossComparison, index: tuple[int, int, int], *, best: bool) -> str:
     budget = comparison.budget
-    obstacle_text = obstacle(budget, index)
+    obstacle_text = obstacle(comparison, index)
     if obstacle_text:
         return obstacle_text
-    text = f"{watts(float(budget.total[index]))}, {budget.junction_temperature[index]:.0f} \u00b0C"
+    junction = float(budget.junction_temperature[index])
+    text = watts(float(budget.total[index])) + (f", {junction:.0f} \u00b0C" if math.isfinite(junction) else "")
     return f"{text}  \u25c0 least" if best else text
 
 
@@ -80,7 +82,7 @@ def _draw_point(axes: Axes, comparison: LossComparison, point: int, top: float) 
                 va="center",
                 fontsize=7.5,
                 fontweight="bold" if best == (s, m) else "normal",
-                color=INK if comparison.budget.feasible[s, m, point] else MUTED,
+                color=INK if comparison.usable[s, m, point] else MUTED,
             )
             ticks.append((y, f"{STRATEGY_LABELS[strategy]}, {MODULATION_LABELS[modulation]}"))
     return ticks

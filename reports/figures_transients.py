@@ -84,7 +84,7 @@ def plot_bench(runs: Runs) -> Figure:
         sixth.plot(run.t, (run.omega_m_measured - run.omega_m) / RPM, color=TEAL)
         sixth.set(title="Its error", ylabel="rpm", xlabel="Time in s")
         run = runs.estimator
-        _speed(seventh, "Speed, dead time and $\\psi$ + 1.5 %", run.t, run.reference / RPM, run.omega_m / RPM)
+        _speed(seventh, "Speed, dead time and $\\psi$ + 0.7 %", run.t, run.reference / RPM, run.omega_m / RPM)
         seventh.plot(run.t, run.omega_m_observed / RPM, color=TEAL, linewidth=0.8, linestyle="dashed", label="estimate")
         late = run.t >= run.t[-1] - 0.03
         time = (run.t[late] - run.t[-1]) * 1e3

@@ -8,24 +8,29 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.input_files import read_regular_file
 
-_LARGEST_FILE = 64 * 1024 * 1024
+LARGEST_FILE = 64_000_000
+"""Bytes of the largest file that dqforge writes, many times over."""
 
 
-def read_output(path: Path, wanted: str) -> bytes:
+LARGEST_JSON = 16_000_000
+"""Bytes of the largest JSON that is read: once decoded it takes some twenty times as much memory."""
+
+
+def read_output(path: Path, wanted: str, most_bytes: int = LARGEST_FILE) -> bytes:
     """A file that dqforge wrote; ``wanted`` says in the message what to give instead of one that cannot be read.
 
     Raises
     ------
     InputError
-        The file cannot be read, or is far larger than anything that dqforge writes.
+        The file cannot be read, is no regular file, or is far larger than anything that dqforge writes.
     """
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise InputError("the file is larger than 64 MiB; that is no output of dqforge", source=str(path))
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror}); give {wanted}", source=str(path)) from error
+        return read_regular_file(path, most_bytes)
+    except InputError as error:
+        reason = error.message.partition(";")[0]
+        raise InputError(f"cannot be read ({reason}); give {wanted}", source=str(path)) from None
 
 
 def write_atomically(path: Path, content: bytes) -> None:

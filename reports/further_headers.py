@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from dqforge.machines.errors import InputError
+from dqforge.optimizer.drop_reference import DropReference
 from dqforge.optimizer.fixed_control import FixedControl
 from dqforge.optimizer.phase_reference import PhaseReference
 from dqforge.optimizer.schedule_fit import GainEvaluator
-from dqforge.optimizer.surface_reference import WeakeningReference
 from dqforge.reports.control_fixed_header import fixed_control_from
 from dqforge.reports.control_fixed_model import row_inputs, row_results
 from dqforge.reports.control_header import control_from, control_programme
@@ -74,7 +74,7 @@ def _waveform_programme(reference: PhaseReference) -> Programme:
     return Programme("waveform_harness.c.j2", inputs, model_currents(reference, inputs), name="phase currents")
 
 
-def _weakening_programme(reference: WeakeningReference) -> Programme:
+def _weakening_programme(reference: DropReference) -> Programme:
     half = SWEEP_POINTS // 2
     inputs = weakening_inputs(reference, half, SWEEP_SEED, patterns=half)
     results = weakening_currents(reference, inputs)

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import math
+import textwrap
+from textwrap import wrap
 from typing import Any
 
 from dqforge.machines.design import Design
 from dqforge.machines.settings import QFormats
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.characteristics import voltage_limit
-from dqforge.optimizer.current_reference import Reference
+from dqforge.optimizer.current_reference import Emitted, SignedReference
 from dqforge.optimizer.fixed_gains import pi_integers
 from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.gains import LoopGains, per_unit
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.header_title import title
+from dqforge.reports.observed_text import observed_notes
 from dqforge.reports.reference_header import reference_context, vectors_context, vectors_template
 from dqforge.reports.reference_ir import PlainData, shortest, to_plain
 from dqforge.reports.robustness_text import robust_lines
 from dqforge.reports.templating import render
+
+_COMMENT_WIDTH = 110
 
 _COMPILING = {
     "float32": (
@@ -49,13 +54,17 @@ def _machine_group(solution: Solution) -> PlainData:
             _entry("L_Q_H", machine.l_q, f"q-axis inductance, H{rest}; decoupling v_d -= omega_e L_Q i_q"),
             _entry("PSI_PM_WB", machine.psi_pm, "magnet flux linkage, Wb (peak)"),
             _entry("CURRENT_MAX_A", solution.design.i_max, "current limit, A (peak)"),
-            *_torque_limits(solution.fit.reference),
+            *_torque_limits(solution.reference),
         ],
     }
 
 
-def _torque_limits(reference: Reference) -> list[PlainData]:
-    """End of the torque domain, and its code in fixed point."""
+def _torque_limits(reference: Emitted) -> list[PlainData]:
+    """End of the torque domain, and its code in fixed point; both ends where the signs of the torque differ."""
+    if isinstance(reference, SignedReference):
+        name, end = "TORQUE_MAX_NEGATIVE_NM", shortest(reference.negative.torque_max)
+        below = _entry(name, end, "magnitude of its end for negative torques, N m")
+        return [*_torque_limits(reference.positive), below]
     if not isinstance(reference, FixedReference):
         return [_entry("TORQUE_MAX_NM", shortest(reference.torque_max), "end of the torque domain, N m")]
     name, bits = reference.format.upper(), reference.width - 1
@@ -103,7 +112,9 @@ def margin_text(gains: LoopGains) -> list[str]:
     crossover = gains.crossover / (2.0 * math.pi)
     phase_margin = math.degrees(gains.phase_margin)
     pole, delay = abs(gains.poles[0]), gains.delay_margin_samples
+    seen = [line for note in observed_notes(gains) for line in wrap(f"{note[0].upper()}{note[1:]}.", 110)]
     return [
+        *seen,
         f"Crossover {crossover:.4g} Hz, phase margin {phase_margin:.1f} deg, gain margin {gain_margin:.1f} dB,",
         f"delay margin {delay:.2f} samples, largest pole {pole:.6f}, M_s {gains.max_sensitivity:.2f}.",
     ]
@@ -152,8 +163,16 @@ def _gain_group(
     }
 
 
+def _no_gains_group(solution: Solution) -> PlainData:
+    """Why there are no controllers, in place of them."""
+    why = textwrap.wrap(solution.gains_left_out, _COMMENT_WIDTH)
+    return {"title": "No controllers", "comment": why, "entries": []}
+
+
 def _gain_groups(solution: Solution) -> list[PlainData]:
-    control, gains = solution.design.control, solution.gains
+    control, gains = solution.design.control, solution.loops
+    if gains is None:
+        return [_no_gains_group(solution)]
     bases = control.bases
     volts = ("V_PER_A|V/A", "V_PER_AS|V/(A s)")
     current = (bases.current, bases.voltage)
@@ -177,7 +196,7 @@ def _gain_groups(solution: Solution) -> list[PlainData]:
 
 
 def _observer_group(solution: Solution) -> list[PlainData]:
-    observer = solution.gains.observer
+    observer = None if solution.loops is None else solution.loops.observer
     if observer is None:
         return []
     group = {
@@ -210,13 +229,14 @@ def header_context(solution: Solution) -> PlainData:
     The `reference` entry alone rebuilds the evaluator's float32 model (`reference_ir.from_plain`).
     """
     design = solution.design
-    plain = to_plain(solution.fit.reference)
+    plain = to_plain(solution.reference)
     return {
         **title(design),
         "preamble": [
             _drive_text(design),
             "Units stand in the names and comments; angles in rad, dq quantities as peak of phase.",
             *_COMPILING["float32" if plain["format"] == "float32" else "fixed"],
+            *(line for evidence in design.flux_evidence for line in evidence.short()),
         ],
         "groups": [
             _machine_group(solution),
@@ -234,6 +254,6 @@ def header_files(solution: Solution) -> dict[str, bytes]:
     prefix = solution.design.export.prefix
     contents: dict[str, Any] = {
         f"{prefix}.h": render("header.h.j2", header_context(solution)),
-        f"{prefix}_vectors.h": render(vectors_template(solution.fit.reference), vectors_context(solution)),
+        f"{prefix}_vectors.h": render(vectors_template(solution.reference), vectors_context(solution)),
     }
     return {name: text.encode("ascii") for name, text in contents.items()}

@@ -45,4 +45,6 @@ def _cells(run: MissionRun, kinds: list[str], mark: str) -> tuple[str, ...]:
         return (name, *("\u2013" for _ in range(len(kinds) + 3)))
     energies = (*(run.energy[kind] for kind in kinds), run.total)
     warm = f"{run.junction_max:.1f}{NARROW}\u00b0C", f"{run.swing:.1f}{NARROW}K"
+    if not math.isfinite(run.junction_max):
+        warm = "\u2013", "\u2013"
     return (name, *(number(energy / _WATT_HOUR) for energy in energies), *warm)

@@ -12,9 +12,10 @@ import numpy as np
 from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.optimizer.gains import LoopGains
-from dqforge.optimizer.solution import Solution
+from dqforge.optimizer.solution import Solution, signed_designs
 from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.control_fixed_tables import control_fixed_html
+from dqforge.reports.data_text import data_lines
 from dqforge.reports.drive_simulation import DriveSimulation
 from dqforge.reports.figures_losses import POINTS_SHOWN
 from dqforge.reports.figures_reference import ROUNDING
@@ -24,6 +25,7 @@ from dqforge.reports.html_mission import mission_part
 from dqforge.reports.html_tables import (
     LOOP_TEXT,
     STRATEGY_TEXT,
+    HtmlTable,
     alternatives_table,
     ceiling,
     coefficient_table,
@@ -43,12 +45,13 @@ from dqforge.reports.html_text import count, degrees, number, quantity, share, s
 from dqforge.reports.html_tolerances import tolerance_tables
 from dqforge.reports.html_waveforms import candidates_table, comparison_text, confirmations_table, rules_table
 from dqforge.reports.labels import FORMAT_TEXT, MODULATION_LABELS, operation_text, point_text, watts
+from dqforge.reports.observed_text import left_words
 from dqforge.reports.reference_ir import PlainData, to_plain
 from dqforge.reports.simulation_tables import simulation_part
 from dqforge.reports.templating import render
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_tables import weakening_html
-from dqforge.reports.weakening_text import domain_text, errors_text, proof_text
+from dqforge.reports.weakening_text import domain_text, errors_text, least_voltage_text, proof_text
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -104,7 +107,9 @@ def copper_saving(solution: Solution) -> Saving | None:
 
 
 def _loops(solution: Solution) -> list[LoopGains]:
-    gains = solution.gains
+    gains = solution.loops
+    if gains is None:
+        return []
     return [loop for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None]
 
 
@@ -149,6 +154,18 @@ def _compared(verification: Verification | None) -> str:
     return f"{count(verification.vectors + verification.sweep)} results equal the model, {languages}"
 
 
+def _margin(loop: LoopGains) -> str:
+    """Phase margin, or that the loop has none."""
+    return degrees(loop.phase_margin) if loop.stable else "unstable"
+
+
+def _margin_tile(loops: list[LoopGains]) -> Tile:
+    worst = min(loops, key=lambda loop: (loop.stable, abs(loop.phase_margin)))
+    others = [f"{LOOP_TEXT[loop.loop]} {_margin(loop)}" for loop in loops if loop is not worst]
+    detail = symbols(f"{LOOP_TEXT[worst.loop]} loop; {', '.join(others)}")
+    return Tile("Smallest phase margin", _margin(worst), detail)
+
+
 def tiles(solution: Solution, verification: Verification | None) -> list[Tile]:
     """The key numbers."""
     fit, chosen = solution.fit, solution.curves.chosen
@@ -167,10 +184,8 @@ def tiles(solution: Solution, verification: Verification | None) -> list[Tile]:
     if saving is not None:
         detail = f"{watts(saving.chosen)} instead of {watts(saving.id0)} at {quantity(saving.torque, 'N m')}"
         found.append(Tile(symbols("Copper loss saved against i_d = 0"), share(saving.relative, 3), detail))
-    worst = min(_loops(solution), key=lambda loop: abs(loop.phase_margin))
-    others = [f"{LOOP_TEXT[loop.loop]} {degrees(loop.phase_margin)}" for loop in _loops(solution) if loop is not worst]
-    detail_of_others = symbols(f"{LOOP_TEXT[worst.loop]} loop; {', '.join(others)}")
-    found.append(Tile("Smallest phase margin", degrees(worst.phase_margin), detail_of_others))
+    if _loops(solution):
+        found.append(_margin_tile(_loops(solution)))
     best = _best_loss(solution)
     if best is not None:
         found.append(Tile("Least total loss", best[0], symbols(f"{best[1]} {best[2]}")))
@@ -214,12 +229,23 @@ def summary(solution: Solution, verification: Verification | None) -> Markup:
             f"{_proof_text(solution)}."
         ),
     ]
+    half = solution.negative
+    if half is not None:
+        proof = "sampled" if half.certificate is None else f"proven: {proven_text(half.certificate, 3)}"
+        sentences.append(
+            f"Negative torques have a reference of their own, up to {quantity(half.fit.torque_max, 'N m')}; its torque "
+            f"errs by at most {quantity(ceiling(half.fit.errors.torque), 'N m', 3)} ({proof})."
+        )
     saving = copper_saving(solution)
     if saving is not None:
         where = quantity(saving.torque, "N m")
         sentences.append(f"Against i_d = 0 it saves {share(saving.relative, 3)} of the copper loss at {where}.")
-    margins = [f"{LOOP_TEXT[loop.loop]} {degrees(loop.phase_margin)}" for loop in _loops(solution)]
-    sentences.append(f"The phase margins of the sampled loops are {', '.join(margins)}.")
+    margins = [f"{LOOP_TEXT[loop.loop]} {_margin(loop)}" for loop in _loops(solution)]
+    none = f"There are no control loops: {solution.gains_left_out}."
+    sentences.append(f"The phase margins of the sampled loops are {', '.join(margins)}." if margins else none)
+    speed = None if solution.loops is None else solution.loops.speed
+    if speed is not None and speed.observed is not None:
+        sentences.append(f"The speed loop is judged with the lag of its observer; {left_words(speed)}.")
     best = _best_loss(solution)
     if best is not None:
         sentences.append(f"The alternative that loses least is {best[1]}: {best[0]} {best[2]}.")
@@ -234,12 +260,15 @@ def _figures(solution: Solution) -> dict[str, Markup]:
     from dqforge.reports import figures
 
     design, fit = solution.design, solution.fit
+    positive = signed_designs(design)[0]
     drawn: dict[str, Callable[[], Figure]] = {
-        "mtpa": lambda: figures.plot_mtpa(design, solution.curves, fit),
-        "fit": lambda: figures.plot_fit(design, fit),
-        "errors": lambda: figures.plot_errors(design, fit),
-        "loops": lambda: figures.plot_gains(design, solution.gains),
+        "mtpa": lambda: figures.plot_mtpa(positive, solution.curves, fit),
+        "fit": lambda: figures.plot_fit(positive, fit),
+        "errors": lambda: figures.plot_errors(positive, fit),
     }
+    gains = solution.loops
+    if gains is not None:
+        drawn["loops"] = lambda: figures.plot_gains(design, gains)
     losses = solution.losses
     if losses is not None:
         drawn["losses"] = lambda: figures.plot_losses(design, losses)
@@ -289,7 +318,8 @@ def _weakening_part(solution: Solution) -> PlainData | None:
         "domain": domain_text(fit),
         "errors": errors_text(fit),
         "proven": proof_text(fit),
-        "samples": count(fit.errors.samples),
+        "samples": count(fit.errors.samples + fit.voltage.samples),
+        "least_voltage": least_voltage_text(fit),
         "table": weakening_html(fit),
         "prefix": prefix,
     }
@@ -312,6 +342,7 @@ def _reference_part(solution: Solution) -> PlainData:
         "optimum": solution.design.strategy == "mtpa",
         "form_text": symbols(_FORM_TEXT[plain["form"]]),
         "shape": shape,
+        "data": symbols(" ".join(data_lines(solution.data, fit.torque_max))),
         "operating": operating_table(solution.design, solution.curves),
         "coefficients": coefficient_table(plain),
         "constants": constant_rows(plain),
@@ -321,15 +352,16 @@ def _reference_part(solution: Solution) -> PlainData:
 
 
 def _sections(
-    design: Design, *, losses: bool, waveforms: bool, simulated: bool = False
+    design: Design, *, loops: bool, losses: bool, waveforms: bool, simulated: bool = False
 ) -> list[tuple[str, str | Markup]]:
     sections: list[tuple[str, str | Markup]] = [
         ("summary", "Summary"),
         ("machine", "Machine and assumptions"),
         ("reference", "Current reference"),
         ("errors", "Torque error and loss"),
-        ("loops", "Control loops"),
     ]
+    if loops:
+        sections.append(("loops", "Control loops"))
     if losses:
         sections.append(("losses", "Loss comparison"))
     if waveforms:
@@ -341,6 +373,18 @@ def _sections(
     if simulated:
         sections.append(("simulation", "Simulation"))
     return [*sections, ("header", f"{design.export.prefix}.h"), ("conventions", "Conventions")]
+
+
+def _loop_tables(solution: Solution) -> list[HtmlTable]:
+    gains, design = solution.loops, solution.design
+    if gains is None:
+        return []
+    return [
+        loop_table(design, gains),
+        *tolerance_tables(gains),
+        *observer_tables(design, gains, solution.fit.torque_max),
+        *control_fixed_html(solution.fixed),
+    ]
 
 
 def _has_losses(solution: Solution) -> bool:
@@ -359,6 +403,7 @@ def report_context(
         "digest": design.digest,
         "sections": _sections(
             design,
+            loops=solution.loops is not None,
             losses=_has_losses(solution),
             waveforms=solution.waveforms is not None,
             simulated=simulation is not None,
@@ -380,12 +425,7 @@ def report_context(
             ),
             "loss": symbols(_penalty_text(solution)),
         },
-        "loops": [
-            loop_table(design, solution.gains),
-            *tolerance_tables(solution.gains),
-            *observer_tables(design, solution.gains, solution.fit.torque_max),
-            *control_fixed_html(solution.fixed),
-        ],
+        "loops": _loop_tables(solution),
         "losses": [] if solution.losses is None else loss_tables(solution.losses),
         "mission": mission_part(solution),
         "points_left_out": 0 if solution.losses is None else max(0, len(solution.losses.points) - POINTS_SHOWN),

@@ -18,29 +18,32 @@ from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_gains import pi_integers
 from dqforge.optimizer.gains import LoopGains, per_unit
-from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.observer import ObserverError, steady_state_error
 from dqforge.optimizer.observer_tuning import PositionObserver
+from dqforge.optimizer.point_losses import LossComparison
 from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.solution import Curves, GainSet
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.html_text import NARROW, decibel, degrees, number, quantity, raised, share, symbols, unit_text
 from dqforge.reports.labels import (
     MODULATION_LABELS,
+    WITHOUT_BRIDGE,
     core_name,
+    friction_text,
     obstacle,
     part_label,
     point_text,
     shown_parts,
     watts,
 )
+from dqforge.reports.observed_text import observed_notes
 from dqforge.reports.observer_text import position_parts
 from dqforge.reports.reference_ir import PlainData
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-STRATEGY_TEXT = {"mtpa": "MTPA", "id0": "i_d = 0"}
+STRATEGY_TEXT = {"mtpa": "MTPA", "id0": "i_d = 0", "least-loss": "least loss"}
 LOOP_TEXT = {"i_d": "i_d", "i_q": "i_q", "speed": "speed"}
 _KP_UNITS = {"i_d": "V/A", "i_q": "V/A", "speed": f"N{NARROW}m{NARROW}s/rad"}
 _KI_UNITS = {"i_d": "V/(A s)", "i_q": "V/(A s)", "speed": f"N{NARROW}m/rad"}
@@ -269,12 +272,13 @@ def _loop_cells(gains: LoopGains, bases: tuple[float, float], q_formats: QFormat
         ", ".join(number(value, 6) for value in gains.velocity),
         per_unit_text,
         quantity(gains.crossover / (2.0 * math.pi), "Hz"),
-        degrees(gains.phase_margin),
+        degrees(gains.phase_margin) if gains.stable else f"{degrees(gains.phase_margin)} (unstable)",
         decibel(gains.gain_margin),
         delay,
         number(gains.max_sensitivity, 3),
         _disturbance_text(gains),
         poles,
+        symbols("; ".join(observed_notes(gains))),
     )
 
 
@@ -287,6 +291,8 @@ def _pole_text(pole: complex) -> str:
 
 def _disturbance_text(gains: LoopGains) -> str:
     response = gains.disturbance
+    if gains.observed is not None:
+        return "not computed with the observer"
     unit = "A per V" if gains.loop != "speed" else "rad/s per N m"
     finite = math.isfinite(response.settling_time)
     settled = f"settled in {quantity(response.settling_time, 's', 3)}" if finite else "settles later than was computed"
@@ -318,8 +324,9 @@ def loop_table(design: Design, gains: GainSet) -> HtmlTable:
         "largest sensitivity M_s",
         "largest deviation after a unit disturbance",
         "closed-loop poles in z",
+        "speed from",
     )
-    rows = tuple(Row((label, *cells)) for label, *cells in zip(labels, *columns, strict=True))
+    rows = tuple(Row((label, *cells)) for label, *cells in zip(labels, *columns, strict=True) if any(cells))
     return HtmlTable("Gains and margins of the sampled loops", ("", *_headings(*names)), rows)
 
 
@@ -370,6 +377,16 @@ def _speed_error_text(error: ObserverError) -> str:
     return f"{quantity(error.total, 'rpm', 3)} ({share(error.relative, 2)})"
 
 
+def _known(*values: tuple[float, str]) -> list[str]:
+    """Values with their units, a dash for those that are not known."""
+    return [
+        (f"{number(value, 3)}{NARROW}{unit}" if unit == "\u00b0C" else quantity(value, unit, 3))
+        if math.isfinite(value)
+        else "\u2013"
+        for value, unit in values
+    ]
+
+
 def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
     """One table per operating point."""
     budget = comparison.budget
@@ -383,7 +400,7 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
                 index = (s, m, p)
                 best = (comparison.best_strategy[p], comparison.best_modulation[p]) == (s, m)
                 label = f"{STRATEGY_TEXT[strategy]}, {MODULATION_LABELS[modulation]}"
-                reason = obstacle(budget, index)
+                reason = obstacle(comparison, index)
                 parts = (*(getattr(budget, kind) for kind in kinds), budget.total)
                 cells = (
                     symbols(f"{label}: {reason}" if reason else label),
@@ -391,9 +408,12 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
                     f"{comparison.saving[index] + 0.0:.1f}{NARROW}%"
                     if math.isfinite(comparison.saving[index])
                     else "\u2013",
-                    f"{number(budget.junction_temperature[index], 3)}{NARROW}\u00b0C",
-                    quantity(float(budget.voltage[index]), "V", 3),
+                    *_known(
+                        (float(budget.junction_temperature[index]), "\u00b0C"), (float(budget.voltage[index]), "V")
+                    ),
                 )
                 rows.append(Row(cells, "muted" if reason else "best" if best else ""))
-        tables.append(HtmlTable(point_text(point), _headings(*columns), tuple(rows)))
+        notes = [point_text(point), friction_text(comparison, p), "" if comparison.scope == "drive" else WITHOUT_BRIDGE]
+        title = ". ".join(note for note in notes if note)
+        tables.append(HtmlTable(title, _headings(*columns), tuple(rows)))
     return tables

@@ -11,12 +11,12 @@ from dqforge.machines.modulation import MODULATORS
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.settings import Core, LoadPoint, NumberFormat
 from dqforge.optimizer.characteristics import voltage_limit
-from dqforge.optimizer.drive_budget import PARTS
-from dqforge.optimizer.loss_budget import LossBudget
+from dqforge.optimizer.drive_budget import PARTS, DriveBudget
+from dqforge.optimizer.point_losses import LossComparison
 
 _SPACE = "\u00a0"  # does not break
 
-STRATEGY_LABELS = {"mtpa": "MTPA", "id0": "$i_d$ = 0"}
+STRATEGY_LABELS = {"mtpa": "MTPA", "id0": "$i_d$ = 0", "least-loss": "least loss"}
 MODULATION_LABELS = {name: name.upper() for name in MODULATORS}
 
 
@@ -42,23 +42,46 @@ def part_label(part: str) -> str:
     return _SHORT.get(part, part)
 
 
-def shown_parts(budget: LossBudget) -> tuple[str, ...]:
-    """Kinds of loss to show: copper, conduction and switching, and of the others what is more than 0.01 % somewhere."""
+def shown_parts(budget: DriveBudget) -> tuple[str, ...]:
+    """Kinds of loss to show: copper, those of a known switch, and of the others what is more than 0.01 % somewhere."""
     total = np.nan_to_num(budget.total)
+    always = _ALWAYS if np.any(np.isfinite(budget.junction_temperature)) else _ALWAYS[:1]
 
     def visible(part: str) -> bool:
         return bool(np.any(np.nan_to_num(getattr(budget, part)) > _VISIBLE * total))
 
-    return tuple(part for part in PARTS if part in _ALWAYS or visible(part))
+    return tuple(part for part in PARTS if part in always or visible(part))
 
 
-def obstacle(budget: LossBudget, index: tuple[int, int, int]) -> str:
+def obstacle(comparison: LossComparison, index: tuple[int, int, int]) -> str:
     """Why an alternative cannot be used, or nothing."""
-    if not budget.thermally_stable[index]:
-        return "junction temperature runs away"
+    budget, wanted = comparison.budget, comparison.points[index[2]].torque
+    if not comparison.reached[index]:
+        most = float(comparison.most[index])
+        if math.isfinite(most) and most * wanted > 0.0:
+            return f"torque out of reach, at most {abs(most):.4g} N m"
+        return "torque out of reach"
+    if not budget.steady[index]:
+        return "junction temperature runs away" if comparison.scope == "drive" else "winding temperature runs away"
     if not budget.linear[index]:
         return "voltage beyond the linear range"
     return "" if budget.cool_enough[index] else "junction too hot"
+
+
+WITHOUT_BRIDGE = (
+    "the design has no inverter.device: the total is without the bridge, of which conduction, switching and junctions "
+    "are unknown"
+)
+"""What is said where the switch is unknown."""
+
+
+def friction_text(comparison: LossComparison, point: int) -> str:
+    """Friction loss at a point, which no alternative changes, or an empty text where the machine has none."""
+    friction = comparison.budget.friction[..., point]
+    known = friction[np.isfinite(friction)]
+    if not known.size or known[0] == 0.0:
+        return ""
+    return f"friction takes another {watts(float(known[0]))} of the shaft power with every alternative"
 
 
 def operation_text(design: Design) -> str:

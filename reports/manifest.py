@@ -15,7 +15,7 @@ from typing import Any
 
 from dqforge import __version__
 from dqforge.machines.errors import InputError
-from dqforge.reports.files import read_output
+from dqforge.reports.files import LARGEST_JSON, read_output
 
 MANIFEST = "dqforge-manifest.json"
 """Name of the list in its folder; it is written last."""
@@ -150,7 +150,7 @@ def read_manifest(folder: Path) -> Manifest:
         There is none, or it is not what dqforge wrote.
     """
     path = folder / MANIFEST
-    content = read_output(path, _WRITTEN)
+    content = read_output(path, _WRITTEN, LARGEST_JSON)
     try:
         return from_bytes(content)
     except ValueError as error:

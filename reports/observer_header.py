@@ -10,12 +10,16 @@ from typing import Any
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.optimizer.observer_judgement import ANGLE_LIMIT, SPEED_LIMIT
+from dqforge.optimizer.observer_settings import Disturbances
 from dqforge.optimizer.observer_tuning import PositionObserver
 from dqforge.optimizer.position_observers import METHODS, ObserverMethod
 from dqforge.reports.header_title import title
 from dqforge.reports.observer_model import gains_from, plain_gains_of
 from dqforge.reports.reference_ir import PlainData
 from dqforge.reports.templating import render
+
+_PARAMETERS = (("R", "r_s"), ("L", "l_q"), ("psi", "psi_pm"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +54,49 @@ def observer_from(plain: Mapping[str, Any]) -> EmittedObserver:
     return EmittedObserver(method, gains_from(method.gains, plain["gains"]))
 
 
+def _span(low: float, high: float) -> str:
+    if math.isnan(low):
+        return "at no speed"
+    return f"from {low / (2.0 * math.pi):.3g} to {high / (2.0 * math.pi):.3g} Hz (electrical)"
+
+
 def speed_range_text(observer: PositionObserver) -> str:
-    """Speeds at which the observer holds, in words."""
+    """Speeds at which the observer holds, accelerating and steady, in words."""
     judgement = observer.judgement
-    if math.isnan(judgement.omega_low):
-        return "no speed: the angle errs by more than 10 deg r.m.s. everywhere"
-    low, high = (value / (2.0 * math.pi) for value in (judgement.omega_low, judgement.omega_high))
-    return f"{low:.3g} to {high:.3g} Hz (electrical) below 10 deg r.m.s."
+    limits = f"errors below {math.degrees(ANGLE_LIMIT):.3g} deg and {100.0 * SPEED_LIMIT:.3g} % of the speed (r.m.s.)"
+    whole = _span(judgement.omega_low, judgement.omega_high)
+    steady = _span(judgement.steady_low, judgement.steady_high)
+    return f"{limits}: under acceleration {whole}, at constant speed {steady}"
+
+
+def dead_time_text(known: Disturbances) -> str:
+    """What of the dead time is judged, in words."""
+    if known.lost == known.lost_least == 0.0:
+        return "no dead time"
+    if known.lost == -known.lost_least:
+        return f"dead time wrong by {known.lost:.3g} V to either side"
+    if known.lost_least < known.lost:
+        return f"dead time wrong by {known.lost_least:.3g} to {known.lost:.3g} V"
+    return f"dead time not compensated ({known.lost:.3g} V)"
+
+
+def error_text(known: Disturbances, name: str) -> str:
+    """By how much a parameter may be wrong: to either side, or from one figure to another."""
+    least, most = known.limits(name)
+    return f"{100.0 * most:.3g} %" if most == -least else f"{100.0 * least:.3g} to {100.0 * most:.3g} %"
+
+
+def included_text(observer: PositionObserver) -> str:
+    """What the errors of the stated range include, in words."""
+    known = observer.disturbances
+    parts = ", ".join(f"{symbol} {error_text(known, name)}" for symbol, name in _PARAMETERS) + " wrong"
+    noise = f"noise of {known.i_noise:.3g} A and {known.v_noise:.3g} V r.m.s."
+    if known.loads:
+        pairs = dict.fromkeys(f"{load.i_d + 0.0:.3g}, {abs(load.i_q):.3g} A" for load in known.loads)
+        loads = f"loads of (i_d, |i_q|) = {'; '.join(pairs)}, motoring and braking"
+    else:
+        loads = f"i_q = {known.i_load:.4g} A"
+    return f"{parts}; {dead_time_text(known)}; {noise}; {loads}; acceleration of {known.acceleration:.3g} rad/s^2"
 
 
 def tuning_text(observer: PositionObserver) -> str:
@@ -79,14 +119,12 @@ def tuning_text(observer: PositionObserver) -> str:
 
 
 def _preamble(design: Design, observer: PositionObserver) -> list[str]:
-    wrong = observer.disturbances
     code, prefix = observer.method.code, design.export.prefix
     return [
         f"Method: {observer.method.title}, sampled every {observer.t_s * 1e6:.6g} us.",
         *wrap(f"Tuning: {tuning_text(observer)}.", 110),
-        f"Holds from {speed_range_text(observer)}",
-        f"with R {100.0 * wrong.r_s:.3g} %, L {100.0 * wrong.l_q:.3g} %, psi {100.0 * wrong.psi_pm:.3g} % wrong,",
-        f"noise of {wrong.i_noise:.3g} A and {wrong.v_noise:.3g} V r.m.s., i_q = {wrong.i_load:.4g} A.",
+        *wrap(f"Range: {speed_range_text(observer)}.", 110),
+        *wrap(f"Included: {included_text(observer)}.", 110),
         "",
         f"Call {prefix}_{code}_start() once and {prefix}_{code}_step() at every sample with the voltage that acted",
         "over the period that ends there. Compile with -ffp-contract=off to equal the model bit for bit.",

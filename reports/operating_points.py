@@ -12,6 +12,7 @@ import numpy as np
 from dqforge.machines.dead_time import dead_time_factor
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.numerical import on_design
 from dqforge.machines.quantities import parse_option
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray
@@ -88,6 +89,7 @@ def map_size(text: str) -> tuple[int, int]:
     return sizes
 
 
+@on_design("operation")
 def answer(design: Design, request: Request) -> Reply:
     """Solve what the options ask for.
 

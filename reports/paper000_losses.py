@@ -17,8 +17,8 @@ from dqforge.machines.ripple import ripple
 from dqforge.machines.settings import ModulationName, Strategy
 from dqforge.machines.synchronous import linearised
 from dqforge.optimizer.drive_budget import DriveBudget, drive_budget
-from dqforge.optimizer.loss_budget import calibrate_switching
 from dqforge.optimizer.mtpa import id0_currents, mtpa_currents
+from dqforge.optimizer.switching_calibration import calibrate_switching
 from dqforge.reports.tables import Table
 
 Column = tuple[Strategy, ModulationName, float, float, float]

@@ -11,6 +11,7 @@ from dqforge import __version__
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.loader import load_text
+from dqforge.machines.reading import MAX_FILE_BYTES
 from dqforge.reports.files import read_output
 from dqforge.reports.folder_swap import PENDING, files_below
 from dqforge.reports.line_comparison import Tally, first_difference, tally
@@ -127,7 +128,7 @@ def read_listed(folder: Path) -> tuple[Manifest, dict[str, bytes]]:
         raise InputError(f"a run was cut off while it put its files in place; {_AGAIN}", source=str(folder))
     manifest = read_manifest(folder)
     wanted = f"the folder that 'dqforge run' or 'dqforge export' wrote, or {_AGAIN}"
-    return manifest, {name: read_output(folder / name, wanted) for name in manifest.files}
+    return manifest, {name: read_output(folder / name, wanted, MAX_FILE_BYTES) for name in manifest.files}
 
 
 def recompute(folder: Path) -> Recomputation:

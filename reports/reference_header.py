@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from dqforge.optimizer.current_reference import CurrentReference, Reference
+from dqforge.machines.settings import Strategy
+from dqforge.optimizer.certificate import Certificate
+from dqforge.optimizer.current_reference import Emitted, FloatReference, Reference, SignedReference
 from dqforge.optimizer.fixed_polynomial import CodeArray
 from dqforge.optimizer.fixed_reference import FixedReference
+from dqforge.optimizer.reference_fit import ReferenceFit
 from dqforge.optimizer.single_precision import SingleArray
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.certificate_text import header_lines
+from dqforge.reports.data_text import data_lines
 from dqforge.reports.header_title import title
 from dqforge.reports.labels import operation_text
 from dqforge.reports.reference_ir import PlainData, ladders, shortest
@@ -66,22 +70,25 @@ def _arithmetic(reference: Reference) -> str:
 
 def error_text(solution: Solution) -> list[str]:
     """What the current reference errs by, as lines of at most 110 characters."""
-    errors = solution.fit.errors
+    return _error_lines(solution.fit, solution.certificate, solution.design.strategy)
+
+
+def _error_lines(fit: ReferenceFit, certificate: Certificate | None, strategy: Strategy) -> list[str]:
+    errors = fit.errors
     i_d, i_q, torque, loss = (rounded_up(value) for value in (errors.i_d, errors.i_q, errors.torque, errors.loss))
     voltage = errors.voltage_excess
     over = [] if voltage is None else [f"phase voltage at most {rounded_up(100.0 * voltage)} % above its limit."]
     torque_percent, loss_percent = (rounded_up(100.0 * v) for v in (errors.torque_relative, errors.loss_relative))
-    certificate = solution.certificate
     if certificate is not None:
         return [
-            *header_lines(certificate, solution.design.strategy),
-            f"Largest errors found in {errors.samples} evaluations ({_arithmetic(solution.fit.reference)}):",
+            *header_lines(certificate, strategy),
+            f"Largest errors found in {errors.samples} evaluations ({_arithmetic(fit.reference)}):",
             f"i_d {i_d} A, i_q {i_q} A, torque {torque} N m, copper loss {loss} W.",
         ]
     return [
-        f"Largest errors found in {errors.samples} evaluations ({_arithmetic(solution.fit.reference)};",
+        f"Largest errors found in {errors.samples} evaluations ({_arithmetic(fit.reference)};",
         "sampled, not proven):",
-        f"i_d {i_d} A, i_q {i_q} A against the exact {solution.design.strategy} currents;",
+        f"i_d {i_d} A, i_q {i_q} A against the exact {strategy} currents;",
         f"torque {torque} N m ({torque_percent} % of the largest torque);",
         f"copper loss {loss} W above the least ({loss_percent} % from 5 % torque up).",
         *over,
@@ -95,8 +102,14 @@ def _saturates(reference: Reference) -> dict[str, bool]:
     return {axis: p.saturates() for axis, p in (("d", reference.d), ("q", reference.q)) if p is not None}
 
 
-def _argument_text(reference: Reference) -> list[str]:
+def _argument_text(reference: Emitted) -> list[str]:
     """What goes in and comes out, in its units."""
+    if isinstance(reference, SignedReference):
+        return [
+            "torque_Nm: torque in N m, clamped to -TORQUE_MAX_NEGATIVE_NM to TORQUE_MAX; i_d_A, i_q_A: currents in A",
+            "(peak). The halves of the flux map are kept: each sign of the torque has its own polynomials, and what",
+            "follows holds for positive torques. Not-a-number gives the reference of zero torque.",
+        ]
     if not isinstance(reference, FixedReference):
         return [
             "torque_Nm: torque in N m, clamped to +-TORQUE_MAX; i_d_A, i_q_A: currents in A (peak).",
@@ -115,6 +128,7 @@ def _argument_text(reference: Reference) -> list[str]:
 def reference_context(solution: Solution, plain: PlainData) -> PlainData:
     """Ladders, comment and constants of the evaluator for the header's template."""
     fit, where = solution.fit, operation_text(solution.design)
+    below = plain.get("negative")
     shape = (
         f"{fit.settings.method}, degree {fit.settings.degree}, {fit.settings.segments} segment(s) "
         f"over 0 to {fit.torque_max:.6g} N m;"
@@ -131,15 +145,29 @@ def reference_context(solution: Solution, plain: PlainData) -> PlainData:
             **_fixed_context(fit.reference),
             "uses_sqrt": plain["form"] in ("closed-form", "reluctance"),
             "ladders": ladders(plain) if is_float else _fixed_ladders(plain, _saturates(fit.reference)),
+            "below": None if below is None else below | {"ladders": ladders(below), "uses_sqrt": False},
             "comment": [
-                *_argument_text(fit.reference),
+                *_argument_text(solution.reference),
                 f"Strategy {solution.design.strategy}{f' at {where}' if where else ''}; form {fit.form}:",
                 *_FORM_TEXT[fit.form],
                 *([shape] if has_polynomials else []),
                 *error_text(solution),
+                *data_lines(solution.data, fit.torque_max),
+                *_negative_text(solution),
             ],
         }
     )
+
+
+def _negative_text(solution: Solution) -> list[str]:
+    """What holds for negative torques where they have a reference of their own."""
+    half = solution.negative
+    if half is None:
+        return []
+    return [
+        f"Negative torques, 0 to -{half.fit.torque_max:.6g} N m, by the other half of the flux map:",
+        *_error_lines(half.fit, half.certificate, solution.design.strategy),
+    ]
 
 
 def _fixed_context(reference: Reference) -> PlainData:
@@ -149,7 +177,7 @@ def _fixed_context(reference: Reference) -> PlainData:
     return {"width": reference.width, "largest": reference.q.largest, "has_d": reference.d is not None}
 
 
-def vectors_template(reference: Reference) -> str:
+def vectors_template(reference: Emitted) -> str:
     """Template of the test vectors."""
     return "fixed_vectors.h.j2" if isinstance(reference, FixedReference) else "vectors.h.j2"
 
@@ -165,7 +193,7 @@ def vector_codes(reference: FixedReference, count: int) -> CodeArray:
     return np.concatenate([np.minimum(special, most - 1), -special, random]).astype(np.int64)
 
 
-def vector_torques(reference: CurrentReference, count: int) -> SingleArray:
+def vector_torques(reference: FloatReference, count: int) -> SingleArray:
     """Float32 torques of the test vectors: special values, breakpoints and neighbours, both signs, random ones."""
     end = np.float32(reference.torque_max)
     above = np.nextafter(end, np.float32(np.inf))
@@ -182,7 +210,7 @@ def vector_torques(reference: CurrentReference, count: int) -> SingleArray:
 
 def vectors_context(solution: Solution) -> PlainData:
     """Test vectors beside the names that their header needs."""
-    design, reference = solution.design, solution.fit.reference
+    design, reference = solution.design, solution.reference
     context: PlainData = {}
     if isinstance(reference, FixedReference):
         inputs, results = fixed_vectors(reference, design.export.vectors)

@@ -16,11 +16,13 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.current_reference import (
     ClosedForm,
     CurrentReference,
+    Emitted,
     Form,
     Polynomials,
     Proportional,
     Reference,
     ReluctanceClosedForm,
+    SignedReference,
     TorqueExact,
 )
 from dqforge.optimizer.fixed_polynomial import FixedPolynomial, FixedSegment
@@ -68,8 +70,13 @@ def _fixed_plain(reference: FixedReference) -> PlainData:
     }
 
 
-def to_plain(reference: Reference) -> PlainData:
-    """Describe a reference by its number format, its form's name and its constants."""
+def to_plain(reference: Emitted) -> PlainData:
+    """Describe a reference by its number format, its form's name and its constants.
+
+    That of negative torques, where there is one, stands beside those of the positive ones under ``negative``.
+    """
+    if isinstance(reference, SignedReference):
+        return to_plain(reference.positive) | {"negative": to_plain(reference.negative)}
     if isinstance(reference, FixedReference):
         return _fixed_plain(reference)
     plain: PlainData = {"format": "float32", "torque_max": shortest(reference.torque_max)}
@@ -157,7 +164,7 @@ def _fixed_reference(plain: Mapping[str, Any], width: int) -> FixedReference:
     return FixedReference(d, _fixed_polynomial(plain, "q", width, end), plain["torque_base"], plain["current_base"])
 
 
-def from_plain(plain: Mapping[str, Any]) -> Reference:
+def from_plain(plain: Mapping[str, Any]) -> Emitted:
     """Read a reference back.
 
     Raises
@@ -165,6 +172,16 @@ def from_plain(plain: Mapping[str, Any]) -> Reference:
     InputError
         The data are not what `to_plain` makes; it names the entry.
     """
+    positive = _one_from_plain(plain)
+    if "negative" not in plain:
+        return positive
+    negative = _one_from_plain(plain["negative"]) if isinstance(plain["negative"], Mapping) else None
+    if not isinstance(positive, CurrentReference) or not isinstance(negative, CurrentReference):
+        raise InputError("reference.negative is not a reference in float32; run the design again")
+    return SignedReference(positive, negative)
+
+
+def _one_from_plain(plain: Mapping[str, Any]) -> Reference:
     number_format = plain.get("format", "float32")
     if number_format in FIXED_WIDTHS:
         return _fixed_reference(plain, FIXED_WIDTHS[number_format])
@@ -198,7 +215,7 @@ def ladders(plain: PlainData) -> list[PlainData]:
 
 
 def _ladder(plain: PlainData, axes: Sequence[str]) -> PlainData:
-    reference = from_plain(plain)
+    reference = _one_from_plain(plain)
     assert isinstance(reference, CurrentReference)
     form = reference.form
     ends = np.array([plain["torque_max"], 0.0], dtype=np.float32)

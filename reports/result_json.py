@@ -11,25 +11,29 @@ import numpy as np
 
 from dqforge import __version__
 from dqforge.machines.design import Design
+from dqforge.machines.flux_evidence import FluxEvidence
 from dqforge.machines.settings import QFormats
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.certificate import Certificate
 from dqforge.optimizer.current_choice import OperatingPoints
+from dqforge.optimizer.data_use import COVERED, DataUse
 from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_gains import pi_integers
 from dqforge.optimizer.gains import LoopGains, per_unit
-from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.piecewise import PiecewisePolynomial
+from dqforge.optimizer.point_losses import LossComparison
 from dqforge.optimizer.reference_fit import ReferenceFit
-from dqforge.optimizer.solution import Curves, GainSet, Solution
+from dqforge.optimizer.solution import Curves, GainSet, NegativeHalf, Solution
 from dqforge.optimizer.surface_fit import WeakeningFit
 from dqforge.reports.certificate_text import JSON_DIGITS, plain_certificate
 from dqforge.reports.choice_tables import plain_choice
 from dqforge.reports.control_fixed_header import plain_fixed_control, plain_fixed_evidence
 from dqforge.reports.control_header import plain_control
+from dqforge.reports.data_text import plain_data_use
 from dqforge.reports.drive_losses_tables import plain_mission
 from dqforge.reports.gains_header import plain_evaluator
+from dqforge.reports.observed_text import plain_observed
 from dqforge.reports.observer_header import emitted, plain_observer
 from dqforge.reports.observer_text import plain_position
 from dqforge.reports.reference_ir import PlainData, to_plain
@@ -77,7 +81,23 @@ def plain_design(design: Design) -> PlainData:
         "digest": design.digest,
         "values": [asdict(value) for value in design.values],
         "assumptions": list(design.assumptions),
+        **(
+            {"flux_maps": [plain_flux_map(evidence) for evidence in design.flux_evidence]}
+            if design.flux_evidence
+            else {}
+        ),
     }
+
+
+def plain_flux_map(evidence: FluxEvidence) -> PlainData:
+    """Fit and asymmetry of the flux map of one file, in Wb, A, N m and rad; the asymmetry None for a half plane."""
+    fit, found = evidence.fit, evidence.asymmetry
+    rms, most = evidence.torque_residual
+    plain = asdict(fit) | {"torque_rms": rms, "torque_largest": most}
+    asymmetry = None
+    if found is not None:
+        asymmetry = asdict(found) | {"torque": found.torque, "share": found.share, "share_left": found.share_left}
+    return {"file": evidence.source, "fit": plain, "asymmetry": asymmetry}
 
 
 def plain_drive(design: Design) -> PlainData:
@@ -110,6 +130,7 @@ def _plain_points(points: OperatingPoints) -> PlainData:
         "i_d_A": points.i_d,
         "i_q_A": points.i_q,
         "limited": points.limited,
+        "held_by_data": points.held,
         "torque_residual_largest": float(np.max(np.abs(points.torque_residual))),
     }
 
@@ -134,6 +155,7 @@ def plain_fit(
     rows: tuple[Alternative, ...],
     trials: tuple[Trial, ...] = (),
     certificate: Certificate | None = None,
+    data: DataUse = COVERED,
 ) -> PlainData:
     """The fit in double, its emitted constants, its errors found and proven, and the alternatives with theirs."""
     return {
@@ -147,6 +169,7 @@ def plain_fit(
         "reference": to_plain(fit.reference),
         "errors": asdict(fit.errors),
         "certificate": plain_certificate(certificate),
+        **plain_data_use(data),
         "trials": [asdict(trial) for trial in trials],
         "alternatives": [{"label": row.label, "errors": asdict(row.errors)} for row in rows],
     }
@@ -177,6 +200,7 @@ def _plain_loop(gains: LoopGains, bases: tuple[float, float], q_formats: QFormat
         "delay_margin_s": gains.delay_margin,
         "max_sensitivity": gains.max_sensitivity,
         "poles": [[pole.real, pole.imag] for pole in gains.poles.tolist()],
+        **plain_observed(gains),
     }
 
 
@@ -223,7 +247,9 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
             "total_W": budget.total[index],
             "junction_degC": budget.junction_temperature[index],
             "voltage_V": budget.voltage[index],
-            "feasible": budget.feasible[index],
+            "friction_W": budget.friction[index],
+            "feasible": comparison.usable[index],
+            "reached": comparison.reached[index],
             "saving_percent": comparison.saving[index],
         }
         for p, point in enumerate(comparison.points)
@@ -232,7 +258,7 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
         for index in [(s, m, p)]
     ]
     best = [None if labels is None else list(labels) for labels in comparison.best_labels]
-    return {"rows": rows, "best": best}
+    return {"scope": comparison.scope, "rows": rows, "best": best}
 
 
 def plain_weakening_fit(fit: WeakeningFit | None) -> PlainData | None:
@@ -245,9 +271,13 @@ def plain_weakening_fit(fit: WeakeningFit | None) -> PlainData | None:
         "flux_min_Wb": region.flux_min,
         "flux_max_Wb": region.flux_max,
         "torque_max_Nm": region.torque_max,
-        "coefficients": fit.reference.coefficients,
-        "flash_B": fit.reference.flash,
+        "v_max_V": fit.domain.v_max,
+        "omega_e_rad_per_s": fit.domain.omega_e,
+        "r_s_Ohm": fit.domain.machine.r_s,
+        "coefficients": fit.step.coefficients,
+        "flash_B": fit.step.flash,
         "errors": asdict(fit.errors),
+        "voltage_errors": asdict(fit.voltage),
         "certificate": plain_certificate(fit.certificate),
         "trials": [asdict(trial) for trial in fit.trials],
     }
@@ -262,32 +292,45 @@ def _plain_fixed(solution: Solution) -> PlainData:
     return {"control_fixed": evidence} | headers
 
 
+def plain_negative(half: NegativeHalf | None) -> PlainData:
+    """Currents and fit of negative torques, mirrored; nothing where one reference serves both signs."""
+    if half is None:
+        return {}
+    return {
+        "mtpa_negative": plain_curves(half.curves),
+        "fit_negative": plain_fit(half.fit, (), (), half.certificate),
+    }
+
+
 def plain_solution(solution: Solution) -> PlainData:
     """Everything that a run found, with what `dqforge verify` needs under ``header``."""
-    design, weakening, schedule = solution.design, solution.weakening, solution.gains.schedule
-    observer = emitted(solution.gains.position)
+    design, weakening, gains = solution.design, solution.weakening, solution.loops
+    schedule = None if gains is None else gains.schedule
+    observer = None if gains is None else emitted(gains.position)
     return {
         "input": plain_design(design),
         "drive": plain_drive(design),
         "header": {
             "prefix": design.export.prefix,
             "vectors": design.export.vectors,
-            "reference": to_plain(solution.fit.reference),
+            "reference": to_plain(solution.reference),
         },
         "mtpa": plain_curves(solution.curves),
-        "fit": plain_fit(solution.fit, solution.alternatives, solution.trials, solution.certificate),
-        "gains": plain_gains(design, solution.gains),
+        "fit": plain_fit(solution.fit, solution.alternatives, solution.trials, solution.certificate, solution.data),
+        **plain_negative(solution.negative),
+        "gains": None if gains is None else plain_gains(design, gains),
+        **({} if gains is not None else {"gains_left_out": solution.gains_left_out}),
         "losses": plain_losses(solution.losses),
         "mission": None if solution.mission is None else plain_mission(solution.mission),
         "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),
         "waveform_header": None if solution.phases is None else plain_phase_reference(solution.phases.reference),
         "weakening": plain_weakening_fit(weakening),
-        "weakening_header": None if weakening is None else plain_weakening(weakening.reference),
+        "weakening_header": None if weakening is None else plain_weakening(weakening.step),
         "control_header": plain_control(solution) if "float32" in design.export.control else None,
         **_plain_fixed(solution),
         "modulation_choice": None if solution.choice is None else plain_choice(solution.choice),
         "modulation_header": None if solution.choice is None else plain_emitted(choice_model(solution.choice)),
         "gains_header": None if schedule is None else plain_evaluator(schedule.fit.evaluator),
         "observer_header": None if observer is None else plain_observer(observer),
-        "speed_observer_header": plain_speed_observer(design.machine, solution.gains.observer),
+        "speed_observer_header": plain_speed_observer(design.machine, None if gains is None else gains.observer),
     }

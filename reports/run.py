@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dqforge.machines.design import Design
-from dqforge.optimizer.solution import Solution, solve
+from dqforge.machines.numerical import on_design
+from dqforge.optimizer.solution import GainSet, Solution, solve
 from dqforge.reports.control_fixed_header import control_fixed_files
 from dqforge.reports.control_header import control_files
 from dqforge.reports.drive_simulation import simulate_design, simulation_files
@@ -36,9 +37,22 @@ def _verified(solution: Solution, files: dict[str, bytes], plain: PlainData) -> 
     """The headers against what the result says of them: what a later `dqforge verify` will read."""
     export = solution.design.export
     _, further = programmes(plain)
-    return verify_files(files, export.prefix, solution.fit.reference, export.vectors, further)
+    return verify_files(files, export.prefix, solution.reference, export.vectors, further)
 
 
+def _loop_files(design: Design, gains: GainSet) -> dict[str, bytes]:
+    """Headers of gain schedules and observers, where the design asks for them."""
+    files: dict[str, bytes] = {}
+    if gains.schedule is not None:
+        files |= gains_files(design, gains.schedule)
+    if gains.position is not None:
+        files |= observer_files(design, gains.position)
+    if gains.observer is not None:
+        files |= speed_observer_files(design, gains.observer)
+    return files
+
+
+@on_design("export")
 def export_design(design: Design, *, verify: bool) -> RunOutput:
     """Header, test vectors and ``result.json`` of a design; nothing else is computed for show.
 
@@ -55,12 +69,8 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
         files |= weakening_files(design, solution.weakening)
     if solution.choice is not None:
         files |= choice_files(design, solution.choice)
-    if solution.gains.schedule is not None:
-        files |= gains_files(design, solution.gains.schedule)
-    if solution.gains.position is not None:
-        files |= observer_files(design, solution.gains.position)
-    if solution.gains.observer is not None:
-        files |= speed_observer_files(design, solution.gains.observer)
+    if solution.loops is not None:
+        files |= _loop_files(design, solution.loops)
     if "float32" in design.export.control:
         files |= control_files(solution)
     for fit in solution.fixed:
@@ -71,6 +81,7 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
     return RunOutput(solution, verification, files)
 
 
+@on_design("machine")
 def run_design(design: Design, *, verify: bool) -> RunOutput:
     """Everything that the design asks for, the report included.
 

@@ -12,6 +12,7 @@ from dqforge.reports.drive_simulation import DriveSimulation, observed
 from dqforge.reports.html_tables import HtmlTable, Row
 from dqforge.reports.html_text import symbols
 from dqforge.reports.reference_ir import PlainData
+from dqforge.reports.simulated_format import SIMULATED, format_text
 from dqforge.reports.tables import Table
 
 _SHOWN = {"rad/s": "rpm"}
@@ -41,6 +42,7 @@ def _figure_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
     run, figures = found.run, found.run.figures
     return (
         ("simulated", f"{_value(float(figures.t[0]), 's')}, {run.scenario.inverter} inverter"),
+        *((("arithmetic", format_text(found.not_simulated)),) if found.not_simulated else ()),
         ("largest deviation from the reference", _value(found.tracking[0], found.unit)),
         ("r.m.s. deviation from the reference", _value(found.tracking[1], found.unit)),
         ("largest speed", _value(float(np.max(np.abs(run.omega_m))), "rad/s")),
@@ -119,6 +121,8 @@ def plain_simulation(found: DriveSimulation) -> PlainData:
     return {
         "mode": run.scenario.mode,
         "inverter": run.scenario.inverter,
+        "format": SIMULATED,
+        "not_simulated": list(found.not_simulated),
         "unit": found.unit,
         "duration_s": float(figures.t[0]),
         "bounded": bool(figures.bounded[0]),

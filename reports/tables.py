@@ -3,36 +3,49 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from dqforge.machines.design import Design
+from dqforge.machines.figures import MARK
 from dqforge.machines.quantities import format_quantity
 from dqforge.machines.settings import Core, QFormats
 from dqforge.machines.synchronous import LinearMachine
 from dqforge.optimizer.certificate import Certificate
 from dqforge.optimizer.current_choice import OperatingPoints
 from dqforge.optimizer.current_reference import ReferenceErrors
+from dqforge.optimizer.data_use import COVERED, DataUse
 from dqforge.optimizer.fit_alternatives import Alternative
 from dqforge.optimizer.fit_choice import Trial
 from dqforge.optimizer.fixed_gains import pi_integers
 from dqforge.optimizer.gains import LoopGains, per_unit
-from dqforge.optimizer.loss_budget import LossComparison
 from dqforge.optimizer.mtpa import PerUnitBase
 from dqforge.optimizer.observer import steady_state_error
 from dqforge.optimizer.observer_proof import ObserverProof
 from dqforge.optimizer.piecewise import PiecewisePolynomial
+from dqforge.optimizer.point_losses import LossComparison
 from dqforge.optimizer.reference_fit import ReferenceFit
-from dqforge.optimizer.solution import Curves, GainSet, Solution
+from dqforge.optimizer.solution import Curves, GainSet, NegativeHalf, Solution
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.certificate_text import proof_title, proven_text
 from dqforge.reports.choice_text import choice_rows
 from dqforge.reports.cross import TargetVerification
-from dqforge.reports.labels import core_name, obstacle, operation_text, part_label, shown_parts
+from dqforge.reports.data_text import data_lines
+from dqforge.reports.labels import (
+    WITHOUT_BRIDGE,
+    core_name,
+    friction_text,
+    obstacle,
+    operation_text,
+    part_label,
+    shown_parts,
+)
+from dqforge.reports.observed_text import loop_words, margin_words, observed_notes
 from dqforge.reports.observer_text import position_parts
 from dqforge.reports.robustness_text import FORM_COLUMNS, ROBUST_COLUMNS, form_rows, robust_notes, robust_rows
 from dqforge.reports.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
+from dqforge.reports.simulated_format import format_text, not_simulated
 from dqforge.reports.verify import Verification
 from dqforge.reports.weakening_text import domain_text, errors_text, proof_text
 
@@ -75,7 +88,7 @@ def check_tables(design: Design) -> list[Table]:
         for value in design.values
     )
     columns = ("key", "in the file", "in SI", "", "source")
-    notes = tuple(f"assumed: {sentence}" for sentence in design.assumptions)
+    notes = tuple(sentence if sentence.startswith(MARK) else f"assumed: {sentence}" for sentence in design.assumptions)
     return [Table(f"{design.name}: valid", columns, rows, notes)]
 
 
@@ -87,12 +100,21 @@ def _point_rows(points: OperatingPoints, base: PerUnitBase | None) -> tuple[tupl
         cells = [torque, i_d, i_q, float(np.hypot(i_d, i_q))]
         if base is not None:
             cells += [torque / base.torque, i_d / base.current, i_q / base.current]
-        rows.append((*(_number(cell) for cell in cells), "current limit" if points.limited[k] else ""))
+        rows.append((*(_number(cell) for cell in cells), _held_by(points, int(k))))
     return tuple(rows)
 
 
-def mtpa_tables(design: Design, curves: Curves) -> list[Table]:
-    """Currents over torque for the design's strategy, and what i_d = 0 would draw at the end of the domain."""
+def _held_by(points: OperatingPoints, k: int) -> str:
+    if points.held[k]:
+        return "the data"
+    return "current limit" if points.limited[k] else ""
+
+
+def mtpa_tables(design: Design, curves: Curves, negative: Curves | None = None) -> list[Table]:
+    """Currents over torque for the design's strategy, and what i_d = 0 would draw at the end of the domain.
+
+    ``negative`` are those of negative torques, mirrored, where these have their own.
+    """
     notes = [f"limit {design.i_max:.4g} A (peak); currents are peak of phase"]
     if curves.id0 is not None and design.strategy == "mtpa":
         chosen = float(np.hypot(curves.chosen.i_d[-1], curves.chosen.i_q[-1]))
@@ -102,12 +124,18 @@ def mtpa_tables(design: Design, curves: Curves) -> list[Table]:
             )
         else:
             notes.append(f"i_d = 0 reaches {curves.id0.torque[-1]:.4g} N m within the limit")
+    if np.any(curves.chosen.held):
+        notes.append("held by the data: the flux map ends there, currents of less loss may lie beyond it")
     base = curves.base
     per_unit_columns = () if base is None else ("torque p.u.", "i_d p.u.", "i_q p.u.")
     if base is not None:
         notes.append(f"per unit of {base.current:.5g} A and {base.torque:.5g} N m (the bases of the MTPA curve)")
     columns = ("torque N m", "i_d A", "i_q A", "|i| A", *per_unit_columns, "limited by")
-    return [Table(f"{design.name}: {design.strategy}", columns, _point_rows(curves.chosen, base), tuple(notes))]
+    tables = [Table(f"{design.name}: {design.strategy}", columns, _point_rows(curves.chosen, base), tuple(notes))]
+    if negative is not None:
+        rows = _point_rows(replace(negative.chosen, torque=-negative.chosen.torque, i_q=-negative.chosen.i_q), None)
+        tables.append(Table(f"{design.name}: {design.strategy}, negative torques", columns, rows))
+    return tables
 
 
 def _error_cells(errors: ReferenceErrors) -> tuple[str, ...]:
@@ -137,6 +165,14 @@ def _voltage_notes(design: Design, fit: ReferenceFit) -> tuple[str, ...]:
     return (f"for {where}; the fit takes at most {rounded_up(100.0 * excess)} % more voltage",)
 
 
+def negative_tables(half: NegativeHalf | None) -> list[Table]:
+    """Fit of negative torques, mirrored, where they have their own; else nothing."""
+    if half is None:
+        return []
+    tables = fit_tables(half.design, half.fit, (), (), half.certificate)
+    return [replace(table, title=f"{table.title}, negative torques (mirrored)") for table in tables]
+
+
 def trial_table(trials: tuple[Trial, ...], core: Core) -> Table:
     """What was tried for a budget, in order of cost."""
     columns = ("form", "format", "degree", "segments", "cycles", "constants B", "torque error %", "loss penalty %")
@@ -163,8 +199,9 @@ def fit_tables(
     rows: tuple[Alternative, ...],
     trials: tuple[Trial, ...] = (),
     certificate: Certificate | None = None,
+    data: DataUse = COVERED,
 ) -> list[Table]:
-    """Errors of the fit beside its alternatives, what is proven of it, and its coefficients."""
+    """Errors of the fit beside its alternatives, what is proven of it, what data hold it, and its coefficients."""
     columns = ("", "i_d error A", "i_q error A", "torque error %", "loss penalty %", "step at zero A")
     chosen = (f"chosen: {fit.form}", *_error_cells(fit.errors))
     others = tuple((row.label, *_error_cells(row.errors)) for row in rows)
@@ -173,7 +210,8 @@ def fit_tables(
         f"{fit.torque_max:.4g} N m, loss penalty in % of the least copper loss from 5 % torque upwards"
     )
     proof = () if certificate is None else (f"{proof_title(certificate)}: {proven_text(certificate, 3)}",)
-    notes = (note, *proof, *_voltage_notes(design, fit), *_poor_fit_notes(design, fit))
+    limits = " ".join(data_lines(data, fit.torque_max))
+    notes = (note, *proof, *([limits] if limits else []), *_voltage_notes(design, fit), *_poor_fit_notes(design, fit))
     tables = [Table(f"{design.name}: current reference, {fit.settings.method}", columns, (chosen, *others), notes)]
     if trials:
         tables.append(trial_table(trials, design.fit.core))
@@ -192,7 +230,7 @@ def _loop_row(gains: LoopGains, unit: str, per_unit_text: str) -> tuple[str, ...
         f"{gains.ki:.5g}",
         per_unit_text,
         _number(gains.crossover / (2.0 * math.pi)),
-        f"{math.degrees(gains.phase_margin):.1f}",
+        margin_words(gains),
         f"{20.0 * math.log10(gains.gain_margin):.1f}" if math.isfinite(gains.gain_margin) else "none",
         _number(gains.delay_margin * 1e6, 3),
         f"{gains.max_sensitivity:.2f}",
@@ -230,7 +268,8 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
         "delay margin us",
         "M_s",
     )
-    tables = [Table(f"{design.name}: gains, sampled every {control.t_s * 1e6:.4g} us", columns, tuple(rows))]
+    title, notes = f"{design.name}: gains, sampled every {control.t_s * 1e6:.4g} us", observed_notes(gains.speed)
+    tables = [Table(title, columns, tuple(rows), notes)]
     tables.append(Table("Parallel, series and velocity form", FORM_COLUMNS, form_rows(gains)))
     if gains.robust is not None:
         rows_, notes = robust_rows(gains.robust), robust_notes(gains.robust)
@@ -282,12 +321,13 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
         for s, strategy in enumerate(comparison.strategies):
             for m, modulation in enumerate(comparison.modulations):
                 index = (s, m, p)
-                mark = "best" if best == (strategy, modulation) else obstacle(budget, index)
+                mark = "best" if best == (strategy, modulation) else obstacle(comparison, index)
                 cells = [*(getattr(budget, kind) for kind in kinds), budget.total, budget.junction_temperature]
                 texts = [_fixed(float(cell[index])) for cell in [*cells, comparison.saving]]
                 rows.append((strategy, modulation, *texts, mark))
         title = f"{design.name}: losses at {point.torque:.4g} N m, {point.omega_m * 30.0 / math.pi:.5g} rpm"
-        tables.append(Table(title, columns, tuple(rows)))
+        notes = [friction_text(comparison, p), WITHOUT_BRIDGE if comparison.scope != "drive" else ""]
+        tables.append(Table(title, columns, tuple(rows), tuple(note for note in notes if note)))
     return tables
 
 
@@ -325,11 +365,6 @@ def _errors_text(errors: ReferenceErrors) -> str:
     return f"i_d {i_d} A, i_q {i_q} A, torque {torque} %, copper loss +{loss} %"
 
 
-def _loop_text(gains: LoopGains) -> str:
-    crossover, margin = gains.crossover / (2.0 * math.pi), math.degrees(gains.phase_margin)
-    return f"{crossover:.4g} Hz crossover, {margin:.0f} deg phase margin"
-
-
 def _poor_fit_notes(design: Design, fit: ReferenceFit) -> tuple[str, ...]:
     return (_poor_fit_text(design, fit),) if fit.errors.loss_relative > POOR_FIT else ()
 
@@ -344,7 +379,7 @@ def _poor_fit_text(design: Design, fit: ReferenceFit) -> str:
 
 def run_tables(solution: Solution, verification: Verification | None) -> list[Table]:
     """The short summary of a run."""
-    fit, gains, where = solution.fit, solution.gains, operation_text(solution.design)
+    fit, gains, where = solution.fit, solution.loops, operation_text(solution.design)
     polynomial = fit.d or fit.q
     plural = "" if polynomial is None or polynomial.segments == 1 else "s"
     shape = "" if polynomial is None else f", degree {polynomial.degree}, {polynomial.segments} segment{plural}"
@@ -355,6 +390,10 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
     ]
     if solution.certificate is not None:
         rows.append(("  proven bounds", proven_text(solution.certificate)))
+    limits = " ".join(data_lines(solution.data, fit.torque_max))
+    if limits:
+        rows.append(("  end of the data", limits))
+    rows += _negative_rows(solution)
     if fit.errors.loss_relative > POOR_FIT:
         rows.append(("  warning", _poor_fit_text(solution.design, fit)))
     if solution.weakening is not None:
@@ -363,14 +402,31 @@ def run_tables(solution: Solution, verification: Verification | None) -> list[Ta
         proven = proof_text(solution.weakening)
         if proven is not None:
             rows.append(("  proven bounds", proven))
-    rows += [
-        (f"{loop.loop} loop", _loop_text(loop)) for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None
-    ]
+    loops = () if gains is None else (gains.i_d, gains.i_q, gains.speed)
+    rows += [(f"{loop.loop} loop", loop_words(loop)) for loop in loops if loop is not None]
+    rows += [("no loops", solution.gains_left_out)] if gains is None else []
     if solution.losses is not None:
         rows += _best_rows(solution.losses)
     rows += [] if solution.choice is None else choice_rows(solution.choice)
+    formats = format_text(not_simulated(solution)) if verification is not None else ""
+    if solution.design.simulation is not None and formats:
+        rows.append(("simulation", formats))
+    told = [f"{evidence.source}: {text}" for evidence in solution.design.flux_evidence for text in evidence.sentences()]
+    rows += [("flux map", sentence) for sentence in told]
     rows.append(("verification", verification_text(verification)))
     return [Table(solution.design.name, ("", ""), tuple(rows))]
+
+
+def _negative_rows(solution: Solution) -> list[tuple[str, str]]:
+    """What holds for negative torques where they have a reference of their own."""
+    half = solution.negative
+    if half is None:
+        return []
+    rows = [
+        ("  negative torques", f"{half.fit.form}, 0 to -{half.fit.torque_max:.4g} N m"),
+        ("  largest errors", _errors_text(half.fit.errors)),
+    ]
+    return rows if half.certificate is None else [*rows, ("  proven bounds", proven_text(half.certificate))]
 
 
 def _watts(value: float) -> str:
@@ -386,8 +442,10 @@ def _best_rows(comparison: LossComparison) -> list[tuple[str, str]]:
             continue
         index = (int(comparison.best_strategy[p]), int(comparison.best_modulation[p]), p)
         budget = comparison.budget
-        chosen = f"{_watts(float(budget.total[index]))}, {budget.junction_temperature[index]:.0f} degC"
-        first_loss = _watts(float(budget.total[0, 0, p])) if budget.feasible[0, 0, p] else "not feasible"
+        known = comparison.scope == "drive"
+        heat = f", {budget.junction_temperature[index]:.0f} degC" if known else " without the bridge"
+        chosen = f"{_watts(float(budget.total[index]))}{heat}"
+        first_loss = _watts(float(budget.total[0, 0, p])) if comparison.usable[0, 0, p] else "not feasible"
         first = f"{comparison.strategies[0]} with {comparison.modulations[0]}: {first_loss}"
         rows.append((label, f"{best[0]} with {best[1]}: {chosen} ({first})"))
     return rows

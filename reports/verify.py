@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from dqforge.machines.entries import EntryError
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.identifiers import check_prefix
-from dqforge.optimizer.current_reference import CurrentReference, Reference
+from dqforge.optimizer.current_reference import Emitted, FloatReference
 from dqforge.optimizer.fixed_polynomial import CodeArray
 from dqforge.optimizer.fixed_reference import FixedReference
 from dqforge.optimizer.single_precision import SingleArray
-from dqforge.reports.files import read_output
+from dqforge.reports.files import LARGEST_FILE, LARGEST_JSON, read_output
 from dqforge.reports.further_headers import SWEEP_POINTS, SWEEP_SEED, programmes
 from dqforge.reports.programme import Programme
 from dqforge.reports.reference_header import vector_codes, vector_torques
@@ -79,7 +79,7 @@ class Verification:
         return tuple(check.standard for check in self.checks if not check.missing)
 
 
-def sweep_torques(reference: CurrentReference, count: int = SWEEP_POINTS) -> SingleArray:
+def sweep_torques(reference: FloatReference, count: int = SWEEP_POINTS) -> SingleArray:
     """Float32 torques beyond the test vectors: across the domain of both signs, and raw bit patterns of any kind."""
     generator = np.random.default_rng(SWEEP_SEED)
     across = (generator.uniform(-1.1, 1.1, count // 2) * float(reference.torque_max)).astype(np.float32)
@@ -160,7 +160,7 @@ def _compare(compiled: NDArray[Any], part: Programme, standard: str) -> None:
         )
 
 
-def _reference_programme(reference: Reference, vectors: int) -> tuple[Programme, int]:
+def _reference_programme(reference: Emitted, vectors: int) -> tuple[Programme, int]:
     """The harness of the current reference with its inputs, and how many of these are test vectors."""
     if isinstance(reference, FixedReference):
         chosen = vector_codes(reference, vectors)
@@ -177,7 +177,7 @@ def _reference_programme(reference: Reference, vectors: int) -> tuple[Programme,
 def verify_files(
     files: Mapping[str, bytes],
     prefix: str,
-    reference: Reference,
+    reference: Emitted,
     vectors: int,
     further: Sequence[Programme] = (),
 ) -> Verification:
@@ -226,13 +226,13 @@ def verify_files(
     return Verification(chosen, compared - chosen, tuple(checks))
 
 
-def _read(path: Path) -> bytes:
-    return read_output(path, "the folder that 'dqforge run' or 'dqforge export' wrote")
+def _read(path: Path, most_bytes: int = LARGEST_FILE) -> bytes:
+    return read_output(path, "the folder that 'dqforge run' or 'dqforge export' wrote", most_bytes)
 
 
 def _load_result(path: Path) -> dict[str, Any]:
     """A result that describes a header."""
-    content = _read(path)
+    content = _read(path, LARGEST_JSON)
     try:
         loaded = json.loads(content)
     except (ValueError, RecursionError) as error:
@@ -248,7 +248,7 @@ class WrittenHeaders:
 
     files: dict[str, bytes]
     prefix: str
-    reference: Reference
+    reference: Emitted
     vectors: int
     further: tuple[Programme, ...] = ()
 

@@ -11,7 +11,7 @@ from dqforge.reports.weakening_text import domain_text, errors_text, percent, pr
 _COLUMNS = (
     "degree in torque",
     "in excess flux linkage",
-    "coefficients",
+    "constants",
     "code and constants",
     "error over budget",
     "torque error",
@@ -24,8 +24,9 @@ _COLUMNS = (
 def _cells(trial: SurfaceTrial) -> tuple[str, ...]:
     errors = trial.errors
     shown: tuple[str, ...] = ("",) * 4
-    if errors is not None:
-        values = (errors.torque_relative, errors.flux_excess, errors.current_excess, errors.loss_relative)
+    if errors is not None and trial.voltage is not None:
+        voltage = trial.voltage
+        values = (errors.torque_relative, voltage.voltage_excess, errors.current_excess, voltage.loss_relative)
         shown = tuple(percent(value) for value in values)
     size = (f"{trial.degrees[0]}", f"{trial.degrees[1]}", f"{trial.coefficients}", f"{trial.flash} B")
     return (*size, f"{trial.grid_error:.2f}", *shown)

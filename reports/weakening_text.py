@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dqforge.machines.quantities import format_quantity
 from dqforge.optimizer.surface_fit import WeakeningFit
+from dqforge.optimizer.voltage_region import LEAST_VOLTAGE
 from dqforge.reports.c_numbers import rounded_up
 from dqforge.reports.certificate_text import AGAINST
 
@@ -14,22 +15,38 @@ def percent(value: float) -> str:
 
 
 def domain_text(fit: WeakeningFit) -> str:
-    """Speed, range of the flux linkage, and size in one line."""
-    region = fit.region
+    """Speed, voltage, range of the flux linkage, and size in one line."""
+    region, domain = fit.region, fit.domain
+    drop = domain.machine.r_s * region.i_max
     return (
-        f"up to {format_quantity(fit.settings.omega_m, 'rpm', 4)}, {format_quantity(region.flux_min, 'Wb', 4)} to"
-        f" {format_quantity(region.flux_max, 'Wb', 4)}; {fit.reference.coefficients} coefficients,"
-        f" below {fit.reference.flash} B on a Cortex-M4F (estimate)"
+        f"up to {format_quantity(fit.settings.omega_m, 'rpm', 4)} at {format_quantity(domain.v_max, 'V', 4)}, of which"
+        f" the resistance takes up to {format_quantity(drop, 'V', 3)}; {format_quantity(region.flux_min, 'Wb', 4)} to"
+        f" {format_quantity(region.flux_max, 'Wb', 4)}; {fit.step.coefficients} constants,"
+        f" below {fit.step.flash} B on a Cortex-M4F (estimate)"
     )
+
+
+def least_voltage_text(fit: WeakeningFit) -> str:
+    """The least voltage for which errors are stated."""
+    return f"{100.0 * LEAST_VOLTAGE:g} % of {format_quantity(fit.domain.v_max, 'V', 4)}"
 
 
 def errors_text(fit: WeakeningFit) -> str:
     """The largest errors in one line."""
-    errors = fit.errors
     return (
-        f"torque {percent(errors.torque_relative)}, voltage +{percent(errors.flux_excess)},"
-        f" current +{percent(errors.current_excess)}, copper loss +{percent(errors.loss_relative)}"
+        f"torque {percent(_torque(fit))}, voltage +{percent(_voltage(fit))},"
+        f" current +{percent(fit.errors.current_excess)}, copper loss +{percent(fit.voltage.loss_relative)}"
     )
+
+
+def _torque(fit: WeakeningFit) -> float:
+    """Largest sampled error of the torque over the largest torque."""
+    return max(fit.errors.torque, fit.voltage.torque) / fit.region.torque_max
+
+
+def _voltage(fit: WeakeningFit) -> float:
+    """Largest sampled excess of the voltage."""
+    return fit.voltage.voltage_excess
 
 
 def proof_text(fit: WeakeningFit) -> str | None:
@@ -37,35 +54,45 @@ def proof_text(fit: WeakeningFit) -> str | None:
     proof = fit.certificate
     if proof is None:
         return None
+    volts = "voltage not bounded" if proof.voltage_excess is None else f"voltage +{percent(proof.voltage_excess)}"
     return (
-        f"torque {percent(proof.torque_relative)}, voltage +{percent(proof.flux_excess)},"
+        f"torque {percent(proof.torque_relative)} of what is granted, {volts},"
         f" current +{percent(proof.current_excess)}, against {AGAINST[proof.model]}"
     )
+
+
+def _sampled_lines(fit: WeakeningFit) -> list[str]:
+    """What no bound covers."""
+    floor = "from 5 % of the largest torque upwards"
+    return [
+        f"torque beyond reach at {fit.domain.v_max:.6g} V is granted to within {percent(_torque(fit))} of the largest,",
+        f"copper loss is up to {percent(fit.voltage.loss_relative)} above the least, {floor}",
+        f"({fit.errors.samples + fit.voltage.samples} evaluations, with and without fused multiply-add).",
+    ]
 
 
 def error_lines(fit: WeakeningFit) -> list[str]:
     """Proven bounds and sampled errors as lines of at most 110 characters for the comment of the evaluator."""
     errors, proof, most = fit.errors, fit.certificate, f"{fit.region.torque_max:.6g} N m"
-    evaluations = f"{errors.samples} evaluations, with and without fused multiply-add"
-    loss = (
-        f"copper loss is up to {percent(errors.loss_relative)} above the least, from 5 % of the largest torque upwards"
-    )
+    volts, current = percent(_voltage(fit)), percent(errors.current_excess)
+    reach = f"voltages from {least_voltage_text(fit)} up, motoring and generating"
     if proof is None:
         return [
-            f"The torque errs by at most {percent(errors.torque_relative)} of the largest one, {most};",
-            f"flux linkage (voltage) exceeds the available one by {percent(errors.flux_excess)},",
-            f"the current its limit by {percent(errors.current_excess)};",
-            f"{loss}",
-            f"({evaluations}; sampled, not proven).",
+            f"Sampled, not proven, for {reach}:",
+            f"the torque errs by at most {percent(_torque(fit))} of the largest one, {most};",
+            f"the phase voltage, resistance drop included, exceeds its limit by {volts},",
+            f"the current its limit by {current};",
+            *_sampled_lines(fit),
         ]
     torque = f"{percent(proof.torque_relative)} of the largest one, {most} ({percent(errors.torque_relative)})"
-    flux = f"{percent(proof.flux_excess)} ({percent(errors.flux_excess)})"
+    bound = "no proven bound" if proof.voltage_excess is None else percent(proof.voltage_excess)
     return [
-        f"Bounds of the errors, proven for every torque and flux linkage, against {AGAINST[proof.model]},",
+        f"Bounds of the errors, proven for every torque and speed up to the largest, against {AGAINST[proof.model]},",
+        f"for {reach};",
         "rounding included, with and without fused multiply-add; in brackets what was found by sampling:",
-        f"the torque errs by at most {rounded_up(proof.torque)} N m, {torque};",
-        f"flux linkage (voltage) exceeds the available one by {flux},",
-        f"the current its limit by {percent(proof.current_excess)} ({percent(errors.current_excess)}).",
-        f"Sampled, not proven: {loss}",
-        f"({evaluations}).",
+        f"the phase voltage, resistance drop included, exceeds its limit by {bound} ({volts}),",
+        f"the current its limit by {percent(proof.current_excess)} ({current}),",
+        f"the torque that is granted errs by at most {rounded_up(proof.torque)} N m, {torque}.",
+        "Sampled, not proven:",
+        *_sampled_lines(fit),
     ]

@@ -17,6 +17,18 @@ settings.load_profile("dqforge")
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave all but the first case of each thinned test to the campaign."""
+    seen: set[str] = set()
+    for item in items:
+        if item.get_closest_marker("thinned") is not None:
+            name = item.nodeid.split("[")[0]
+            if name in seen:
+                item.add_marker(pytest.mark.slow)
+            seen.add(name)
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder with real files made by others; it lies beside the checkout and is no part of the project."""

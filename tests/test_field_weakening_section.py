@@ -7,13 +7,19 @@ import math
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError, VerificationError
 from dqforge.machines.loader import load_text
 from dqforge.machines.settings import WeakeningSettings
+from dqforge.machines.synchronous import LinearMachine
+from dqforge.optimizer.characteristics import characteristics
+from dqforge.optimizer.mtpa_locus import mtpa_locus
+from dqforge.optimizer.operating_points import Active, optimal_points
 from dqforge.optimizer.solution import solve_weakening
+from dqforge.optimizer.voltage_region import voltage_region
 from dqforge.reports.files import write_all
 from dqforge.reports.run import export_design, run_design
 from dqforge.reports.verify import read_folder, verify_folder
@@ -72,12 +78,53 @@ def test_a_speed_within_the_voltage_is_refused() -> None:
         solve_weakening(design("{speed: 300 rpm}"))
 
 
-def test_margin_and_modulation_set_the_least_flux_linkage() -> None:
+def test_margin_and_modulation_set_the_voltage() -> None:
     loaded = design("{}", **{"strategy: mtpa": "strategy: mtpa\n  modulation: spwm\n  voltage_margin: 10 %"})
     fit = solve_weakening(loaded)
     assert fit is not None
-    expected = 0.9 * 0.5 * loaded.inverter.v_dc / (loaded.machine.pole_pairs * (loaded.machine.omega_m_max or 0.0))
-    assert fit.region.flux_min == pytest.approx(expected, rel=1e-12)
+    assert fit.domain.v_max == pytest.approx(0.9 * 0.5 * loaded.inverter.v_dc, rel=1e-12)
+    whole = fit.domain.v_max / (loaded.machine.pole_pairs * (loaded.machine.omega_m_max or 0.0))
+    # What the resistance takes at the largest torque there: 0.6 V of 225 V.
+    assert 0.99 * whole < fit.region.flux_min < whole
+
+
+SMALL = {"bench": "paper001-pmsm-bench", "abb": "abb-ipmsm-2k2"}
+
+
+@pytest.mark.parametrize("drive", SMALL.values())
+@pytest.mark.parametrize("factor", [0.9, 0.98, 0.998, 1.002, 1.02, 1.15])
+def test_the_section_is_refused_exactly_where_no_operating_point_is_limited(drive: str, factor: float) -> None:
+    """Base speed, operating points and surfaces know the same resistance; without it the base speed is 10 % higher."""
+    loaded = load_text((LIBRARY / f"{drive}.yaml").read_bytes(), "design.yaml")
+    v_max = loaded.inverter.v_dc / math.sqrt(3.0) * (1.0 - loaded.operation.voltage_margin)
+    machine, i_max = loaded.machine, loaded.i_max
+    base = characteristics(machine, v_max, i_max).base_speed
+    omega_m = factor * base
+    torque = np.linspace(0.0, mtpa_locus(machine, i_max).torque[-1], 200)
+    found = optimal_points(machine, torque, omega_m, v_max=v_max, i_max=i_max)
+    limited = bool(np.any(np.isin(found.active, [Active.VOLTAGE, Active.BOTH, Active.MTPV])))
+    assert limited == (factor > 1.0)
+    if limited:
+        assert voltage_region(machine, i_max, v_max, omega_m).flux.flux_max > 0.0
+    else:
+        with pytest.raises(NoSolutionError, match=r"limits nothing up to .* the resistance drop included"):
+            voltage_region(machine, i_max, v_max, omega_m)
+
+
+def test_a_size_that_would_do_is_named() -> None:
+    with pytest.raises(NoSolutionError, match=r"write flash: \d+ B") as caught:
+        solve_weakening(design("{flash: 300 B}"))
+    needed = re.search(r"write flash: (\d+) B", str(caught.value))
+    assert needed is not None
+    fit = solve_weakening(design(f"{{flash: {needed[1]} B}}"))
+    assert fit is not None
+    assert fit.step.flash == int(needed[1])
+
+
+def test_a_resistance_that_takes_the_whole_voltage_is_refused() -> None:
+    machine = LinearMachine(pole_pairs=3, r_s=40.0, l_d=6e-3, l_q=6e-3, psi_pm=0.06, i_max=6.4, inertia=1e-5)
+    with pytest.raises(NoSolutionError, match="the resistance alone takes"):
+        voltage_region(machine, 6.4, 104.0, 500.0)
 
 
 def test_headers_are_written_verified_rebuilt_and_a_changed_digit_is_found(tmp_path: Path) -> None:
@@ -91,6 +138,7 @@ def test_headers_are_written_verified_rebuilt_and_a_changed_digit_is_found(tmp_p
     verify_folder(tmp_path)
     plain = json.loads(output.files["result.json"])["weakening"]
     assert plain["errors"]["torque_relative"] <= 0.005
+    assert plain["voltage_errors"]["voltage_excess"] <= plain["certificate"]["voltage_excess"] <= 0.005
     assert plain["trials"][-1]["chosen"] is True
 
     header = tmp_path / f"{found.prefix}_weakening.h"
@@ -128,11 +176,11 @@ def test_report_and_tables_show_errors_and_the_trials() -> None:
     assert fit.certificate is not None
     assert fit.certificate.torque <= proof["torque"] <= fit.certificate.torque * (1.0 + 1e-7)
     assert proof["model"] == "equations"
-    assert "Proven for every torque and flux linkage" in page
+    assert "Proven for every torque, motoring and generating" in page
     (table,) = weakening_tables(fit)
     assert len(table.rows) == len(fit.trials)
     assert any(note.startswith("proven bounds: torque ") for note in table.notes)
-    assert table.rows[-1][2] == str(fit.reference.coefficients)
+    assert table.rows[-1][2] == str(fit.step.coefficients)
     assert weakening_tables(None) == []
     plain = load_text((LIBRARY / "paper000-ipmsm-100kw.yaml").read_bytes(), "design.yaml")
     assert 'id="weakening"' not in run_design(plain, verify=False).files["report.html"].decode("utf-8")

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dqforge.machines.bemf_capture import BemfCapture, analyse, analyse_period, capture_from_table
+from dqforge.machines.bemf_capture import analyse, analyse_period
 from dqforge.machines.bemf_checks import Origin, check_certain
+from dqforge.machines.bemf_columns import BemfCapture, capture_from_table
 from dqforge.machines.errors import InputError
 from dqforge.machines.synchronous import FloatArray
 from dqforge.machines.text_table import TextTable, read_table

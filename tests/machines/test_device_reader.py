@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from simple_losses import loss_budget
 
 from dqforge.machines import catalogue, device_catalogue
 from dqforge.machines.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.loader import load_text
 from dqforge.machines.schema import json_schema
-from dqforge.optimizer.loss_budget import loss_budget
 
 TEXT = catalogue.read_text("paper000-ipmsm-100kw").decode()
 START, END = TEXT.index("  device:\n"), TEXT.index("control:\n")

@@ -93,7 +93,7 @@ def test_capture_beside_the_design_is_taken(tmp_path: Path, symmetric: str) -> N
 @pytest.mark.parametrize(
     ("back", "message"),
     [
-        ("{}", "write either harmonics or file"),
+        ("{}", "write either harmonics, file or files"),
         ("{harmonics: [{order: 3, share: 10 %}]}", "needs order 1 with its amplitude"),
         ("{harmonics: [{order: 1, share: 10 %}]}", "needs order 1 with its amplitude"),
         ("{harmonics: [{order: 1, amplitude: 0.2 Wb}, {order: 1, share: 1 %}]}", "order 1 is listed twice"),

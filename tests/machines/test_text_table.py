@@ -179,7 +179,7 @@ FAULTS: dict[str, tuple[bytes, int | None, str]] = {
     "one row": (b"a,b\n1,2\n", 2, "single row"),
     "binary": (b"a,b\n1,2\n\x89PNG\x00\x01\n", 3, "binary"),
     "damaged utf-16": (b"\xff\xfea\x00,", None, "UTF-16"),
-    "large": (bytes(200_000_001), None, "200 MB"),
+    "large": (bytes(256_000_001), None, "256 MB"),
     "short row": (b"a,b,c\n1,2,3\n4,5\n6,7,8\n", 3, "this line has 2 columns, the rows have 3: '4,5'"),
     "short first row": (b"a,b,c\n1,2\n4,5,6\n6,7,8\n", 2, "this line has 2 columns, the rows have 3"),
     "long row": (b"a;b\n1,5;2\n\n4;5;6\n6;7\n", 4, "this line has 3 columns, the rows have 2"),
@@ -228,7 +228,7 @@ def test_large_tables_are_read_in_blocks_without_looking_at_cells(monkeypatch: p
     rows = np.random.default_rng(2).normal(size=(200_000, 4))
     stream = io.StringIO()
     np.savetxt(stream, rows, fmt="%.17g", delimiter=";", header="t_s;u1_V;u2_V;u3_V", comments="")
-    monkeypatch.setattr("dqforge.machines.text_table._cell_by_cell", None)
+    monkeypatch.setattr("dqforge.machines.text_cells._cell_by_cell", None)
     table = read(stream.getvalue().replace(".", ","))
     np.testing.assert_array_equal(table.values, rows)
     assert table.lines[-1] == 200_001

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.yaml_source import MAX_BYTES, Position, dotted, parse_yaml, read_bytes
+from dqforge.machines.places import Position, dotted
+from dqforge.machines.yaml_source import MAX_BYTES, parse_yaml, read_bytes
 
 
 def _refused(content: bytes) -> InputError:
@@ -192,7 +194,7 @@ def test_permission_error_is_reported(tmp_path: Path, monkeypatch: pytest.Monkey
     def refuse(*_: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "open", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(InputError, match="check its permissions"):
         read_bytes(tmp_path / "x.yaml")
 
@@ -206,10 +208,8 @@ def test_huge_file_is_not_read_whole(tmp_path: Path) -> None:
     path = tmp_path / "huge.yaml"
     with path.open("wb") as stream:
         stream.truncate(1 << 34)
-    content = read_bytes(path)
-    assert len(content) == MAX_BYTES + 1
-    with pytest.raises(InputError, match="larger than"):
-        parse_yaml(content, "huge.yaml")
+    with pytest.raises(InputError, match=r"the file has 1\.718e\+04 MB, at most 1\.049 MB can be read"):
+        read_bytes(path)
 
 
 def test_symbolic_links_are_followed(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from drives import IPM, MOSFET, SURFACE
 from saturated import ArctanMachine
+from simple_losses import loss_budget
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.inverter import Inverter, SwitchDevice
@@ -15,7 +16,6 @@ from dqforge.machines.machine_loss import MachineLoss
 from dqforge.machines.settings import ModulationName
 from dqforge.machines.synchronous import FloatArray, Machine
 from dqforge.optimizer.local_terms import LossCoefficients
-from dqforge.optimizer.loss_budget import loss_budget
 from dqforge.optimizer.loss_model import drive_losses, loss_coefficients
 from dqforge.optimizer.operating_points import optimal_points
 

@@ -18,9 +18,9 @@ from dqforge.optimizer.lpv_certificate import (
     flux_error_matrix,
     holds_exactly,
 )
-from dqforge.optimizer.observer_judgement import steady_observer
 from dqforge.optimizer.observer_settings import ObserverTuning
 from dqforge.optimizer.position_observers import METHODS
+from dqforge.optimizer.steady_observer import steady_observer
 
 MACHINE = LinearMachine(pole_pairs=3, r_s=0.5, l_d=2e-3, l_q=3e-3, psi_pm=0.1, i_max=20.0)
 T_S = 2e-4

@@ -17,12 +17,13 @@ from dqforge.machines.synchronous import FloatArray, LinearMachine
 from dqforge.optimizer.eemf_observer import exact_factors, factor_error
 from dqforge.optimizer.ekf_tuning import first_guess, usual_noise
 from dqforge.optimizer.flux_observer import FluxGains, flux_path, integrated
-from dqforge.optimizer.observer_judgement import closed_form_error, judge_at, steady_observer
+from dqforge.optimizer.observer_judgement import judge_at
 from dqforge.optimizer.observer_settings import Disturbances, ObserverTuning
 from dqforge.optimizer.observer_tuning import optimise, tune_position_observer
 from dqforge.optimizer.pll import pll_gains
 from dqforge.optimizer.position_observers import METHODS, ObserverMethod, method_named, observe
 from dqforge.optimizer.sampled_steps import ekf_gains
+from dqforge.optimizer.steady_observer import closed_form_error, steady_observer
 
 T_S = 1e-4
 OMEGA_MAX = 3000.0
@@ -275,12 +276,12 @@ def test_optimised_tuning_beats_the_usual_one_in_simulation(method: ObserverMeth
 def test_speed_range_is_bounded_by_resistance_and_noise_below_and_sampling_above() -> None:
     wide = tune_position_observer(IPM, ObserverSettings(method="extended-emf"), T_S, 500.0, OMEGA_MAX, _disturbances())
     judgement = wide.judgement
-    assert 0.0 < judgement.omega_low < 0.2 * OMEGA_MAX
-    assert OMEGA_MAX <= judgement.omega_high <= 0.8 / T_S
+    assert 0.0 < judgement.steady_low < 0.2 * OMEGA_MAX
+    assert OMEGA_MAX <= judgement.steady_high <= 0.8 / T_S
     noisy = replace(_disturbances(), i_noise=10.0)
     loud = tune_position_observer(IPM, ObserverSettings(method="extended-emf"), T_S, 500.0, OMEGA_MAX, noisy)
-    assert loud.judgement.omega_low > judgement.omega_low
-    at_low = np.searchsorted(judgement.omega, judgement.omega_low)
+    assert loud.judgement.steady_low > judgement.steady_low
+    at_low = np.searchsorted(judgement.omega, judgement.steady_low)
     squares = judgement.noise**2 + sum(part**2 for part in judgement.bias.values())
     assert np.sqrt(squares[at_low]) <= np.radians(10.0)
     assert not np.sqrt(squares[at_low - 1]) <= np.radians(10.0)

@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 from drives import IPM, SURFACE, make_design
 
-from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.settings import LoadPoint, LossSettings
 from dqforge.optimizer.solution import solve_curves, solve_gains, solve_losses
 
@@ -19,13 +18,6 @@ def test_each_axis_is_tuned_for_its_own_inductance() -> None:
     assert gains.i_d.kp == pytest.approx(6283.0 * 350e-6)
     assert gains.i_q.kp == pytest.approx(6283.0 * 592e-6)
     assert gains.i_d.ki == gains.i_q.ki == pytest.approx(6283.0 * 2e-3)
-
-
-@pytest.mark.parametrize("torque", [1300.0, -1300.0])
-def test_a_comparison_beyond_the_current_limit_is_refused_for_both_signs_of_torque(torque: float) -> None:
-    design = replace(make_design(), losses=LossSettings((LoadPoint(10.0, 300.0), LoadPoint(torque, 300.0))))
-    with pytest.raises(NoSolutionError, match=r"losses\.points: 1300 N m cannot be had"):
-        solve_losses(design)
 
 
 def test_braking_loses_as_much_as_driving_in_copper_and_less_voltage() -> None:

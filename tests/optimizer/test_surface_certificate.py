@@ -19,11 +19,11 @@ from dqforge.machines.synchronous import FloatArray, LinearMachine, Machine
 from dqforge.optimizer import surface_certificate
 from dqforge.optimizer.flux_surface import weakening_region
 from dqforge.optimizer.single_precision import SingleArray, fused_multiply_add, multiply_add
-from dqforge.optimizer.surface_certificate import SurfaceCertificate, certify_surface
+from dqforge.optimizer.surface_certificate import SurfaceCertificate, certify_step, certify_surface
 from dqforge.optimizer.surface_enclosures import Bend, Boxes, rounding
 from dqforge.optimizer.surface_errors import enclose
 from dqforge.optimizer.surface_fit import WeakeningFit, fit_weakening
-from dqforge.optimizer.surface_limit import largest_torque, limit_range
+from dqforge.optimizer.surface_limit import largest_torque, limit_decrease, limit_range
 from dqforge.optimizer.surface_reference import SingleSurface, WeakeningReference
 from dqforge.optimizer.vector_balls import Balls
 
@@ -48,9 +48,16 @@ QUICK = ("interior", "surface", "syrm")
 NAMES = [pytest.param(name, marks=() if name in QUICK else SLOW) for name in CASES]
 
 
+def bare(machine: Machine) -> Machine:
+    """The machine without resistance."""
+    assert isinstance(machine, LinearMachine | SaturatedMachine)
+    return replace(machine, r_s=0.0)
+
+
 @cache
 def fitted(name: str) -> WeakeningFit:
     machine, flux_min = CASES[name]
+    machine = bare(machine)
     v_max = 300.0 * machine.pole_pairs * flux_min
     return fit_weakening(machine, machine.i_max, v_max, WeakeningSettings(300.0))
 
@@ -162,7 +169,7 @@ def changed(reference: WeakeningReference, factor: float) -> WeakeningReference:
 @pytest.mark.parametrize("name", ["interior", pytest.param("pmsyrm", marks=SLOW)])
 def test_a_changed_coefficient_is_seen(name: str) -> None:
     fit = fitted(name)
-    mutated = replace(fit, reference=changed(fit.reference, 1.03))
+    mutated = replace(fit, step=replace(fit.step, surface=changed(fit.reference, 1.03)))
     found = found_errors(mutated, *inputs(mutated.reference, 2, 200_000))
     assert found[0] > 1.05 * proven(name).torque  # the change matters
     bounds = certify_surface(fit.region, mutated.reference)
@@ -302,6 +309,20 @@ def test_the_rounded_limit_lies_in_its_range(name: str) -> None:
             assert np.all(((least <= found) & (found <= largest))[inside])
 
 
+def test_what_a_limit_loses_where_the_flux_linkage_rises_is_bounded() -> None:
+    """Nothing but rounding for what is emitted; all of it for a limit that is made to fall."""
+    reference = fitted("interior").reference
+    assert limit_decrease(reference) < 1e-5 * fitted("interior").region.torque_max
+    rows = reference.limit.coefficients.copy()
+    rows[:, 1] *= np.float32(0.2)
+    falling = replace(reference, limit=replace(reference.limit, coefficients=rows))
+    above = np.linspace(0.0, float(reference.flux_max - reference.flux_min), 20_001).astype(np.float32)
+    values = falling.limit.evaluate(above, multiply_add).astype(np.float64)
+    lost = float(np.max(np.maximum.accumulate(values) - values))
+    assert lost > 0.0
+    assert lost <= limit_decrease(falling) <= 1.1 * lost + 1e-4 * fitted("interior").region.torque_max
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_the_largest_torque_lies_between_its_bounds(name: str) -> None:
     region = fitted(name).region
@@ -354,7 +375,7 @@ def test_overflow_in_single_precision_gives_no_certificate() -> None:
 
 def test_the_same_bytes_every_time() -> None:
     fit = fitted("interior")
-    assert certify_surface(fit.region, fit.reference) == fit.certificate
+    assert certify_step(fit.domain, fit.step) == fit.certificate
 
 
 def fractions(balls: Balls) -> list[tuple[Fraction, Fraction]]:

@@ -50,7 +50,13 @@ LOOPED = ("bandwidth (crossover)", *MARGINS)
     ("old", "new", "rows", "macros"),
     [
         ("value: 4.88 us", "value: 5 us", {("limits", "dead time")}, set()),
-        ("max_speed: {value: 5420 rpm", "max_speed: {value: 6000 rpm", {("limits", "largest speed")}, set()),
+        (
+            # The speed loop runs on an observer and is judged up to the largest speed.
+            "max_speed: {value: 5420 rpm",
+            "max_speed: {value: 6000 rpm",
+            {("limits", "largest speed"), *(("speed loop", label) for label in LOOPED)},
+            set(),
+        ),
         # In a prefix only: macros are compared without it.
         ("prefix: bench001", "prefix: other", set(), set()),
         (
@@ -73,7 +79,8 @@ LOOPED = ("bandwidth (crossover)", *MARGINS)
         (
             "inductance_d: {value: 1.61 mH",
             "inductance_d: {value: 1.65 mH",
-            {("machine", "inductance d"), *(("i_d loop", label) for label in LOOPED)},
+            # The observer takes the voltage that turns with i_d off, and the speed loop is judged on it.
+            {("machine", "inductance d"), *((loop, label) for loop in ("i_d loop", "speed loop") for label in LOOPED)},
             {"L_D_H"},
         ),
     ],
@@ -294,7 +301,7 @@ def test_faults_of_names_are_one_line(run: Run, written: Path, tmp_path: Path) -
     for name, words in (
         ("empty", "empty: the folder has no result.json"),
         ("foreign.h", "foreign.h: is no header of dqforge"),
-        ("pipe.json", "pipe.json: is no file"),
+        ("pipe.json", "pipe.json: cannot be read (this is a named pipe)"),
         ("bytes.h", "bytes.h: is no header of dqforge"),
         ("bytes.json", "bytes.json: is not JSON"),
         ("bytes.yaml", "bytes.yaml:1:1: the byte 0xFE"),
@@ -305,3 +312,12 @@ def test_faults_of_names_are_one_line(run: Run, written: Path, tmp_path: Path) -
         code, out, err = run("compare", written, name)
         assert (code, out, err.count("\n")) == (2, "", 1)
         assert words in err
+
+
+def test_losses_with_and_without_the_bridge_are_not_compared() -> None:
+    """A total without the bridge is smaller by what nobody knows; that is no saving."""
+    base = make_design()
+    bare = replace(base, inverter=replace(base.inverter, device=None))
+    found = compare_sides(solved_side("a", base), solved_side("b", bare))
+    assert found.losses == ()
+    assert any("those of B are without the bridge" in note for note in found.alone)

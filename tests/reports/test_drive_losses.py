@@ -110,7 +110,7 @@ def test_every_kind_of_loss_has_a_heading_and_a_colour() -> None:
         (("--map", "6x8", "--margin", "95 %"), "--margin: expected a share"),
         (("--map", "2000x2000"), "budgets are asked for"),
         (("--modulations", "spwm"), "go with --map or --mission"),
-        (("--mission", "none.csv"), "none.csv: cannot be read"),
+        (("--mission", "none.csv"), "none.csv: there is no such file"),
         (("--mission", "late.csv"), "late.csv:3: time 0 s does not lie after"),
         (("--mission", "fast.csv"), "fast.csv:2: speed 20000 rpm is above machine.max_speed"),
     ],
@@ -124,10 +124,15 @@ def test_faults_are_one_line(run: Run, arguments: tuple[str, ...], message: str)
     assert message in err
 
 
-def test_a_design_without_a_switch_is_refused(run: Run) -> None:
-    code, _, err = run("abb-ipmsm-2k2", "--map", "4x4")
-    assert code == 2
-    assert "inverter.device" in err
+@pytest.mark.parametrize("mission", [False, True])
+def test_a_design_without_a_switch_is_compared_without_the_bridge(run: Run, mission: bool) -> None:
+    Path("m.csv").write_text("t [s],n [rpm],M [Nm]\n0,100,10\n1,100,5\n2,0,0\n", encoding="utf-8")
+    arguments = ("--mission", "m.csv") if mission else ("--map", "4x4")
+    code, out, err = run("abb-ipmsm-2k2", *arguments, "--plot", "losses.svg")
+    assert (code, err) == (0, "")
+    assert "the design has no inverter.device: the total is without the bridge" in " ".join(out.split())
+    assert "conduction" not in out.split("the design has")[0]
+    assert "nan" not in Path("losses.svg").read_text(encoding="utf-8")
 
 
 def test_torque_that_cannot_be_had_is_named_by_line(run: Run) -> None:

@@ -144,11 +144,11 @@ def test_alternatives_that_cannot_be_used_say_why(solution: Solution) -> None:
     assert comparison is not None
     linear = comparison.budget.linear.copy()
     linear[0, 0, 0] = False
-    stable = comparison.budget.thermally_stable.copy()
+    stable = comparison.budget.steady.copy()
     stable[0, 1, 0] = False
     total = comparison.budget.total.copy()
     total[0, 1, 0] = np.nan
-    budget = replace(comparison.budget, linear=linear, thermally_stable=stable, total=total)
+    budget = replace(comparison.budget, linear=linear, steady=stable, total=total)
     texts = svg_texts(to_svg(plot_losses(solution.design, replace(comparison, budget=budget))))
     assert "voltage beyond the linear range" in texts
     assert "junction temperature runs away" in texts

@@ -17,9 +17,9 @@ from dqforge.optimizer import sampled_observers
 from dqforge.optimizer.ekf import ekf
 from dqforge.optimizer.matsui import matsui
 from dqforge.optimizer.matsui_errors import steady_error
-from dqforge.optimizer.observer_judgement import steady_observer
 from dqforge.optimizer.position_observers import METHODS
 from dqforge.optimizer.sampled_steps import ekf_gains
+from dqforge.optimizer.steady_observer import steady_observer
 from dqforge.reports.observer_header import emitted, observer_from, plain_observer
 from dqforge.reports.run import export_design
 from dqforge.reports.verify import verify_folder

@@ -18,10 +18,10 @@ from dqforge.machines.inverter import Inverter
 from dqforge.machines.scenario import CurrentSensor, Encoder, PlantErrors, Profile, Scenario, Sensorless, constant
 from dqforge.machines.settings import CurrentLoopSettings, ObserverMethodName, ObserverSettings, SpeedLoopSettings
 from dqforge.machines.synchronous import FloatArray, LinearMachine
-from dqforge.optimizer.observer_judgement import steady_observer
 from dqforge.optimizer.observer_parts import cast
 from dqforge.optimizer.position_observers import METHODS
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.optimizer.steady_observer import steady_observer
 from dqforge.reports.control_types_model import clarke, wrap
 from dqforge.reports.drive_simulation import controller_files, drive_of, evaluate, observers_of
 from dqforge.reports.figures_simulation import plot_simulation

@@ -311,7 +311,7 @@ def test_unstable_drive_is_said_to_be_unstable() -> None:
     wild = CurrentLoopSettings("given", kp=8.0, ki=100.0, phase_margin_min=0.0)
     base = solve(design)
     q = replace(base.gains.i_q, kp=80.0)
-    worse = replace(base, gains=replace(base.gains, i_q=q, i_d=replace(base.gains.i_d, kp=80.0)))
+    worse = replace(base, loops=replace(base.gains, i_q=q, i_d=replace(base.gains.i_d, kp=80.0)))
     scenario = Scenario(0.1, "current", constant(5.0), constant(0.0), shaft=constant(0.0))
     narrow = replace(design, simulation=scenario, control=replace(design.control, current_loop=wild))
     narrow = replace(narrow, machine=replace(MACHINE, i_max=0.05))

@@ -1,0 +1,111 @@
+"""Where the keys of a design stand in its file, and how a refusal from anywhere in the program finds its place there.
+
+What solves, tunes and prints knows nothing of files. Its messages begin with the key that they are about, such as
+``control.observer: ...``; what cannot know the key stands in a block `about` a section. Where the design is at hand,
+`Places.locate` turns either into file, line and column.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from dqforge.machines.errors import DqforgeError, VerificationError
+from dqforge.machines.quantities import shown
+
+KeyPath = tuple[str | int, ...]
+
+_LEADING = re.compile(r"([a-z]\w*)((?:\.[a-z]\w*|\[\d+\])*)(?=[:, ]|$)", re.ASCII)
+_PART = re.compile(r"\.([a-z]\w*)|\[(\d+)\]", re.ASCII)
+
+
+class Position(NamedTuple):
+    """One-based line and column in a file."""
+
+    line: int
+    column: int
+
+
+def dotted(path: KeyPath) -> str:
+    """Path as it is written in messages: ``losses.points[0].torque``."""
+    text = ""
+    for part in path:
+        # A key is the user's text until it has been recognised.
+        text += f"[{part}]" if isinstance(part, int) else ("." if text else "") + shown(part)[1:-1]
+    return text
+
+
+def leading_path(message: str) -> KeyPath:
+    """Path of the dotted key that a message begins with; a first word that is no key counts, too."""
+    found = _LEADING.match(message)
+    if found is None:
+        return ()
+    parts = [int(index) if index else key for key, index in _PART.findall(found.group(2))]
+    return (found.group(1), *parts)
+
+
+def nearest(
+    keys: Mapping[KeyPath, Position], values: Mapping[KeyPath, Position], path: KeyPath, *, key: bool = False
+) -> Position:
+    """Where the value of a part begins, or its key, or the nearest enclosing part that is in the file."""
+    for length in range(len(path), 0, -1):
+        # For a key that is missing, its section's key is the line to look at.
+        table = keys if key or length < len(path) else values
+        if path[:length] in table:
+            return table[path[:length]]
+    return values[()]
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Positions of the keys of a design file.
+
+    Parameters
+    ----------
+    source:
+        File name as the user gave it.
+    keys, values:
+        Where each key and its value begin, by path. List entries have the position of their value in both.
+    sections:
+        Keys that a design may have at its top level.
+    """
+
+    source: str
+    keys: Mapping[KeyPath, Position]
+    values: Mapping[KeyPath, Position]
+    sections: tuple[str, ...]
+
+    def locate(self, error: DqforgeError, section: str = "") -> None:
+        """Give file, line, column and key to an error on this design that has none.
+
+        Parameters
+        ----------
+        error:
+            Left as it is where it has a position, where it is about another file or an option of the command line,
+            and where it is about compiled C.
+        section:
+            The dotted key to name where the message names none.
+        """
+        option = error.message.startswith("--")
+        if error.line is not None or error.source is not None or option or isinstance(error, VerificationError):
+            return
+        path = leading_path(error.message)
+        if not path or path[0] not in self.sections:
+            path = leading_path(error.section or section)
+            error.message = f"{dotted(path)}: {error.message}" if path else error.message
+        error.source = self.source
+        error.line, error.column = nearest(self.keys, self.values, path, key=True)
+
+
+@contextmanager
+def about(section: str) -> Iterator[None]:
+    """Name the section of the design that errors of the block are about, unless they know better."""
+    try:
+        yield
+    except DqforgeError as error:
+        if error.section is None:
+            error.section = section
+        raise
