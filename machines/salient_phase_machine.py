@@ -108,6 +108,11 @@ class SalientPhaseMachine:
         return self.phases.flux
 
     @property
+    def psi_pm(self) -> float:
+        """Positive sequence of the fundamental flux linkage, peak of phase, in Wb."""
+        return self.phases.psi_pm
+
+    @property
     def angles(self) -> int:
         """Number N of angles in the period."""
         return self.phases.angles
