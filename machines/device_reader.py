@@ -73,6 +73,7 @@ def _model(reference: DeviceReference, reading: Reading) -> DeviceModel:
         with document.at((*_PATH, "name")):
             content = device_catalogue.read_text(reference.name)
         reading.files.append(content)
+        reading.names.append("")  # it comes with the package
         return device_catalogue.load(reference.name)
     from dqforge.machines.device_files import MAX_BYTES, read_device
 

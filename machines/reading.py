@@ -34,7 +34,7 @@ class Reading:
 
     ``converted`` holds for paths of converted values what is used and what was done, ``derived`` values that follow
     from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names,
-    ``names`` the names of these, ``flux_evidence`` what was found about its flux maps. ``connection`` is that of the
+    ``names`` the names of these (empty for what the package ships), ``flux_evidence`` what was found about its flux maps. ``connection`` is that of the
     machine's windings.
     """
 
@@ -51,7 +51,8 @@ class Reading:
 
     def given(self) -> DesignFiles:
         """Everything that was read, from which the same design can be read again."""
-        return DesignFiles(self.text, tuple(dict(zip(self.names, self.files, strict=True)).items()))
+        named = {name: content for name, content in zip(self.names, self.files, strict=True) if name}
+        return DesignFiles(self.text, tuple(named.items()))
 
     def digest(self) -> str:
         """SHA-256 of the design file, or of its bytes and the digests of the files that it names, in their order."""

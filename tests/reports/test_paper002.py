@@ -71,6 +71,6 @@ def test_command_prints_both_values_and_writes_the_figures(tmp_path: object) -> 
     assert shown.exit_code == 0, shown.output
     assert "1.06 / 1.061" in shown.output
     written = sorted(path.name for path in tmp_path.iterdir())  # type: ignore[attr-defined]
-    assert written == ["figures-2.3-to-3.2.svg", "figures-6.4-to-6.9.svg"]
+    assert written == ["dqforge-manifest.json", "figures-2.3-to-3.2.svg", "figures-6.4-to-6.9.svg"]
     document = json.loads(runner.invoke(app, ["reproduce", "002", "--json"]).output)
     assert document["table_3_1"][2]["loss_ratio_dqx_over_dqy"] == pytest.approx(1.7321, abs=1e-3)
