@@ -34,8 +34,8 @@ class Reading:
 
     ``converted`` holds for paths of converted values what is used and what was done, ``derived`` values that follow
     from others, ``remarks`` sentences on what the file leaves open, ``files`` the bytes of the files that it names,
-    ``names`` the names of these (empty for what the package ships), ``flux_evidence`` what was found about its flux maps. ``connection`` is that of the
-    machine's windings.
+    ``names`` the names of these (empty for what the package ships), ``flux_evidence`` what was found about its flux
+    maps. ``connection`` is that of the machine's windings.
     """
 
     document: YamlDocument

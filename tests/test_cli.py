@@ -114,6 +114,7 @@ def test_same_design_same_bytes(run: Run, tmp_path: Path) -> None:
         assert str(tmp_path).encode() not in path.read_bytes()
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", catalogue.names())
 def test_every_library_drive_exports_and_verifies(run: Run, name: str) -> None:
     outcome = run("export", name)
@@ -216,6 +217,7 @@ def test_tables_print(run: Run, command: str) -> None:
     assert "\x1b" not in outcome.out
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("command", ["mtpa", "fit", "tune", "losses"])
 @pytest.mark.parametrize("suffix", ["svg", "png"])
 def test_plots(run: Run, tmp_path: Path, command: str, suffix: str) -> None:
@@ -293,6 +295,7 @@ def test_there_are_enough_broken_designs() -> None:
     assert len(BROKEN) >= 40
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("case", BROKEN, ids=[case[0] for case in BROKEN])
 def test_broken_designs_give_one_line_exit_2_and_no_file(
     run: Run, tmp_path: Path, case: tuple[str, str | bytes, int, int, str]

@@ -127,6 +127,7 @@ def test_a_resistance_that_takes_the_whole_voltage_is_refused() -> None:
         voltage_region(machine, 6.4, 104.0, 500.0)
 
 
+@pytest.mark.slow
 def test_headers_are_written_verified_rebuilt_and_a_changed_digit_is_found(tmp_path: Path) -> None:
     output = export_design(design("{}"), verify=True)
     assert output.verification is not None
@@ -154,6 +155,7 @@ def test_headers_are_written_verified_rebuilt_and_a_changed_digit_is_found(tmp_p
         verify_folder(tmp_path)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("damage", ["x", {}, {"flux_min": 1.0}])
 def test_a_damaged_result_is_refused(damage: object, tmp_path: Path) -> None:
     output = export_design(design("{}"), verify=False)
@@ -164,6 +166,7 @@ def test_a_damaged_result_is_refused(damage: object, tmp_path: Path) -> None:
         read_folder(tmp_path)
 
 
+@pytest.mark.slow
 def test_report_and_tables_show_errors_and_the_trials() -> None:
     output = run_design(design("{}"), verify=False)
     fit = output.solution.weakening

@@ -63,6 +63,7 @@ def test_energies_are_those_of_the_mission_by_itself(tmp_path: Path) -> None:
     assert found.runs[0].braking == pytest.approx(-40.0 * speed[2] * 4.0, rel=1e-6)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("points", [True, False])
 def test_report_and_result_show_it_with_and_without_points(points: bool, tmp_path: Path) -> None:
     files = run_design(load_design(written(tmp_path, points=points)), verify=False).files

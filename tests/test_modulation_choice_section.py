@@ -95,6 +95,7 @@ def test_what_is_written_is_taken() -> None:
     assert any("ripple_share permits 4.002" in sentence for sentence in loaded.assumptions)
 
 
+@pytest.mark.slow
 def test_the_header_is_written_verified_rebuilt_and_a_changed_threshold_is_found(
     output: RunOutput, tmp_path: Path
 ) -> None:

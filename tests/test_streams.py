@@ -32,6 +32,7 @@ def dqforge(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.thinned
 @needs_full
 @pytest.mark.parametrize(
     "command", ["--version", "--help", f"machines {BENCH}", f"check {BENCH}", f"check {BENCH} --json"]

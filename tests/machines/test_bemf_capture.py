@@ -74,6 +74,7 @@ def expected_amplitudes(highest: int) -> FloatArray:
     return amplitudes[:highest]
 
 
+@pytest.mark.slow
 def test_hundred_noisy_captures_give_the_harmonics_within_their_uncertainty() -> None:
     """10 bit, 2 % noise, 1 % offset, 7.3 periods, 1 % drift: within 0.3 %, and covered 95 times of 100 or more."""
     generator = np.random.default_rng(1)

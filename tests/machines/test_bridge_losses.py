@@ -126,6 +126,7 @@ def test_capacitor_current_against_kolar(name: ModulationName, lag: float) -> No
     assert V_DC * float(found.dc_current[0]) == pytest.approx(1.5 * v * i * cos, rel=1e-11, abs=1e-9)
 
 
+@pytest.mark.slow
 @given(st.floats(0.0, 400.0), st.floats(0.0, 2e4))
 def test_separate_junctions_settle_where_a_root_finder_finds_them(i: float, frequency: float) -> None:
     inverter, _ = with_model("sirectifier-sii400s12", 0.2)

@@ -42,6 +42,7 @@ def test_each_value_of_the_drive_has_an_origin(name: str) -> None:
             assert value.note, f"{value.path} does not say how it was inferred"
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", catalogue.names())
 def test_designs_have_different_prefixes_and_reachable_points(name: str) -> None:
     design = catalogue.load(name)

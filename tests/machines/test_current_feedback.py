@@ -71,6 +71,7 @@ def hysteresis() -> CurrentTrace:
     )
 
 
+@pytest.mark.slow
 def test_hysteresis_error_may_reach_twice_the_band_but_not_more(hysteresis: CurrentTrace) -> None:
     largest = hysteresis.largest_error()
     assert np.all(largest <= 0.5 * (1.0 + 1e-6))
@@ -97,6 +98,7 @@ def test_isolated_star_point_carries_no_current(hysteresis: CurrentTrace) -> Non
     assert np.max(np.abs(np.sum(hysteresis.phase_currents(1, time), axis=-1))) < 1e-9
 
 
+@pytest.mark.slow
 def test_hysteresis_with_tied_star_point_keeps_the_band_and_the_analytic_frequency() -> None:
     i_q, omega_m, band = np.array([2.0, 3.0]), np.array([150.0, 350.0]), 0.2
     trace = simulate_currents(TIED, Hysteresis(band), 0.0, i_q, omega_m)
@@ -114,6 +116,7 @@ def test_hysteresis_with_tied_star_point_keeps_the_band_and_the_analytic_frequen
     np.testing.assert_allclose(trace.rms_error(), band / math.sqrt(3.0), rtol=1e-3)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("frame", ["synchronous", "stationary"])
 def test_ramp_comparison_locks_to_the_carrier(frame: str) -> None:
     scheme = RampComparison(RAMP.kp, RAMP.ki, RAMP.f_carrier, "synchronous" if frame == "synchronous" else "stationary")
@@ -136,6 +139,7 @@ def test_ramp_comparison_steeper_than_its_carrier_chatters() -> None:
     assert with_band.switching_frequency().average[0] > 1.5 * steep.f_carrier
 
 
+@pytest.mark.slow
 def test_synchronous_regulators_leave_no_error_of_the_fundamental() -> None:
     trace = simulate_currents(EQUAL_DRIVE, RampComparison(2.0, 2000.0, 10e3), -1.0, 2.0, 200.0, periods=2, settling=1)
     fundamental = trace.spectrum([1])[0, 0]
@@ -143,6 +147,7 @@ def test_synchronous_regulators_leave_no_error_of_the_fundamental() -> None:
     np.testing.assert_allclose(fundamental, (-1.0 + 2.0j) * shifts, atol=0.01)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("ki", [0.0, 800.0])
 def test_stationary_regulators_leave_the_error_of_their_impedance(ki: float) -> None:
     """The averaged loop: G (i* - i) = (R + j omega L) i + e, G = kp + ki / (j omega)."""
@@ -200,6 +205,7 @@ def test_predictive_acts_at_its_samples_only() -> None:
     assert trace.switching_frequency().highest[0] <= 25e3 * (1.0 + 1e-9)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda scheme: type(scheme).__name__)
 def test_power_balance(scheme: Scheme) -> None:
     trace = simulate_currents(DRIVE, scheme, [-1.0, 0.0, 0.0], [3.0, 2.0, -2.0], [200.0, -250.0, 250.0], periods=2)
@@ -230,6 +236,7 @@ def test_spectrum_and_distortion_agree_with_parseval() -> None:
     assert partial < trace.current_thd()[0]
 
 
+@pytest.mark.slow
 def test_points_together_are_as_each_alone_and_runs_repeat() -> None:
     i_q, omega_m = [1.0, 3.0], [150.0, 250.0]
     for scheme in SCHEMES[1:]:

@@ -632,6 +632,7 @@ def complaint(content: bytes, source: str) -> str:
     return ""
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", FILES)
 def test_damaged_files_are_refused_in_one_line_or_read(name: str) -> None:
     content, source = FILES[name]

@@ -158,6 +158,7 @@ def spoilt(content: bytes, wrong: Wrong) -> bytes:
     return "\n".join([header, *(",".join(repr(float(cell)) for cell in row) for row in table)]).encode()
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     "wrong", WRONG, ids=lambda wrong: f"{wrong.file[:8]}-{wrong.keys or wrong.times or wrong.swap}"
 )

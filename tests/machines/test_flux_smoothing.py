@@ -75,6 +75,7 @@ def test_there_is_no_curl_and_the_halves_are_mirror_images() -> None:
     np.testing.assert_allclose(here[1], -there[1], atol=1e-12)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("seed", range(4))
 def test_inductances_are_positive_definite_between_the_places_where_that_is_asked(seed: int) -> None:
     """A map that falls over a whole band, which no smoothing alone mends: eigenvalues by NumPy on other places."""

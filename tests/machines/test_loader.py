@@ -341,6 +341,7 @@ SLIPS = [
 ]
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("slip", SLIPS)
 def test_any_wrong_value_is_read_or_refused(slip: str) -> None:
     design = catalogue.template().decode().splitlines()

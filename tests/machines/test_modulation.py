@@ -171,6 +171,7 @@ def test_sector_keeps_the_order_of_the_phases_and_its_weights_sum_to_one(
     assert np.all(np.diff(wave.voltage, axis=-1) <= 1e-10)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("lag", [0.0, 0.3, 0.9, 1.4, 2.2, -0.7, math.pi])
 def test_average_over_the_sector_is_the_limit_of_averages_over_the_period(name: ModulationName, lag: float) -> None:

@@ -27,6 +27,7 @@ def waves(lag: float = 0.4, count: int = 72000) -> tuple[FloatArray, FloatArray,
     return np.asarray(angle), np.asarray(np.cos(turned)), np.asarray(np.cos(turned - lag))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", MODULATORS)
 def test_fundamental_of_saturated_duty_cycles_in_amplitude_and_phase(name: ModulationName) -> None:
     angle, voltage, current = waves()

@@ -172,6 +172,7 @@ def _value_or_message(text: str, dimension: str) -> float | str:
         return error.message
 
 
+@pytest.mark.slow
 @given(st.text(max_size=70))
 @settings(max_examples=300, deadline=None)
 def test_any_text_is_read_or_refused_in_one_line(text: str) -> None:

@@ -35,6 +35,7 @@ def simulated_flux(name: str, amplitude: float, lag: float, angle: FloatArray = 
     return np.cumsum(switched - wanted[:, None, :], axis=1) / SAMPLES
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", MODULATORS)
 @pytest.mark.parametrize(("index", "degrees"), [(0.2, 10.0), (0.5, -45.0), (0.78, 80.0)])
 def test_harmonic_distortion_is_that_of_simulated_switching(name: ModulationName, index: float, degrees: float) -> None:

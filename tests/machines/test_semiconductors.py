@@ -141,6 +141,7 @@ def test_igbt_conduction_with_spwm_against_the_classical_closed_forms(v: float, 
     assert result.threshold == pytest.approx(threshold, rel=1e-11)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "spwm"])
 @pytest.mark.parametrize("lag", [0.2, 0.9, 1.5, 2.8, -0.6])
 def test_igbt_conduction_against_quadrature(name: ModulationName, lag: float) -> None:

@@ -224,6 +224,7 @@ def test_faults_behind_many_rows_are_found() -> None:
     assert caught.value.line == 50_002
 
 
+@pytest.mark.slow
 def test_large_tables_are_read_in_blocks_without_looking_at_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = np.random.default_rng(2).normal(size=(200_000, 4))
     stream = io.StringIO()

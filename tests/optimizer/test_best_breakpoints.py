@@ -126,6 +126,7 @@ def level_is_out_of_reach(
     return True
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("segments", [2, 3, 4])
 @pytest.mark.parametrize("degree", [2, 5])
 @pytest.mark.parametrize("machine", [IPM, RELUCTANCE, ArctanMachine()], ids=["ipm", "reluctance", "saturated"])
@@ -384,6 +385,7 @@ HARD: list[tuple[float, FitForm, int]] = [
 """Largest over base torque, form and degree; the first six have two segmentations with a worse one between them."""
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(("ratio", "form", "degree"), HARD)
 def test_breakpoint_is_best_where_several_are_level(ratio: float, form: FitForm, degree: int) -> None:
     breakpoints_are_best(ratio, form, degree, "minimax", 40)

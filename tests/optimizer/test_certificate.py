@@ -144,6 +144,7 @@ def rounding(case: Proven) -> Found:
     return Found(unit * i_max, unit * i_max, unit * end, 0.0, 0.0, 0.0)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", CASES)
 def test_no_torque_exceeds_the_bounds_and_they_are_close(name: str) -> None:
     case = proven(name)
@@ -171,6 +172,7 @@ def in_forty_digits(value: Any) -> Any:
     return mpmath.mpf(high) + mpmath.mpf(float(value - high))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", MAGNET_CASES)
 def test_bounds_hold_in_forty_digits_where_errors_are_largest(name: str) -> None:
     """The torques with the largest errors, and the ends, once more by the quartic in mpmath."""
@@ -209,6 +211,7 @@ def test_another_machine_has_larger_bounds() -> None:
         assert getattr(certificate, name) >= getattr(found, name)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("wrong_machine", [True, False])
 def test_bounds_need_no_good_sampling(wrong_machine: bool) -> None:
     """Samples that saw too little, even nothing: the bounds are proven without them."""
@@ -222,6 +225,7 @@ def test_bounds_need_no_good_sampling(wrong_machine: bool) -> None:
         assert getattr(certificate, name) >= getattr(found, name)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("power", [0, 1, 2, 3, 4])
 @pytest.mark.parametrize("segment", [0, 1])
 def test_mutated_coefficient_raises_the_bounds(power: int, segment: int) -> None:
@@ -259,6 +263,7 @@ def test_mutated_integer_raises_the_bounds() -> None:
     assert certificate.i_q >= found_errors(case.choice, mutated, dense_torques(mutated, 0, 6)).i_q > 1.5
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("degree", [1, 2, 3])
 @pytest.mark.parametrize("negative", [False, True])
 def test_bounds_near_rest_without_magnets(degree: int, negative: bool) -> None:
@@ -325,6 +330,7 @@ def test_loss_beside_the_kink_is_that_of_the_torque_that_is_made() -> None:
         assert bound >= getattr(found, field.name)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", ["polynomial-own", "fast", "baldor-pmsyrm-5k6"])
 def test_intervals_make_up_the_domain_and_each_holds(name: str) -> None:
     case = proven(name)

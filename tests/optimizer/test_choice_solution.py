@@ -83,6 +83,7 @@ def test_rules_lose_what_direct_budgets_say_and_keep_the_limits(name: str) -> No
         assert rule.permitted or name == "hot"
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", ["ripple", "bands", "id0"])
 def test_nothing_on_a_fine_grid_beats_the_best_choice(name: str) -> None:
     choice = solved(name)
@@ -108,6 +109,7 @@ def test_more_questions_cost_less_and_none_beats_the_best() -> None:
     assert choice.simplified().price == pytest.approx(choice.price(choice.emitted))
 
 
+@pytest.mark.slow
 def test_each_answer_has_the_best_frequency_of_its_own() -> None:
     """Of all multiples of 500 Hz that keep the limits everywhere in its part of the map none loses less."""
     choice = solved("ripple")

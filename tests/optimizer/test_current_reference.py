@@ -155,6 +155,7 @@ def test_alternatives_change_one_thing_at_a_time() -> None:
     assert rows["continuous: off"].errors.i_d <= fit.errors.i_d * 1.01
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(
     l_d=st.floats(1e-4, 1e-2),

@@ -19,6 +19,7 @@ from dqforge.optimizer.reference_fit import fit_reference
 _V_MAX = 25.0
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("inductances", INDUCTANCES)
 def test_points_are_the_best_that_is_measured(kind: str, inductances: tuple[float, float, float]) -> None:
@@ -82,6 +83,7 @@ def test_permitted_extrapolation_leaves_the_data_and_says_so() -> None:
     assert np.allclose(use.extrapolated, [0.0, choice.largest_torque()])
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("inductances", INDUCTANCES)
 def test_mtpa_locus_and_figures_stay_inside(kind: str, inductances: tuple[float, float, float]) -> None:

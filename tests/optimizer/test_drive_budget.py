@@ -39,6 +39,7 @@ def igbt() -> Inverter:
     return Inverter(500.0, 8e3, model.switch_device(200.0, 500.0, 100.0, 0.2), 65.0, 2e-6, device_model=model)
 
 
+@pytest.mark.slow
 def test_every_watt_is_found_again_over_random_machines_and_points() -> None:
     """Power in by duty cycles and currents, losses and shaft power are three computations; they agree to 1e-9."""
     random = np.random.default_rng(7)

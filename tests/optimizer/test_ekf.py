@@ -76,6 +76,7 @@ def test_without_noise_the_right_state_stays(bench001: LinearMachine) -> None:
     assert np.max(np.abs(angle_error(result.theta, trial))) < 1e-6
 
 
+@pytest.mark.slow
 def test_innovations_are_consistent_on_twenty_seeds(bench001: LinearMachine, tuned: Ekf) -> None:
     """The requirement: inside the 95 % band for at least 90 % of the time, by each of the three ways to say so."""
     nis = run(tuned, noisy_trial(bench001, T_S, NOISE, SPEED, I_REF, 1000, 20, 1000), theta_error=0.1).nis
@@ -90,6 +91,7 @@ def test_innovations_are_consistent_on_twenty_seeds(bench001: LinearMachine, tun
     assert np.min(per_seed) > 0.90  # every single seed, not only their mean
 
 
+@pytest.mark.slow
 def test_the_search_finds_the_stated_noise_from_a_wrong_start(bench001: LinearMachine, tuned: Ekf) -> None:
     first = first_guess(bench001, T_S, NOISE)
     wrong = replace(first, q_i=50.0 * first.q_i, q_a=first.q_a / 50.0, r=30.0 * first.r)

@@ -31,6 +31,7 @@ fit: {fit}
 """
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("machine", "budget"),
     [
@@ -94,6 +95,7 @@ def test_quick_fits_give_no_candidate_up_that_keeps_the_budget(machine: Machine,
                 assert not is_hopeless(quick, loss)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("form", ["polynomial", "even-odd", "torque-exact", "closed-form"])
 def test_bytes_are_the_constants_of_the_emitted_code(form: str) -> None:
     """Counted in the C text: literals of the evaluator, and the end of the domain."""
@@ -159,6 +161,7 @@ def with_formats(core: Core, **changes: object) -> FitSettings:
     return replace(FitSettings(format=None, full_scale=(240.0, 283.0), core=core), **changes)  # type: ignore[arg-type]
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("core", "expected"),
     [("cortex-m4", "float32"), ("cortex-m7", "float32"), ("cortex-m0plus", "q15"), ("cortex-m3", "q15")],
@@ -171,6 +174,7 @@ def test_cores_without_floating_point_get_fixed_point(core: Core, expected: str)
     assert found.fit.errors.loss_relative <= 1e-3
 
 
+@pytest.mark.slow
 def test_more_than_sixteen_bits_hold_is_given_to_wider_formats() -> None:
     budget = FitBudget(torque_error=2e-6)
     found = choose_fit(CurrentChoice(IPM, "mtpa", IPM.i_max), with_formats("cortex-m0plus"), budget)

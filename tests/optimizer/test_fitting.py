@@ -58,6 +58,7 @@ def dense_error(axis: str, fit: PiecewisePolynomial) -> float:
     return float(np.max(np.abs(fit(torque) - CURVES[axis](torque))))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("axis", ["d", "q"])
 @pytest.mark.parametrize(
     ("degree", "edges"),

@@ -236,6 +236,7 @@ def test_decoupling_in_volts(width: int) -> None:
     assert np.max(np.abs(feed.y * quantum - wanted)) < loose * quantum
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("width", WIDTHS)
 def test_observer_follows_the_real_one(width: int) -> None:
     """Paper 001's machine over 0.4 s, i_d = 0: the speed within some codes of the observer in reals."""

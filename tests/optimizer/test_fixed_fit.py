@@ -100,6 +100,7 @@ def exhaustive_best(curve: FloatArray, width: int, degree: int, shifts: tuple[in
     return best
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(("degree", "width"), [(1, 8), (1, 10), (2, 8)])
 @pytest.mark.parametrize("bend", [0.3, 1.0, 2.5])
 def test_search_is_within_five_percent_of_an_exhaustive_one(degree: int, width: int, bend: float) -> None:

@@ -94,6 +94,7 @@ def test_integer_roots_are_exact() -> None:
         assert np.array_equal(o.root(squares), near - (offset < 0))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("width", [16, 32])
 @pytest.mark.parametrize("name", ["paper000-ipmsm-100kw", "paper001-pmsm-bench", "abb-syrm-6k7"])
 def test_extremes_stay_within_what_is_proven(name: str, width: int) -> None:

@@ -79,6 +79,7 @@ def brute_limit(fit: WeakeningFit, flux: FloatArray) -> FloatArray:
     return np.array([np.max(torque[taken <= available]) for available in flux])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_torque_flux_and_current_stay_within_the_budget_at_random_points(name: str) -> None:
     fit = fitted(name)
@@ -201,6 +202,7 @@ def test_monomials_are_those_under_the_slanted_line() -> None:
     assert monomials(4, 2) == [(0, 0), (1, 0), (2, 0), (3, 0), (4, 0), (0, 1), (1, 1), (2, 1), (0, 2)]
 
 
+@pytest.mark.slow
 def test_a_budget_that_cannot_be_kept_is_refused() -> None:
     needed = fitted("pmsyrm").step.flash
     for flash in (400, 1300, needed - 1):

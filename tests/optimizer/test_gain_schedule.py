@@ -42,6 +42,7 @@ def solved(drive: str, method: str) -> tuple[Design, GainSet, GainSchedule]:
     return made, gains, gains.schedule
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("drive", ["abb-syrm-6k7-saturated", "baldor-pmsyrm-5k6"])
 @pytest.mark.parametrize("method", ["magnitude-optimum", "damping", "symmetrical-optimum"])
 def test_gains_in_the_firmware_are_those_of_the_method_at_every_current(drive: str, method: str) -> None:
@@ -62,6 +63,7 @@ def test_gains_in_the_firmware_are_those_of_the_method_at_every_current(drive: s
     assert max(schedule.fit.errors.values()) <= TOLERANCE
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("method", ["damping", "optimised"])
 def test_what_the_schedule_buys(method: str) -> None:
     """Constant gains for the least inductance lose bandwidth and phase margin at low current, scheduled ones do not."""

@@ -27,6 +27,7 @@ from dqforge.optimizer.observer_trials import CurrentSensor
 T_S = 1e-4
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("machine", [IPM, RELUCTANCE])
 @pytest.mark.parametrize("samples", [2, 8])
 @pytest.mark.parametrize("omega", [0.0, 40.0])

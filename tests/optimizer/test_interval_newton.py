@@ -81,6 +81,7 @@ def vars_of(bounds: Bounds) -> dict[str, float]:
     return dict(zip(Bounds.__dataclass_fields__, bounds.values().tolist(), strict=True))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", TASKS)
 def test_every_interval_keeps_its_own_bounds(name: str) -> None:
     task = TASKS[name]()
@@ -98,6 +99,7 @@ def test_every_interval_keeps_its_own_bounds(name: str) -> None:
     assert proven >= 30
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", ["polynomial", "flux map", "reluctance"])
 def test_bounds_beside_exact_currents_hold_as_well(name: str) -> None:
     task = TASKS[name]()

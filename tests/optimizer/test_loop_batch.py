@@ -130,6 +130,7 @@ def polished(function: Callable[[float], float], omega: float) -> float:
     return float(brentq(function, 0.999 * omega, min(1.001 * omega, np.pi / T_S), xtol=1e-14 * omega, rtol=1e-13))
 
 
+@pytest.mark.slow
 def test_current_loops_of_random_drives_agree_with_python_control() -> None:
     r_s, inductance, kp, ki = random_currents(3)
     batch = close_loops(current_plants(r_s, inductance, T_S, np.ones(COUNT)), kp, ki)
@@ -137,6 +138,7 @@ def test_current_loops_of_random_drives_agree_with_python_control() -> None:
     assert_like_control(batch, [reference_current_loop(*row) for row in rows])
 
 
+@pytest.mark.slow
 def test_speed_loops_of_random_drives_agree_with_python_control() -> None:
     """Both controllers at one rate, with a wrong torque constant, dc link and feedforward of the back-EMF."""
     generator = np.random.default_rng(4)

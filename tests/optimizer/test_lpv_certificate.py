@@ -57,6 +57,7 @@ def test_matrix_is_the_derivative_of_the_observer(gains: FluxGains, omega: float
     np.testing.assert_allclose(_matrix(gains, omega, i_dq), jacobian, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_every_speed_of_a_dense_grid_decays_at_least_as_proven(
     gains: FluxGains, certificate: LyapunovCertificate
 ) -> None:

@@ -347,6 +347,7 @@ def test_scalars_broadcast_and_wrong_input_is_refused() -> None:
     assert copper_only(LinearMachine(1, 0.0, 1.0, 1.0, 1.0, 1.0)).square == 1.0
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("i_max", [12.45, 19.5, 20.0])
 def test_every_random_point_of_a_measured_map_is_an_optimum(shared_data: Path, i_max: float) -> None:
     """30,000 points of a map that is bumpy; at 20 A one of them has two valleys, one of them beyond the limit."""

@@ -22,6 +22,7 @@ def winding(r_s: float, inductance: float) -> PlantBatch:
     return current_plants(np.array([r_s]), np.array([inductance]), T_S, np.ones(1))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("bound", [1.2, 1.6, 2.0])
 @pytest.mark.parametrize(("r_s", "inductance"), [(2.35, 1.7e-3), (0.0, 1e-3), (20.0, 1e-3)])
 def test_no_pair_on_a_fine_grid_has_more_integral_gain(r_s: float, inductance: float, bound: float) -> None:
@@ -125,6 +126,7 @@ def test_a_box_that_no_gains_hold_is_refused() -> None:
         optimised_pi(plants, 1.6, pi_scale(1e-3, 1.0, 1.5 * T_S), "control.speed_loop")
 
 
+@pytest.mark.slow
 def test_too_small_a_phase_margin_says_which_bound_holds() -> None:
     asked = CurrentLoopSettings(method="optimised", max_sensitivity=2.0, phase_margin_min=0.9)
     with pytest.raises(NoSolutionError, match=r"holds from control\.current_loop\.max_sensitivity = ") as refusal:

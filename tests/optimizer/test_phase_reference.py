@@ -95,6 +95,7 @@ def test_unequal_phases_have_a_row_each_and_an_open_one_stays_still() -> None:
     assert np.max(np.abs(found[1])) < 1e-6
 
 
+@pytest.mark.slow
 def test_what_no_form_keeps_is_refused() -> None:
     with pytest.raises(NoSolutionError, match="no harmonics keeps 1e-06 % of the peak"):
         fit_phases(UNEQUAL, FOUR, WaveformSettings(form="harmonics", error=1e-8))

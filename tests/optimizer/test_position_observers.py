@@ -134,6 +134,7 @@ def test_voltage_model_has_its_stated_order() -> None:
 # --- the whole observers ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thinned
 @EVERY
 @pytest.mark.parametrize("machine", [IPM, SURFACE], ids=["salient", "surface"])
 def test_with_exact_parameters_the_angle_converges(method: ObserverMethod, machine: LinearMachine) -> None:
@@ -158,6 +159,7 @@ def test_current_model_of_matsui_needs_an_angle_pole_above_its_speed_error() -> 
     assert np.max(ends[1]) < 0.05
 
 
+@pytest.mark.thinned
 @EVERY
 def test_steady_state_is_where_a_simulation_ends(method: ObserverMethod) -> None:
     """Wrong R, L_d, L_q and psi at once: the fixed point against 0.2 s of the drive."""

@@ -131,6 +131,7 @@ def beyond_reach(fit: WeakeningFit, count: int) -> float:
     return float(np.max(np.abs(region.machine.torque(i_d, i_q) - most)))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("name", "count"),
     [

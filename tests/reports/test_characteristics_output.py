@@ -115,6 +115,7 @@ def test_plain_map_is_json_with_nothing_undefined() -> None:
     assert len(grid["points"]["torque_Nm"]) == 500
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("machine", "v_max", "fastest"),
     [

@@ -84,6 +84,7 @@ def run_rows(design: Design, fit: FixedControlFit, folder: Path, rows: np.ndarra
     return np.frombuffer(done.stdout, dtype=wide).reshape(rows.shape[0], -1)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("width", [16, 32])
 @pytest.mark.parametrize("modulation", MODULATIONS)
 def test_every_modulator_equals_the_model_under_the_sanitizer(

@@ -55,6 +55,7 @@ def with_modulator(model: ControlModel, name: ModulationName) -> ControlModel:
     return ControlModel(gains, model.ratio, name, model.reference, model.weakening)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", MODULATORS)
 def test_compiled_control_equals_the_model_bit_for_bit(name: ModulationName, solution: Solution) -> None:
     changed = replace(solution, design=bench(name))
@@ -175,6 +176,7 @@ def test_a_bad_sample_makes_no_voltage_and_is_forgotten(solution: Solution, colu
     assert np.all((after > 0.2) & (after < 0.8))
 
 
+@pytest.mark.slow
 def test_a_changed_sign_is_found_and_damage_is_refused(tmp_path: Path) -> None:
     output = export_design(bench(), verify=True)
     write_all(tmp_path, output.files)

@@ -49,6 +49,7 @@ def with_waveform(form: WaveformForm) -> dict[str, bytes]:
     return header_files(solve(design)) | waveform_files(design, solve_phases(design))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("target", TARGETS)
 def test_every_core_gives_the_bits_of_the_model(target: str) -> None:
     square_root = header_files(solve(make_design(RELUCTANCE, fit=FitSettings(form="closed-form"))))

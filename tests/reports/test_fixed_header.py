@@ -49,6 +49,7 @@ def integers(solution: Solution) -> FixedReference:
     return solution.fit.reference
 
 
+@pytest.mark.thinned
 def test_every_code_equals_the_model(solution: Solution) -> None:
     reference = integers(solution)
     verification = verify_files(header_files(solution), "drive", reference, 256)
@@ -84,6 +85,7 @@ def test_one_unit_of_one_integer_is_seen(found: Solution) -> None:
         verify_files(header_files(found), "drive", changed, 256)
 
 
+@pytest.mark.slow
 def test_saturation_is_emitted_where_the_ranges_need_it(found: Solution) -> None:
     """A current base that the references just reach: C and model stop at the largest code."""
     chosen = found.curves.chosen

@@ -44,6 +44,7 @@ def evaluator(form: str) -> GainEvaluator:
     return schedule.fit.evaluator
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("form", DRIVES)
 def test_run_writes_verified_headers_that_verify_reads_back(form: str, tmp_path: Path) -> None:
     output = exported(form)
@@ -106,6 +107,7 @@ def test_damaged_data_are_refused(damage: dict[str, Any]) -> None:
         evaluator_from(plain | damage)
 
 
+@pytest.mark.slow
 def test_the_header_says_what_its_gains_keep() -> None:
     output = exported("polynomial")
     schedule = output.solution.gains.schedule

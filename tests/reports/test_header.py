@@ -49,6 +49,7 @@ def solution(request: pytest.FixtureRequest) -> Solution:
     return solve(make_design(machine, fit=fit))
 
 
+@pytest.mark.thinned
 def test_every_form_compiles_and_equals_the_model_bit_for_bit(solution: Solution) -> None:
     verification = verify_files(header_files(solution), "drive", solution.fit.reference, 256)
     assert verification.languages == ("c99", "c++11")
@@ -111,6 +112,7 @@ def test_stated_errors_hold_with_fused_multiply_add(solution: Solution, tmp_path
         np.testing.assert_array_equal(currents.astype(np.float32), fused)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("level", ["-O0", "-Os", "-O3"])
 def test_optimisation_level_changes_no_bit(level: str, tmp_path: Path) -> None:
     found = solve(make_design())

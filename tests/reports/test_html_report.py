@@ -169,6 +169,7 @@ def _varied(design: Design, variant: str) -> Design:
             return replace(design, machine=small, control=replace(control, observer=None, speed_loop=None), losses=None)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("variant", ["surface", "inverse", "reluctance", "own", "tiny"])
 def test_other_machines_and_forms_have_a_report(solution: Solution, variant: str) -> None:
     design = replace(solution.design, fit=FitSettings(breakpoints=None, segments=1))
@@ -218,6 +219,7 @@ def _browse(page: Path, *options: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*command, page.as_uri()], capture_output=True, text=True, timeout=120, check=True)
 
 
+@pytest.mark.slow
 def test_a_browser_shows_every_figure_without_complaint(report: str, tmp_path: Path) -> None:
     page, picture = tmp_path / "report.html", tmp_path / "report.png"
     page.write_text(report, encoding="utf-8")

@@ -81,6 +81,7 @@ def test_run_emits_a_verified_header_that_verify_takes_and_that_fails_when_chang
         verify_folder(tmp_path)
 
 
+@pytest.mark.thinned
 @EVERY
 def test_an_observer_reads_back_as_it_was_written(name: str) -> None:
     observer = emitted(_observer(name))

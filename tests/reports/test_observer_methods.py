@@ -35,6 +35,7 @@ def quick_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", NEW)
 def test_header_is_emitted_verified_and_read_back(name: ObserverMethodName, tmp_path: Path) -> None:
     design = catalogue.load("paper001-pmsm-bench")

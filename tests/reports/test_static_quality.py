@@ -176,6 +176,7 @@ def program(name: str) -> str:
     return path
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("compiler", "flags"),
     [
@@ -203,6 +204,7 @@ def test_undefined_behaviour_is_not_met(written: tuple[Path, str]) -> None:
     assert ran.returncode == 0, ran.stderr
 
 
+@pytest.mark.thinned
 def test_cppcheck_and_misra_find_the_listed_deviations_only(written: tuple[Path, str]) -> None:
     folder, folder_name = written
     command = [program("cppcheck"), "--std=c99", "--addon=misra", "--enable=style", "-q", "main.c"]

@@ -81,6 +81,7 @@ def compiled(name: str, folder: Path, inputs: SingleArray, *flags: str) -> Singl
     return np.frombuffer(done.stdout, dtype=np.float32).reshape(-1, 2)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("language", [("-std=c99",), ("-x", "c++", "-std=c++11")])
 def test_compiled_code_equals_the_model_bit_for_bit(name: str, language: tuple[str, ...], tmp_path: Path) -> None:
@@ -113,6 +114,7 @@ def equations(machine: Machine, currents: FloatArray, omega: FloatArray) -> tupl
     return np.hypot(v_d, v_q), 1.5 * machine.pole_pairs * (psi_d * i_q - psi_q * i_d)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("contract", ["off", "fast"])
 @pytest.mark.parametrize("name", NAMES)
 def test_compiled_code_keeps_voltage_and_current_at_a_million_torques_and_speeds(

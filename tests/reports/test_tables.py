@@ -97,6 +97,7 @@ def test_what_is_not_feasible_is_said_and_no_nan_is_printed() -> None:
         assert "losses at 100 N m, 4775 rpm" in cells
 
 
+@pytest.mark.slow
 def test_segments_are_counted_in_words_that_agree() -> None:
     single = solve(make_design(fit=replace(make_design().fit, segments=1, degree=2)))
     assert run_tables(single, None)[0].rows[0][1].startswith("torque-exact, degree 2, 1 segment, 0 to")
