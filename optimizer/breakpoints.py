@@ -37,7 +37,7 @@ _GRID = np.unique(np.concatenate([np.linspace(0.0, 1.0, 41) ** 1.5, np.geomspace
 """Edges for the dynamic programming as shares of the domain. Denser at low torque, where the curves bend most; without
 a magnet they rise like a root there, and the best segments shrink geometrically."""
 
-_LEAST_POWER = 1e-30
+LEAST_POWER = 1e-30
 """Coefficients rise with the inverse power of the width of a segment; below, they would leave the range of floats."""
 
 _LEAST_EDGES = 8
@@ -177,7 +177,7 @@ def segment_errors(curves: Sequence[Curve], degree: int, side: SideConditions, e
     tied = condition_rows(1, degree, SideConditions(side.exact_at_zero, continuous=False))
     basis, at_zero = orthonormal(vander), orthonormal(vander @ null_space(tied))
     grid = end * _GRID
-    grid = grid[(grid == 0.0) | (grid**degree > _LEAST_POWER)]
+    grid = grid[(grid == 0.0) | (grid**degree > LEAST_POWER)]
     if grid.size < _LEAST_EDGES:
         raise NoSolutionError(
             f"fit.degree: degree {degree} over a domain of {end:.3g} N m has powers that floats cannot hold;"

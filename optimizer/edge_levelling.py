@@ -11,7 +11,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from dqforge.machines.synchronous import FloatArray
-from dqforge.optimizer.breakpoints import orthonormal, rounded_edges, segment_errors, unfitted
+from dqforge.optimizer.breakpoints import LEAST_POWER, orthonormal, rounded_edges, segment_errors, unfitted
 from dqforge.optimizer.fitting import (
     Curve,
     Mask,
@@ -93,7 +93,9 @@ def level_edges(curves: Sequence[Curve], degree: int, segments: int, side: SideC
         starts += _other_starts(first)
     found = min((levelling.run(start, errors.rounding) for start in starts), key=_error)
     for _ in range(_ROUNDS if segments > 2 else 0):
-        beside = min((levelling.run(start, errors.rounding) for start in _beside(found[0])), key=_error)
+        tried = [levelling.run(start, errors.rounding) for start in _beside(found[0])]
+        # Beside a narrow first segment lie some whose powers floats cannot hold.
+        beside = min((part for part in tried if _widths_hold(part[0], degree)), key=_error, default=found)
         if _error(beside) > _GAIN * _error(found):
             break
         found = beside
@@ -102,6 +104,11 @@ def level_edges(curves: Sequence[Curve], degree: int, segments: int, side: SideC
 
 def _error(found: tuple[FloatArray, float]) -> float:
     return found[1]
+
+
+def _widths_hold(edges: FloatArray, degree: int) -> bool:
+    """Whether floats hold the powers of every segment's width."""
+    return bool(np.min(np.diff(edges)) ** degree > LEAST_POWER)
 
 
 def _beside(edges: FloatArray) -> list[FloatArray]:

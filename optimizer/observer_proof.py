@@ -63,5 +63,5 @@ def prove(observer: PositionObserver | None) -> ObserverProof | None:
             observer.gains, low, high, (1j * i_q, -1j * i_q), pieces=_PIECES, bisections=_BISECTIONS
         )
     except NoSolutionError as error:
-        return ObserverProof(None, low, high, i_q, str(error).removeprefix("no certificate: "))
+        return ObserverProof(None, low, high, i_q, error.message.removeprefix("no certificate: "))
     return ObserverProof(found.contraction, low, high, i_q)

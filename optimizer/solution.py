@@ -375,7 +375,7 @@ def gains_or_reason(design: Design) -> tuple[GainSet | None, str]:
     except NoSolutionError as error:
         if design.control.gains == "required":
             raise
-        return None, f"no loop was asked for and none was found: {error}"
+        return None, f"no loop was asked for and none was found: {error.message}"
 
 
 @on_design("export.control")

@@ -159,7 +159,7 @@ def compare_waveforms(design: Design, settings: WaveformSettings | None = None) 
         try:
             currents = _by_rule(design, machine, rule, torque)
         except NoSolutionError as error:
-            impossible.append((rule, str(error)))
+            impossible.append((rule, error.message))
             continue
         rules.append(_judged(machine, rule, currents, omega_m, limits))
     if isinstance(machine, SalientPhaseMachine):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from broken_designs import Change, document, permitted, wrong
+from design_changes import Change, document, permitted, wrong
 from drives import make_design
 
 from dqforge import cli
