@@ -106,6 +106,7 @@ def test_readme_shows_what_a_run_prints(run: Run, tmp_path: Path) -> None:
     assert all(line in header for line in code)
 
 
+@pytest.mark.slow
 def test_same_design_same_bytes(run: Run, tmp_path: Path) -> None:
     for folder in ("first", "second"):
         assert run("run", BENCH, "-o", folder, "--no-verify").code == 0
@@ -470,6 +471,7 @@ def test_generating_speeds_are_points_of_comparison(run: Run, tmp_path: Path) ->
 WAVES = "paper002-phase-waveforms"
 
 
+@pytest.mark.slow
 def test_phase_currents_are_emitted_verified_and_a_changed_entry_is_found(run: Run, tmp_path: Path) -> None:
     assert run("run", WAVES, "-o", "out").code == 0
     assert "40256 results equal" in run("verify", "out").out
@@ -558,6 +560,7 @@ def test_captures_that_are_none(run: Run, tmp_path: Path) -> None:
     assert "scope.csv:1001" in one_line(run("bemf", "scope.csv"), 2)
 
 
+@pytest.mark.slow
 def test_budget_of_a_fit_is_shown_with_what_was_tried(run: Run, tmp_path: Path) -> None:
     text = run("machines", IPM).out
     start, end = text.index("\nfit:"), text.index("\n\n", text.index("\nfit:"))

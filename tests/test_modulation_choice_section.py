@@ -163,6 +163,7 @@ def test_report_shows_the_map_the_prices_and_the_rule(output: RunOutput) -> None
     assert 'id="modulation"' not in run_design(design(""), verify=False).files["report.html"].decode("utf-8")
 
 
+@pytest.mark.slow
 def test_tables_and_text_say_the_same_as_the_rule(output: RunOutput) -> None:
     choice = choice_of(output)
     prices, rule, chart = choice_tables(output.solution.design, choice)

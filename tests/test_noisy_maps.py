@@ -61,6 +61,7 @@ def assert_tuned(design: Design, true: Machine) -> None:
         assert loop.inductance == pytest.approx(float(least), rel=0.35)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", catalogue.names())
 def test_a_map_of_each_library_machine_with_noise_loads_tunes_and_gives_its_mtpa(name: str, tmp_path: Path) -> None:
     true = catalogue.load(name).machine

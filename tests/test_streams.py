@@ -43,6 +43,7 @@ def test_a_full_disk_under_standard_output_is_one_line(command: str, tmp_path: P
     assert done.returncode == 1
 
 
+@pytest.mark.slow
 @needs_full
 def test_files_are_whole_where_standard_output_is_full(tmp_path: Path) -> None:
     done = dqforge(f"dqforge export {BENCH} --no-verify -o out > /dev/full", tmp_path)

@@ -92,6 +92,7 @@ def brute_force(
     return {name: float(value) for name, value in parts.items()}
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", ["spwm", "svpwm", "dpwm1", "dpwm3", "dpwmmin", "ddt-gdpwm"])
 @pytest.mark.parametrize("device", ["sirectifier-sii400s12", "wolfspeed-c2m0045170d"])
 def test_averages_against_brute_force(name: ModulationName, device: str) -> None:
@@ -184,6 +185,7 @@ def cool(inverter: Inverter) -> Inverter:
     return replace(inverter, device=replace(inverter.device, thermal_resistance=1e-9), coolant_temperature=80.0)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", MODULATORS)
 def test_averages_against_a_switched_simulation(name: ModulationName) -> None:
     """One electrical period of 960 carrier periods: each loss to 0.5 %, currents to 0.1 %, its own balance exact."""

@@ -130,6 +130,7 @@ def test_ramp_comparison_locks_to_the_carrier(frame: str) -> None:
             assert np.all(turned_on == (half % 2 == 0))
 
 
+@pytest.mark.slow
 def test_ramp_comparison_steeper_than_its_carrier_chatters() -> None:
     steep = RampComparison(40.0, 0.0, 5e3)
     assert slope_ratio(DRIVE, steep, 0.0, 2.0, 100.0) > 1.0
@@ -159,6 +160,7 @@ def test_stationary_regulators_leave_the_error_of_their_impedance(ki: float) -> 
     assert abs(trace.spectrum([1])[0, 0, 0] - expected) < 0.02 * abs(expected)
 
 
+@pytest.mark.slow
 def test_ripple_of_a_slow_ramp_comparison_is_that_of_the_sine_triangle() -> None:
     scheme = RampComparison(0.3, 100.0, 10e3)
     trace = simulate_currents(EQUAL_DRIVE, scheme, 0.0, 2.0, 200.0, periods=2, settling=2)

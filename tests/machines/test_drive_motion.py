@@ -60,6 +60,7 @@ def test_the_controller_holds_the_references_of_right_and_of_wrong_machines() ->
     np.testing.assert_allclose(motion.i_q, 8.0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_controller_reaches_new_references_with_a_wrong_machine() -> None:
     reference = np.full((2500, 1), -3 + 8j)
     reference[:1] = 0.0

@@ -63,6 +63,7 @@ inverter:
     return load_text(text.encode(), "design.yaml", folder)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("file", "slope", "misfit"),
     [

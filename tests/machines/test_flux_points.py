@@ -271,6 +271,7 @@ def test_measured_plane_is_averaged(baldor: FluxPoints, shared_data: Path) -> No
     assert symmetrised.flux_map.flux(zero, zero)[0][0] == pytest.approx(0.44415, abs=2e-5)
 
 
+@pytest.mark.slow
 def test_reluctance_axes_give_the_torque_of_their_authors(thor: FluxPoints) -> None:
     reading = build_flux_map(thor, axes="reluctance")
     machine = SaturatedMachine(2, 0.1967, reading.flux_map, 60.0)

@@ -45,6 +45,7 @@ def _changed(*pairs: tuple[str, str]) -> bytes:
     return text.encode()
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("content", "line", "column", "phrase"), [pytest.param(*case[1:], id=case[0]) for case in CORPUS.BROKEN]
 )

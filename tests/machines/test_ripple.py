@@ -72,6 +72,7 @@ def test_known_orders_of_merit() -> None:
     assert harmonic_distortion_factor("svpwm", 0.0) == 0.0
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", ["spwm", "svpwm", "dpwm1", "dpwm3", "dpwmmin", "ddt-gdpwm"])
 @pytest.mark.parametrize("machine", [IPM, INVERSE_SALIENT], ids=["ipm", "inverse"])
 def test_current_and_torque_ripple_of_salient_machines(name: ModulationName, machine: LinearMachine) -> None:

@@ -206,6 +206,7 @@ def test_resistance_grows_linearly_from_25_degrees() -> None:
     assert resistance_factor(device, np.array([25.0, 125.0])) == pytest.approx([1.0, 1.5])
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("device", [MOSFET, IGBT], ids=["mosfet", "igbt"])
 @pytest.mark.parametrize("name", NAMES)
 def test_arrays_give_what_single_points_give(device: SwitchDevice, name: ModulationName) -> None:

@@ -112,6 +112,7 @@ def test_duplicate_keys_in_different_sections_are_fine() -> None:
     assert parse_yaml(b"a: {x: 1}\nb: {x: 2}\n", "f").data == {"a": {"x": 1}, "b": {"x": 2}}
 
 
+@pytest.mark.slow
 def test_limits_stop_early() -> None:
     assert "32 levels" in _refused(b"[" * 200_000).message
     assert "more than 20000" in _refused(b"a: [" + b"1," * 500_000 + b"]").message

@@ -312,6 +312,7 @@ def test_a_start_spares_the_global_search() -> None:
     np.testing.assert_allclose(found_edges, [0.0, 1.0, 3.0, 5.0], atol=5e-3)
 
 
+@pytest.mark.slow
 def test_coefficients_of_a_tiny_machine_stay_floats() -> None:
     """Without a magnet the best first segment is 1e-4 of the domain; to the power of -6 that is no float any more."""
     tiny = LinearMachine(1, 10.0, 1e-3, 3e-3, 0.0, 0.2)

@@ -284,6 +284,7 @@ def test_bounds_near_rest_without_magnets(degree: int, negative: bool) -> None:
     assert case.certificate.loss <= 1e-9 * machine.r_s * machine.i_max**2
 
 
+@pytest.mark.slow
 def test_conditions_around_the_kink() -> None:
     """Least loss below the torque at which the voltage begins to limit, voltage above it, both beside it."""
     case = proven("fast")
@@ -318,6 +319,7 @@ def test_voltage_limits_from_rest_on() -> None:
     assert case.certificate.torque >= found.torque
 
 
+@pytest.mark.slow
 def test_loss_beside_the_kink_is_that_of_the_torque_that_is_made() -> None:
     """A coarse reference whose torque lies beyond the kink where its request does not: dense samples about the kink."""
     case = prove(free(IPM, FAST), polynomial(2, torque_max=100.0))

@@ -63,6 +63,7 @@ def direct(choice: ModulationChoice, name: ModulationName, frequency: float) -> 
     return budget, kept
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", CASES)
 def test_rules_lose_what_direct_budgets_say_and_keep_the_limits(name: str) -> None:
     choice = solved(name)

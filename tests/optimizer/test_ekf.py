@@ -113,6 +113,7 @@ def test_covariance_tells_the_angle_error(bench001: LinearMachine, tuned: Ekf) -
     assert np.std((result.omega - trial.omega)[-1]) == pytest.approx(np.sqrt(np.mean(result.p[:, 2, 2])), rel=0.2)
 
 
+@pytest.mark.slow
 def test_resistance_and_inductance_errors_shift_the_angle(bench001: LinearMachine, tuned: Ekf) -> None:
     """Steady, surface machine: the current model balances its voltages at an angle off by some -(L_hat - L) i_q/psi."""
     true = replace(bench001, l_d=1.6e-3, l_q=1.6e-3)

@@ -129,6 +129,7 @@ def test_the_corners_of_a_controller_are_its_range() -> None:
         assert seen[name] == (proven[name].range.low, proven[name].range.high), name
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("modulation", FIXED_MODULATORS)
 def test_all_modulators_are_proven(modulation: ModulationName) -> None:
     for width in (16, 32):

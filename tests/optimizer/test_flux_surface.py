@@ -138,6 +138,7 @@ def test_copper_loss_is_near_the_least(name: str) -> None:
     assert np.max(penalty) < 0.04
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", CASES)
 def test_currents_are_continuous_across_every_seam(name: str) -> None:
     fit = fitted(name)

@@ -82,6 +82,7 @@ def test_what_the_schedule_buys(method: str) -> None:
         assert 1.59 < largest < 1.6 * 1.02
 
 
+@pytest.mark.slow
 def test_tolerances_are_kept_at_all_currents() -> None:
     tolerances = Tolerances(r_s=0.2, l_d=0.1, l_q=0.1, v_dc=0.05)
     gains = solve_gains(scheduled("baldor-pmsyrm-5k6", METHODS["damping"], tolerances))

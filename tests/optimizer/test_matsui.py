@@ -19,6 +19,7 @@ POLE = 200.0
 BOTH: tuple[MatsuiModel, ...] = ("voltage", "current")
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("kind", BOTH)
 @pytest.mark.parametrize("case", ["forwards", "backwards", "fast", "salient"])
 def test_wrong_start_decays_to_nothing(bench001: LinearMachine, kind: MatsuiModel, case: str) -> None:

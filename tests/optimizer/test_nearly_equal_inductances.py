@@ -66,6 +66,7 @@ def _all_forms(machine: LinearMachine, forms: tuple[FitForm, ...]) -> None:
         _check(choice, fit_reference(choice, settings))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("ratio", _RATIOS)
 def test_every_form_and_format(ratio: float) -> None:
     _all_forms(_machine(_MACHINES[1], ratio), _FORMS)
@@ -103,6 +104,7 @@ def test_closed_form_that_floats_cannot_hold_is_refused_and_left_out() -> None:
     assert "form closed-form" not in {row.label for row in alternatives(choice, fit)}
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", _SATURATED)
 @pytest.mark.parametrize("number_format", _FORMATS)
 def test_id0_of_saturated_library_machines(name: str, number_format: NumberFormat) -> None:

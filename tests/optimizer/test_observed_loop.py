@@ -94,6 +94,7 @@ def short_model(design: Design, gains: GainSet, omega: float) -> tuple[float, fl
     return float(np.degrees(margins.phase_margin)), margins.crossover, float(abs(closed.closed.poles[0]))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("spread", [3.0, 6.0, 12.0])
 def test_margins_of_the_flux_observer_are_those_of_the_short_model(spread: float) -> None:
     design = template("flux", spread)

@@ -91,6 +91,7 @@ def assert_sound(machine: Machine, points: OptimalPoints, v_max: float) -> None:
     np.testing.assert_array_equal(points.torque[points.reached], points.torque_request[points.reached])
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", MACHINES)
 def test_scan_of_the_current_plane_finds_nothing_better(name: str) -> None:
     machine, v_max = MACHINES[name]

@@ -186,6 +186,7 @@ def test_error_of_wrong_parameters_is_the_closed_form(name: str, wrong: str) -> 
         assert np.max(np.abs(expected)) > 5e-3
 
 
+@pytest.mark.thinned
 @EVERY
 def test_poles_are_how_fast_a_small_error_decays(method: ObserverMethod) -> None:
     motion = _motion("steady")
@@ -222,6 +223,7 @@ def test_noise_of_the_angle_is_what_a_trial_gives(method: ObserverMethod) -> Non
     assert np.std(error) == pytest.approx(expected, rel=0.08)
 
 
+@pytest.mark.thinned
 @EVERY
 def test_acceleration_lag_is_where_a_ramp_ends(method: ObserverMethod) -> None:
     motion, disturbances = _motion("ramp", SURFACE), replace(NO_DISTURBANCE, acceleration=3000.0)

@@ -159,6 +159,7 @@ def test_speed_loop_with_another_inertia_and_magnet() -> None:
     assert kept.max_sensitivity.value == pytest.approx(max(scaled), rel=1e-6)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("settings", "margin"),
     [

@@ -114,6 +114,7 @@ SCALES = [(1e2, 1e2), (1e-3, 1e-2), (1e-38, 1e-3), (1e-42, 1e-42), (1e-30, 1e-19
 """Ends of the domain in N m and sizes of the currents in A; those far from 1 meet subnormal and huge numbers."""
 
 
+@pytest.mark.thinned
 @pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning")
 @pytest.mark.parametrize("scale", SCALES)
 @pytest.mark.parametrize("name", FORMS)

@@ -58,6 +58,7 @@ def excess(fit: WeakeningFit, seed: int) -> float:
     return float(np.max(taken / volts)) - 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_the_voltage_stays_below_its_bound_which_is_near(name: str) -> None:
     fit = fitted(name)

@@ -46,6 +46,7 @@ MARGINS = ("phase margin", "gain margin (factor)", "delay margin", "M_s")
 LOOPED = ("bandwidth (crossover)", *MARGINS)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("old", "new", "rows", "macros"),
     [
@@ -113,6 +114,7 @@ def test_difference_of_a_changed_resistance(bench: Side) -> None:
     assert "2.35 Ohm" in text
 
 
+@pytest.mark.slow
 def test_losses_only_at_common_points_and_alternatives() -> None:
     first, second = LoadPoint(5.0, 300.0), LoadPoint(50.0, 300.0)
     base = make_design()

@@ -141,6 +141,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return folder, "bench001"
 
 
+@pytest.mark.slow
 def test_a_design_that_asks_gets_both_headers(written: tuple[Path, str]) -> None:
     folder, prefix = written
     for name in ("control_q15", "control_q31"):

@@ -197,6 +197,7 @@ def test_a_changed_sign_is_found_and_damage_is_refused(tmp_path: Path) -> None:
             read_folder(tmp_path)
 
 
+@pytest.mark.slow
 def test_torque_control_weakens_the_field_where_the_design_does() -> None:
     loaded = catalogue.load("abb-ipmsm-2k2")
     design = replace(

@@ -61,6 +61,7 @@ def test_every_core_gives_the_bits_of_the_model(target: str) -> None:
         assert outcome.instructions > 5.0
 
 
+@pytest.mark.slow
 def test_counts_grow_with_the_degree_as_the_operations_do() -> None:
     """Two multiplications and two additions more per degree: 4 instructions, or 2 where they are one."""
     counts = [verify_on_target(polynomial(degree), "drive", "cortex-m4").instructions for degree in (2, 3, 4)]
@@ -96,6 +97,7 @@ def test_what_is_missing_or_wrong_is_named(monkeypatch: pytest.MonkeyPatch) -> N
         verify_on_target(polynomial(3), "drive", "cortex-m4")
 
 
+@pytest.mark.slow
 def test_more_vectors_change_the_mean_little() -> None:
     few, many = (
         verify_on_target(
@@ -110,6 +112,7 @@ def test_more_vectors_change_the_mean_little() -> None:
     assert many.instructions == pytest.approx(few.instructions, rel=0.05)  # rarer end points cost less
 
 
+@pytest.mark.slow
 def test_cycles_enclose_and_exceed_the_instructions_where_the_tables_say_so() -> None:
     for target in TARGETS:
         outcome = verify_on_target(polynomial(3), "drive", target)

@@ -88,6 +88,7 @@ def test_compiled_code_equals_the_model_bit_for_bit(form: str, language: tuple[s
     assert np.all(found > 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage",
     [

@@ -97,6 +97,7 @@ def test_an_observer_reads_back_as_it_was_written(name: str) -> None:
         observer_from(plain)
 
 
+@pytest.mark.thinned
 @EVERY
 def test_single_precision_costs_no_angle(name: str) -> None:
     """The firmware's numbers against double precision over a whole run; and sequences reach every branch."""

@@ -187,6 +187,7 @@ def compiled(item: Emitted, sequences: FloatArray, compiler: Compiler, folder: P
     return np.frombuffer(done.stdout, dtype=np.float32).reshape(*data.shape[:2], 4)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("compiler", COMPILERS, ids=lambda compiler: compiler.language)
 @pytest.mark.parametrize("code", CODES)
 def test_c_is_its_model_bit_for_bit(code: str, compiler: Compiler, tmp_path: Path) -> None:

@@ -194,6 +194,7 @@ def test_no_compiler_warns_and_the_vectors_hold(written: tuple[Path, str], compi
     assert subprocess.run([str(folder / "main")], check=False, timeout=60).returncode == 0
 
 
+@pytest.mark.thinned
 def test_undefined_behaviour_is_not_met(written: tuple[Path, str]) -> None:
     folder, _ = written
     sanitize = ["-fsanitize=undefined", "-fno-sanitize-recover=all"]
