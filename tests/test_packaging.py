@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -91,8 +92,8 @@ def test_each_package_of_the_card_is_loaded_where_it_works_alone(tmp_path: Path)
     from dqforge.machines import catalogue
 
     design = tmp_path / "flux.yaml"
-    text = catalogue.read_text("paper000-ipmsm-100kw").decode()
-    flux = text.replace("    pole: 2000 rad/s\n", "    method: flux\n    bandwidth: 1200 rad/s\n")
+    text = catalogue.read_text("paper001-pmsm-bench").decode()
+    flux = re.sub(r"    pole: \{value: 900 rad/s[^\n]*\n", "    method: flux\n", text)
     assert flux != text
     design.write_text(flux, encoding="utf-8")
     assert loaded_by("check", str(design)) == ({"numpy", "yaml"}, 0)
