@@ -7,9 +7,10 @@ DEMO_DESIGN ?= paper000-ipmsm-100kw
 .PHONY: demo test campaign check lint types contracts format figures wheel lock clean
 
 demo: $(VENV)/runtime.stamp
+	@mkdir -p out
+	$(BIN)/dqforge dqy paper002-phase-waveforms --plot out/phase-currents.svg >out/phase-currents.txt
+	$(BIN)/dqforge dqy salient-phase-waveforms --plot out/salient-phase-currents.svg >out/salient-phase-currents.txt
 	$(BIN)/dqforge run $(DEMO_DESIGN) -o out/demo
-	$(BIN)/dqforge dqy paper002-phase-waveforms
-	$(BIN)/dqforge dqy salient-phase-waveforms
 
 # One thread per worker: the matrices are small, and threads of the linear algebra get in each other's way.
 test: $(VENV)/dev.stamp
