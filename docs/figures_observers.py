@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,7 @@ def position_errors(path: Path) -> None:
     axes = figure.subplots(1, 2, sharey=True)
     for ax, tuning in zip(axes, ("named", "optimised"), strict=True):
         for name in METHODS:
-            wanted = replace(ObserverSettings(method=name, tuning=tuning))  # type: ignore[arg-type]
+            wanted = ObserverSettings(method=name, tuning=tuning)  # type: ignore[arg-type]
             known = conditions(design, omega_max)
             judged = tune_position_observer(machine, wanted, t_s, design.inverter.v_dc, omega_max, known).judgement
             shown = (judged.omega <= omega_max) & np.isfinite(judged.steady)
