@@ -10,8 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dqforge.machines import catalogue
-from dqforge.machines.current_feedback import (
+from dqforge.machines.design import catalogue
+from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.machines.plants.current_feedback import (
     Hysteresis,
     Predictive,
     RampComparison,
@@ -19,9 +20,8 @@ from dqforge.machines.current_feedback import (
     hysteresis_frequency,
     simulate_currents,
 )
-from dqforge.machines.current_plant import BridgeDrive
-from dqforge.machines.current_trace import CurrentTrace
-from dqforge.machines.synchronous import linearised
+from dqforge.machines.plants.current_trace import CurrentTrace
+from dqforge.machines.plants.fed_machine import BridgeDrive
 
 BAND = 0.4
 SCHEMES: dict[str, tuple[Scheme, str]] = {
@@ -48,7 +48,9 @@ def regulators(path: Path) -> None:
         frequency = trace.switching_frequency().average[0]
         row[0].set_title(f"{label}: {frequency / 1e3:.1f} kHz", fontsize="small")
         row[1].set_title(f"error, r.m.s. {trace.rms_error()[0]:.2f} A", fontsize="small")
-        row[2].set_title(f"spectrum, distortion {100.0 * trace.current_thd()[0]:.1f} %", fontsize="small")
+        row[2].set_title(
+            f"spectrum, distortion {100.0 * trace.current_thd()[0]:.1f} %", fontsize="small"
+        )
     _save(figure, path)
 
 
@@ -81,7 +83,9 @@ def _draw_run(row: list[Axes], trace: CurrentTrace, colour: str) -> None:
 
 
 def hysteresis_over_speed(path: Path) -> None:
-    """Draw the switching frequency of hysteresis over speed, simulated and by the formula, as an SVG."""
+    """Draw the switching frequency of hysteresis over speed, simulated and by the formula,
+    as an SVG.
+    """
     figure = Figure(figsize=(6.4, 3.8), layout="constrained")
     axes = figure.subplots()
     isolated = drive()
@@ -90,12 +94,23 @@ def hysteresis_over_speed(path: Path) -> None:
     found = simulate_currents(isolated, Hysteresis(BAND), 0.0, I_Q, speed).switching_frequency()
     rpm, fine = speed * 30.0 / math.pi, np.linspace(speed[0], speed[-1], 200)
     axes.fill_between(
-        rpm, found.lowest / 1e3, found.highest / 1e3, color="#1d4ed8", alpha=0.15, label="range, isolated"
+        rpm,
+        found.lowest / 1e3,
+        found.highest / 1e3,
+        color="#1d4ed8",
+        alpha=0.15,
+        label="range, isolated",
     )
     axes.plot(rpm, found.average / 1e3, "o-", color="#1d4ed8", label="average, isolated star point")
     voltage = np.hypot(*machine.voltage(0.0 * fine, 0.0 * fine + I_Q, machine.pole_pairs * fine))
     formula = hysteresis_frequency(isolated.v_dc, inductance, BAND, voltage / math.sqrt(2.0))
-    axes.plot(fine * 30.0 / math.pi, formula / 1e3, "--", color="#111827", label="average, star point tied (formula)")
+    axes.plot(
+        fine * 30.0 / math.pi,
+        formula / 1e3,
+        "--",
+        color="#111827",
+        label="average, star point tied (formula)",
+    )
     axes.set_xlabel("speed in rpm")
     axes.set_ylabel("switching frequency in kHz")
     axes.set_ylim(0.0, None)

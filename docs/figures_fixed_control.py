@@ -1,4 +1,6 @@
-"""Figure of docs/fixed-point-control.md: what the roundings of a controller do, and how far its words are used."""
+"""Figure of docs/fixed-point-control.md: what the roundings of a controller do,
+and how far its words are used.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +10,23 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from dqforge.machines import catalogue
-from dqforge.machines.design import Design
-from dqforge.machines.synchronous import FloatArray
-from dqforge.optimizer.fixed_arithmetic import Integers, Reach
-from dqforge.optimizer.fixed_control import FixedPi, pi_step
-from dqforge.optimizer.fixed_design import FixedControlFit, fit_control
-from dqforge.optimizer.solution import solve_gains
-from dqforge.reports.figures import save
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design import catalogue
+from dqforge.machines.design.design import Design
+from dqforge.optimizer.control_design.gain_set import solve_gains
+from dqforge.optimizer.fixed_control.arithmetic import Integers, Reach
+from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
+from dqforge.optimizer.fixed_control.step import FixedPi, pi_step
+from dqforge.reports.pages.figures_style import save
 
 _ASKED_A = 0.4
 _SAMPLES = 4000
 
 
 def _course(design: Design, pi: FixedPi, *, as_printed: bool) -> FloatArray:
-    """i_q in A at standstill, (samples,): with the emitted controller, or with one word and shifts downwards."""
+    """i_q in A at standstill, (samples,): with the emitted controller, or with one
+    word and shifts downwards.
+    """
     bases, machine = design.control.bases, design.machine
     decay = math.exp(-machine.r_s * design.control.t_s / machine.l_q)
     current, waiting, found = 0.0, 0.0, np.empty(_SAMPLES)
@@ -55,7 +59,9 @@ def _fullest(fit: FixedControlFit, count: int) -> list[Reach]:
 
 
 def integers_of_a_loop(path: Path) -> None:
-    """Draw the thesis' current loop with its own arithmetic and with the emitted one, and the use of the words."""
+    """Draw the thesis' current loop with its own arithmetic and with the emitted one,
+    and the use of the words.
+    """
     design = catalogue.load("paper001-pmsm-bench")
     gains = solve_gains(design)
     fit = fit_control(design, (gains.i_d, gains.i_q, gains.speed), gains.observer, 16)
@@ -63,15 +69,28 @@ def integers_of_a_loop(path: Path) -> None:
     left, right = figure.subplots(1, 2)
     time = np.arange(_SAMPLES) * design.control.t_s
     pi = fit.control.i_q["parallel"]
-    for as_printed, colour, label in ((True, "#d97706", "one word, rounded down"), (False, "#1d4ed8", "as emitted")):
-        left.plot(time, _course(design, pi, as_printed=as_printed), color=colour, linewidth=1.0, label=label)
+    for as_printed, colour, label in (
+        (True, "#d97706", "one word, rounded down"),
+        (False, "#1d4ed8", "as emitted"),
+    ):
+        left.plot(
+            time,
+            _course(design, pi, as_printed=as_printed),
+            color=colour,
+            linewidth=1.0,
+            label=label,
+        )
     left.axhline(_ASKED_A, color="#9ca3af", linewidth=0.8, zorder=0)
-    left.set_title("i_q in A after a step to 0.4 A, gains 136 / 2^10 and 26 / 2^15", fontsize="small")
+    left.set_title(
+        "i_q in A after a step to 0.4 A, gains 136 / 2^10 and 26 / 2^15", fontsize="small"
+    )
     left.set_xlabel("time in s", fontsize="small")
     left.legend(fontsize="small")
     left.grid(alpha=0.3)
     shown = _fullest(fit, 14)[::-1]
-    right.barh([reach.name for reach in shown], [100.0 * reach.share for reach in shown], color="#1d4ed8")
+    right.barh(
+        [reach.name for reach in shown], [100.0 * reach.share for reach in shown], color="#1d4ed8"
+    )
     right.axvline(100.0, color="#b91c1c", linewidth=0.8)
     right.set_title("proven largest magnitude, % of 32 bits", fontsize="small")
     right.tick_params(axis="y", labelsize="x-small")

@@ -6,30 +6,43 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from dqforge.machines import catalogue
-from dqforge.machines.settings import FitSettings, NumberFormat
-from dqforge.optimizer.current_reference import error_curves
-from dqforge.optimizer.reference_fit import fit_reference
-from dqforge.optimizer.solution import current_choice
-from dqforge.reports.figures import save
+from dqforge.machines.design import catalogue
+from dqforge.machines.design.settings import FitSettings
+from dqforge.machines.names import NumberFormat
+from dqforge.optimizer.current_reference.fit import fit_reference
+from dqforge.optimizer.current_reference.forms import error_curves
+from dqforge.optimizer.operating_points.solve import current_choice
+from dqforge.reports.pages.figures_style import save
 
 
 def sixteen_bits(path: Path) -> None:
-    """Draw the errors of both currents in single precision and in Q15 at all its torques, degree 4, as an SVG."""
+    """Draw the errors of both currents in single precision and in Q15 at all its torques, degree 4,
+    as an SVG.
+    """
     choice = current_choice(catalogue.load("paper000-ipmsm-100kw"))
     figure = Figure(figsize=(9.6, 4.2), layout="constrained")
     axes = dict(zip(("i_d", "i_q"), figure.subplots(1, 2, sharex=True), strict=True))
     formats: tuple[tuple[NumberFormat, str], ...] = (("q15", "#d97706"), ("float32", "#1d4ed8"))
     for number_format, colour in formats:
-        settings = FitSettings(form="polynomial", format=number_format, torque_max=200.0, full_scale=(240.0, 283.0))
+        settings = FitSettings(
+            form="polynomial", format=number_format, torque_max=200.0, full_scale=(240.0, 283.0)
+        )
         reference = fit_reference(choice, settings).reference
         torque = reference.samples(4000)[::6]
         curves = error_curves(choice, reference, torque)
         for name, panel in axes.items():
-            panel.plot(torque, 1e3 * getattr(curves, name), color=colour, linewidth=0.6, label=number_format)
+            panel.plot(
+                torque,
+                1e3 * getattr(curves, name),
+                color=colour,
+                linewidth=0.6,
+                label=number_format,
+            )
     code = 1e3 * 283.0 / 2**15
     for name, panel in axes.items():
-        panel.axhspan(-0.5 * code, 0.5 * code, color="#9ca3af", alpha=0.25, label="half a code", zorder=0)
+        panel.axhspan(
+            -0.5 * code, 0.5 * code, color="#9ca3af", alpha=0.25, label="half a code", zorder=0
+        )
         panel.set_title(f"error of {name} in mA", fontsize="small")
         panel.set_xlabel("torque in N m", fontsize="small")
         panel.set_xlim(0.0, 200.0)

@@ -8,18 +8,20 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from dqforge.machines import catalogue
-from dqforge.machines.settings import CurrentLoopSettings
-from dqforge.optimizer.gains import analyse_current_loop, current_step_response
-from dqforge.optimizer.observer import steady_state_error
-from dqforge.optimizer.solution import solve_gains
-from dqforge.reports.figures import save
+from dqforge.machines.design import catalogue
+from dqforge.machines.design.settings import CurrentLoopSettings
+from dqforge.optimizer.control_design.gain_set import solve_gains
+from dqforge.optimizer.loops.gains import analyse_current_loop, current_step_response
+from dqforge.optimizer.observers.reduced_order import steady_state_error
+from dqforge.reports.pages.figures_style import save
 
 _METHODS_HZ = {"crossover at 1/30 of the sampling rate": 30.0, "1/12": 12.0, "1/8": 8.0}
 
 
 def current_loop_step(path: Path) -> None:
-    """Step of i_q of paper 001's machine for three bandwidths, and the phase margin each has left."""
+    """Step of i_q of paper 001's machine for three bandwidths, and the phase margin each has
+    left.
+    """
     design = catalogue.load("paper001-pmsm-bench")
     machine, t_s = design.machine, design.control.t_s
     figure = Figure(figsize=(7.0, 3.2), layout="constrained")
@@ -31,7 +33,12 @@ def current_loop_step(path: Path) -> None:
         )
         step = current_step_response(machine.r_s, machine.l_q, gains, 50 * t_s)
         margin = np.degrees(gains.phase_margin)
-        axes.step(step.times * 1e3, step.reference, where="post", label=f"{label}: {margin:.0f} deg phase margin")
+        axes.step(
+            step.times * 1e3,
+            step.reference,
+            where="post",
+            label=f"{label}: {margin:.0f} deg phase margin",
+        )
     axes.axhline(1.0, color="0.7", linewidth=0.8)
     axes.set(xlabel="Time in ms", ylabel="i_q in A after a step of 1 A", xlim=(0.0, 50 * t_s * 1e3))
     axes.legend(frameon=False, loc="lower right")
@@ -39,7 +46,9 @@ def current_loop_step(path: Path) -> None:
 
 
 def observer_error(path: Path) -> None:
-    """Steady speed error of the observer of paper 001 over load, for a resistance that is right or 30 % wrong."""
+    """Steady speed error of the observer of paper 001 over load, for a resistance
+    that is right or 30 % wrong.
+    """
     design = catalogue.load("paper001-pmsm-bench")
     machine, t_s = design.machine, design.control.t_s
     omega = 1500.0 * np.pi / 30.0
@@ -48,7 +57,10 @@ def observer_error(path: Path) -> None:
     axes = figure.add_subplot()
     for label, error in (("R right", 0.0), ("R + 30 %", 0.3), ("R - 30 %", -0.3)):
         percent = [
-            100.0 * steady_state_error(machine, 900.0, t_s, omega, torque_load=float(t), r_error=error).relative
+            100.0
+            * steady_state_error(
+                machine, 900.0, t_s, omega, torque_load=float(t), r_error=error
+            ).relative
             for t in load
         ]
         axes.plot(load, percent, label=label)
@@ -59,7 +71,9 @@ def observer_error(path: Path) -> None:
 
 
 def gain_schedule(path: Path) -> None:
-    """Crossover and phase margin of both axes of a saturated reluctance machine, with constant and scheduled gains."""
+    """Crossover and phase margin of both axes of a saturated reluctance machine,
+    with constant and scheduled gains.
+    """
     design = catalogue.load("abb-syrm-6k7-saturated")
     settings = CurrentLoopSettings("optimised", schedule=True)
     control = replace(design.control, current_loop=settings, speed_loop=None)
@@ -69,11 +83,24 @@ def gain_schedule(path: Path) -> None:
     figure = Figure(figsize=(7.0, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     for axis, colour in zip(schedule.axes, ("C0", "C1"), strict=True):
-        for name, margins, style in (("scheduled", axis.scheduled, "-"), ("constant", axis.constant, "--")):
+        for name, margins, style in (
+            ("scheduled", axis.scheduled, "-"),
+            ("constant", axis.constant, "--"),
+        ):
             label = f"{axis.axis}, {name}"
-            left.plot(schedule.i_q, margins.crossover / (2.0 * np.pi), style, color=colour, label=label)
-            right.plot(schedule.i_q, np.degrees(np.abs(margins.phase_margin)), style, color=colour, label=label)
+            left.plot(
+                schedule.i_q, margins.crossover / (2.0 * np.pi), style, color=colour, label=label
+            )
+            right.plot(
+                schedule.i_q,
+                np.degrees(np.abs(margins.phase_margin)),
+                style,
+                color=colour,
+                label=label,
+            )
     left.set(xlabel="i_q in A along the MTPA locus", ylabel="Crossover in Hz", ylim=(0.0, None))
-    right.set(xlabel="i_q in A along the MTPA locus", ylabel="Phase margin in deg", ylim=(0.0, None))
+    right.set(
+        xlabel="i_q in A along the MTPA locus", ylabel="Phase margin in deg", ylim=(0.0, None)
+    )
     right.legend(frameon=False, loc="lower right")
     save(figure, path)

@@ -11,40 +11,53 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dqforge.machines import catalogue
-from dqforge.machines.inverter import Inverter, SwitchDevice
-from dqforge.machines.modulation import linear_limit, period_waveforms
-from dqforge.machines.semiconductors import bridge_load
-from dqforge.machines.settings import LoadPoint, LossSettings, ModulationName
-from dqforge.machines.synchronous import LinearMachine
-from dqforge.optimizer.choice_solution import solve_choice
-from dqforge.optimizer.drive_comparison import Alternatives
-from dqforge.optimizer.mtpa import id0_currents
-from dqforge.optimizer.point_losses import LossComparison, compare_points
-from dqforge.optimizer.switching_calibration import calibrate_switching
-from dqforge.reports.drive_losses import solve_map
-from dqforge.reports.figures import save
-from dqforge.reports.figures_choice import plot_choice
-from dqforge.reports.figures_drive_losses import plot_loss_map
-from dqforge.reports.paper000_losses import table_4
+from dqforge.machines.design import catalogue
+from dqforge.machines.design.settings import LoadPoint, LossSettings
+from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.losses.constant_device import bridge_load
+from dqforge.machines.modulation.modulators import linear_limit, period_waveforms
+from dqforge.machines.names import ModulationName
+from dqforge.optimizer.losses.drive_comparison import Alternatives
+from dqforge.optimizer.losses.loss_map import solve_map
+from dqforge.optimizer.losses.point_comparison import LossComparison, compare_points
+from dqforge.optimizer.losses.switching_calibration import calibrate_switching
+from dqforge.optimizer.modulation_choice.solve import solve_choice
+from dqforge.optimizer.operating_points.mtpa import id0_currents
+from dqforge.reports.losses.map_figures import plot_loss_map
+from dqforge.reports.modulation_choice.figures import plot_choice
+from dqforge.reports.pages.figures_style import save
+from dqforge.reports.papers.paper000_losses import table_4
 
 COLOURS = {"spwm": "#6b7280", "svpwm": "#d97706", "ddt-gdpwm": "#1d4ed8"}
 PARTS = {"copper": "#b45309", "conduction": "#0f766e", "switching": "#1d4ed8"}
-LABELS = {"spwm": "SPWM", "svpwm": "SVPWM", "ddt-gdpwm": "DDT-GDPWM", "id0": "i_d = 0", "mtpa": "MTPA"}
+LABELS = {
+    "spwm": "SPWM",
+    "svpwm": "SVPWM",
+    "ddt-gdpwm": "DDT-GDPWM",
+    "id0": "i_d = 0",
+    "mtpa": "MTPA",
+}
 NAMES: tuple[ModulationName, ...] = ("spwm", "svpwm", "ddt-gdpwm")
 
-# Paper 000, Table 4: total loss in W by strategy and modulator; the first calibrates, the others are predicted.
+# Paper 000, Table 4: total loss in W by strategy and modulator; the first calibrates,
+# the others are predicted.
 PRINTED = {("id0", "spwm"): 1064.0, ("mtpa", "spwm"): 934.0, ("mtpa", "ddt-gdpwm"): 759.0}
 
 
 def modulation_waveforms(path: Path) -> None:
-    """Draw duty cycle and zero-sequence voltage of the three modulators over a period, as an SVG."""
+    """Draw duty cycle and zero-sequence voltage of the three modulators over a period,
+    as an SVG.
+    """
     v_dc, lag = 1.0, math.radians(45.0)
     amplitude = 0.9 * linear_limit("spwm", v_dc)
     figure = Figure(figsize=(7.2, 5.4), layout="constrained")
     upper, middle, lower = figure.subplots(3, 1, sharex=True)
     for name in NAMES:
-        wave = period_waveforms(name, amplitude, 0.0, math.cos(lag), -math.sin(lag), v_dc, angles=360)
+        wave = period_waveforms(
+            name, amplitude, 0.0, math.cos(lag), -math.sin(lag), v_dc, angles=360
+        )
         degrees = np.degrees(wave.theta_e)
         style = {"color": COLOURS[name], "label": LABELS[name]}
         upper.plot(degrees, wave.modulation.duty[:, 0], **style)
@@ -64,7 +77,9 @@ def modulation_waveforms(path: Path) -> None:
 
 
 def loss_comparison(path: Path) -> None:
-    """Draw the losses of paper 000, Table 4, and the switching loss over the angle of the load, as an SVG."""
+    """Draw the losses of paper 000, Table 4, and the switching loss over the angle of the load,
+    as an SVG.
+    """
     figure = Figure(figsize=(9.6, 4.2), layout="constrained")
     bars, curve = figure.subplots(1, 2, width_ratios=[1.4, 1.0])
     _draw_bars(bars, _table_4())
@@ -74,9 +89,21 @@ def loss_comparison(path: Path) -> None:
 
 def loss_map(path: Path) -> None:
     """Draw who loses least over the map of paper 000's drive, as an SVG."""
-    names: tuple[ModulationName, ...] = ("spwm", "svpwm", "dpwm0", "dpwm1", "dpwm2", "dpwm3", "dpwmmin", "ddt-gdpwm")
+    names: tuple[ModulationName, ...] = (
+        "spwm",
+        "svpwm",
+        "dpwm0",
+        "dpwm1",
+        "dpwm2",
+        "dpwm3",
+        "dpwmmin",
+        "ddt-gdpwm",
+    )
     alternatives = Alternatives(("mtpa",), names, (100e3,))
-    save(plot_loss_map(solve_map(catalogue.load("paper000-ipmsm-100kw"), alternatives, 0.0, 50, 50)), path)
+    save(
+        plot_loss_map(solve_map(catalogue.load("paper000-ipmsm-100kw"), alternatives, 0.0, 50, 50)),
+        path,
+    )
 
 
 def modulation_choice(path: Path) -> None:
@@ -89,11 +116,15 @@ def modulation_choice(path: Path) -> None:
 
 def _table_4() -> LossComparison:
     """Compare all alternatives at the point of Table 4, calibrated on its first column."""
-    machine = LinearMachine(pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0)
+    machine = LinearMachine(
+        pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0
+    )
     device = SwitchDevice("mosfet", 9.5e-3, 1e-3, 1e-3, 200.0, 500.0, thermal_resistance=0.306)
     inverter = Inverter(v_dc=500.0, f_sw=100e3, device=device, coolant_temperature=64.0)
     id0 = id0_currents(machine, np.array([130.0]))
-    device = calibrate_switching(1064.0, machine, inverter, float(id0[0][0]), float(id0[1][0]), 300.0, "spwm")
+    device = calibrate_switching(
+        1064.0, machine, inverter, float(id0[0][0]), float(id0[1][0]), 300.0, "spwm"
+    )
     settings = LossSettings(points=(LoadPoint(torque=130.0, omega_m=300.0),))
     return compare_points(machine, replace(inverter, device=device), settings, i_max=machine.i_max)
 
@@ -109,7 +140,13 @@ def _draw_bars(axes: Axes, result: LossComparison) -> None:
     for x, total in zip(position, bottom, strict=True):
         axes.text(float(x), total + 15.0, f"{total:.0f}", ha="center", fontsize="small")
     printed = [(k, PRINTED[pair]) for k, pair in enumerate(pairs) if pair in PRINTED]
-    axes.plot(*zip(*printed, strict=True), "k_", markersize=26, markeredgewidth=2, label="printed in the paper")
+    axes.plot(
+        *zip(*printed, strict=True),
+        "k_",
+        markersize=26,
+        markeredgewidth=2,
+        label="printed in the paper",
+    )
     implied = table_4(catalogue.load("paper000-ipmsm-100kw"))[2].implied_loss
     place = pairs.index(("mtpa", "ddt-gdpwm"))
     axes.plot(place, implied, "k_", markersize=26, markeredgewidth=1, label="by its temperature")
@@ -123,7 +160,9 @@ def _draw_switching_factor(axes: Axes) -> None:
     device = SwitchDevice("mosfet", 1e-3, 1e-3, 1e-3, 1.0, 1.0, thermal_resistance=0.1)
     lag = np.radians(np.linspace(-90.0, 90.0, 361))
     loss = {
-        name: bridge_load(Inverter(1.0, 1.0, device), name, 0.4, 0.0, np.cos(lag), -np.sin(lag)).switching
+        name: bridge_load(
+            Inverter(1.0, 1.0, device), name, 0.4, 0.0, np.cos(lag), -np.sin(lag)
+        ).switching
         for name in NAMES
     }
     for name in ("spwm", "ddt-gdpwm"):

@@ -10,26 +10,46 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dqforge.machines.clamping import DISCONTINUOUS, switching_loss_factor
-from dqforge.machines.modulation import LINEAR_LIMITS, MODULATORS, SIX_STEP_AMPLITUDE, linear_limit, period_waveforms
-from dqforge.machines.overmodulation import fundamental
-from dqforge.machines.ripple import harmonic_distortion_factor
-from dqforge.machines.settings import ModulationName
+from dqforge.machines.modulation.clamping import DISCONTINUOUS, switching_loss_factor
+from dqforge.machines.modulation.modulators import (
+    LINEAR_LIMITS,
+    MODULATORS,
+    SIX_STEP_AMPLITUDE,
+    linear_limit,
+    period_waveforms,
+)
+from dqforge.machines.modulation.overmodulation import fundamental
+from dqforge.machines.modulation.ripple import harmonic_distortion_factor
+from dqforge.machines.names import ModulationName
 
 # One colour for each modulator; those that coincide in a figure share a line there.
-COLOURS = dict(zip(MODULATORS, (*mpl.colormaps["tab20"](range(0, 20, 2)), "#1d4ed8", "#111827"), strict=True))
+COLOURS = dict(
+    zip(MODULATORS, (*mpl.colormaps["tab20"](range(0, 20, 2)), "#1d4ed8", "#111827"), strict=True)
+)
 
 
 def zero_sequences(path: Path) -> None:
-    """Draw zero-sequence voltage and duty cycle of each modulator over an electrical period, as an SVG."""
+    """Draw zero-sequence voltage and duty cycle of each modulator over an electrical period,
+    as an SVG.
+    """
     figure = Figure(figsize=(9.6, 6.6), layout="constrained")
     lag = math.radians(20.0)
-    for axes, name in zip(figure.subplots(3, 4, sharex=True, sharey=True).ravel(), MODULATORS, strict=True):
+    for axes, name in zip(
+        figure.subplots(3, 4, sharex=True, sharey=True).ravel(), MODULATORS, strict=True
+    ):
         amplitude = 0.8 * linear_limit("spwm", 1.0)
-        wave = period_waveforms(name, amplitude, 0.0, math.cos(lag), -math.sin(lag), 1.0, angles=720)
+        wave = period_waveforms(
+            name, amplitude, 0.0, math.cos(lag), -math.sin(lag), 1.0, angles=720
+        )
         degrees = np.degrees(wave.theta_e)
         axes.plot(degrees, wave.modulation.duty[:, 0], color="#1d4ed8", label="duty cycle, phase a")
-        axes.plot(degrees, wave.voltage[:, 0] + 0.5, color="#9ca3af", linestyle=":", label="reference + 1/2")
+        axes.plot(
+            degrees,
+            wave.voltage[:, 0] + 0.5,
+            color="#9ca3af",
+            linestyle=":",
+            label="reference + 1/2",
+        )
         zero = wave.modulation.zero_sequence - 0.5
         axes.plot(degrees, zero, color="#d97706", label="V0 / v_dc - 1/2")
         axes.set_title(name, fontsize="small")
@@ -37,12 +57,16 @@ def zero_sequences(path: Path) -> None:
         axes.set_xlim(0.0, 360.0)
         axes.grid(alpha=0.3)
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
-    figure.supxlabel("angle of the voltage vector in degrees; the current lags by 20", fontsize="small")
+    figure.supxlabel(
+        "angle of the voltage vector in degrees; the current lags by 20", fontsize="small"
+    )
     _save(figure, path)
 
 
 def merits(path: Path) -> None:
-    """Draw switching loss over the load angle, harmonic distortion and gain over the modulation index, as an SVG."""
+    """Draw switching loss over the load angle, harmonic distortion and gain over the
+    modulation index, as an SVG.
+    """
     figure = Figure(figsize=(9.6, 7.6), layout="constrained")
     (loss, gain), (carrier, commutations) = figure.subplots(2, 2)
     _draw_loss(loss)
@@ -66,7 +90,13 @@ def _draw_loss(axes: Axes) -> None:
     }
     for name, label in shown.items():
         style = "--" if name == "ddt-gdpwm" else "-"
-        axes.plot(degrees, switching_loss_factor(name, np.radians(degrees)), style, color=COLOURS[name], label=label)
+        axes.plot(
+            degrees,
+            switching_loss_factor(name, np.radians(degrees)),
+            style,
+            color=COLOURS[name],
+            label=label,
+        )
     axes.set_xlabel("lag of the current in degrees")
     axes.set_ylabel("switching loss, same carrier frequency")
     axes.set_xticks(range(-90, 91, 30))
@@ -77,9 +107,19 @@ def _draw_loss(axes: Axes) -> None:
 
 def _draw_gain(axes: Axes) -> None:
     reference = np.linspace(0.4, 1.3, 400)
-    for name, label in (("spwm", "spwm"), ("thipwm6", "thipwm6"), ("thipwm4", "thipwm4"), ("svpwm", "svpwm")):
+    for name, label in (
+        ("spwm", "spwm"),
+        ("thipwm6", "thipwm6"),
+        ("thipwm4", "thipwm4"),
+        ("svpwm", "svpwm"),
+    ):
         axes.plot(reference, fundamental(name, reference, 1.0), color=COLOURS[name], label=label)
-    axes.plot(reference, fundamental("dpwm1", reference, 1.0), color=COLOURS["dpwm1"], label="all discontinuous")
+    axes.plot(
+        reference,
+        fundamental("dpwm1", reference, 1.0),
+        color=COLOURS["dpwm1"],
+        label="all discontinuous",
+    )
     axes.axhline(SIX_STEP_AMPLITUDE, color="#9ca3af", linestyle=":", label="six-step")
     axes.set_xlabel("amplitude of the reference / v_dc")
     axes.set_ylabel("fundamental / v_dc")
@@ -104,7 +144,9 @@ def _draw_distortion(axes: Axes, *, equal_commutations: bool) -> None:
             factor = factor / 1.5**2
         axes.plot(index, factor, color=COLOURS[name], label=label)
     axes.set_xlabel("modulation index")
-    axes.set_ylabel(f"HDF at the same {'commutations' if equal_commutations else 'carrier frequency'}")
+    axes.set_ylabel(
+        f"HDF at the same {'commutations' if equal_commutations else 'carrier frequency'}"
+    )
     axes.grid(alpha=0.3)
     axes.set_ylim(0.0, 0.46 if equal_commutations else 1.0)
     axes.legend(fontsize="x-small", loc="upper left")

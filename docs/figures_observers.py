@@ -7,17 +7,20 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from dqforge.machines import catalogue
-from dqforge.machines.settings import ObserverSettings
-from dqforge.machines.synchronous import linearised
-from dqforge.optimizer.observer_conditions import conditions
-from dqforge.optimizer.observer_tuning import tune_position_observer
-from dqforge.optimizer.position_observers import METHODS
-from dqforge.reports.figures import save
+from dqforge.machines.design import catalogue
+from dqforge.machines.design.settings import ObserverSettings
+from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.optimizer.observers.conditions import conditions
+from dqforge.optimizer.observers.methods.registry import METHODS
+from dqforge.optimizer.observers.tuning import tune_position_observer
+from dqforge.reports.pages.figures_style import save
 
 
 def position_errors(path: Path) -> None:
-    """Angle error by parameters, dead time and noise at the worst load; machine of paper 001, two tunings."""
+    """Angle error by parameters, dead time and noise at the worst load.
+
+    Machine of paper 001, two tunings.
+    """
     design = catalogue.load("paper001-pmsm-bench")
     machine, t_s = linearised(design.machine), design.control.t_s
     omega_max = design.control.bases.speed * machine.pole_pairs
@@ -27,7 +30,9 @@ def position_errors(path: Path) -> None:
         for name in METHODS:
             wanted = ObserverSettings(method=name, tuning=tuning)  # type: ignore[arg-type]
             known = conditions(design, omega_max)
-            judged = tune_position_observer(machine, wanted, t_s, design.inverter.v_dc, omega_max, known).judgement
+            judged = tune_position_observer(
+                machine, wanted, t_s, design.inverter.v_dc, omega_max, known
+            ).judgement
             shown = (judged.omega <= omega_max) & np.isfinite(judged.steady)
             error = np.where(shown, np.degrees(judged.steady), np.nan)  # a gap where it is lost
             ax.loglog(judged.omega / (2.0 * np.pi), error, label=name)

@@ -1,4 +1,6 @@
-"""Figures of the page on simulation: the bench drive in the loop, and what a dead time costs at little current."""
+"""Figures of the page on simulation: the bench drive in the loop, and what a dead
+time costs at little current.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +9,15 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from dqforge.machines import catalogue
-from dqforge.machines.inverter import Inverter
-from dqforge.machines.scenario import InverterModel, Scenario, constant
-from dqforge.machines.synchronous import LinearMachine
-from dqforge.reports.drive_simulation import simulate_design
-from dqforge.reports.figures import save
-from dqforge.reports.figures_simulation import plot_simulation
-from dqforge.reports.plant_input import Drive
-from dqforge.reports.simulation import simulate, simulator
+from dqforge.machines.design import catalogue
+from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.plants.scenario import InverterModel, Scenario, constant
+from dqforge.reports.pages.figures_style import save
+from dqforge.reports.simulation.compiled_plant import simulate, simulator
+from dqforge.reports.simulation.design_run import simulate_design
+from dqforge.reports.simulation.figures import plot_simulation
+from dqforge.reports.simulation.plant_input import Drive
 
 _RL = LinearMachine(pole_pairs=1, r_s=1.0, l_d=1e-3, l_q=1e-3, psi_pm=0.0, i_max=60.0)
 _T_S, _DEAD_TIME = 1e-4, 2e-6
@@ -27,7 +29,9 @@ def bench(path: Path) -> None:
 
 
 def dead_time(path: Path) -> None:
-    """Voltage that a dead time takes from phase a, averaged and switch by switch, while 60 A flow from b to c."""
+    """Voltage that a dead time takes from phase a, averaged and switch by switch,
+    while 60 A flow from b to c.
+    """
     drive = Drive(_RL, Inverter(300.0, 1.0 / _T_S), _T_S)
     steps = np.linspace(-0.015, 0.05, 66)
     figure = Figure(figsize=(7.0, 3.2), layout="constrained")
@@ -39,7 +43,12 @@ def dead_time(path: Path) -> None:
             for step in steps:
                 duties = constant(0.5 + float(step)), constant(0.7 - float(step) / 2.0)
                 scenario = Scenario(
-                    0.15, "open-loop", *duties, shaft=constant(0.0), inverter=inverter, dead_time=_DEAD_TIME
+                    0.15,
+                    "open-loop",
+                    *duties,
+                    shaft=constant(0.0),
+                    inverter=inverter,
+                    dead_time=_DEAD_TIME,
                 )
                 current.append(float(np.mean(simulate(plant, drive, scenario).i_d[-200:])))
             lost = 300.0 * steps - np.array(current)
@@ -48,6 +57,8 @@ def dead_time(path: Path) -> None:
     full = 2.0 / 3.0 * _DEAD_TIME / _T_S * 300.0
     for level in (-full, 0.0, full):
         axes.axhline(level, color="0.7", linewidth=0.8)
-    axes.set(xlabel="Current in phase a in A", ylabel="Voltage lost in V", ylim=(-1.2 * full, 1.2 * full))
+    axes.set(
+        xlabel="Current in phase a in A", ylabel="Voltage lost in V", ylim=(-1.2 * full, 1.2 * full)
+    )
     axes.legend(frameon=False, loc="lower right")
     save(figure, path)

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from dqforge.machines import catalogue
-from dqforge.machines.bemf_capture import BemfCapture, analyse
-from dqforge.optimizer.waveform_comparison import compare_waveforms
-from dqforge.reports.bemf import CaptureReading
-from dqforge.reports.figures import save
-from dqforge.reports.figures_bemf import plot_capture
-from dqforge.reports.figures_waveforms import plot_waveforms
+from dqforge.machines.back_emf.capture import analyse
+from dqforge.machines.back_emf.columns import BemfCapture
+from dqforge.machines.design import catalogue
+from dqforge.optimizer.waveforms.comparison import compare_waveforms
+from dqforge.reports.back_emf.capture import CaptureReading
+from dqforge.reports.back_emf.figures import plot_capture
+from dqforge.reports.pages.figures_style import save
+from dqforge.reports.waveforms.figures import plot_waveforms
 
 _TORQUE_NM, _NEUTRAL_A = 3.5, 1.0
 
@@ -29,16 +30,22 @@ _HARMONICS = ((1, 0.2233, 0.0), (3, 0.0268, 0.0), (5, 0.0067, 0.3), (7, 0.0022, 
 
 
 def phase_waveforms(path: Path) -> None:
-    """Currents of the machine of paper 002 by every rule, their torque and harmonics; a limit on the neutral binds."""
+    """Currents of the machine of paper 002 by every rule, their torque and harmonics;
+    a limit on the neutral binds.
+    """
     design = catalogue.load("paper002-phase-waveforms")
     settings = replace(design.waveform, torque=_TORQUE_NM, neutral=_NEUTRAL_A)
     save(plot_waveforms(compare_waveforms(design, settings)), path)
 
 
 def capture(path: Path) -> None:
-    """A capture with noise, drift and the steps of a converter, and the harmonics that are found in it."""
+    """A capture with noise, drift and the steps of a converter, and the harmonics that are found in
+    it.
+    """
     synthetic = _synthetic()
-    reading = CaptureReading("capture.csv", synthetic, analyse(synthetic, pole_pairs=_POLE_PAIRS), _POLE_PAIRS)
+    reading = CaptureReading(
+        "capture.csv", synthetic, analyse(synthetic, pole_pairs=_POLE_PAIRS), _POLE_PAIRS
+    )
     save(plot_capture(reading), path)
 
 

@@ -1,6 +1,7 @@
 """Draw the figures of the documentation anew; the files are the same bytes every time.
 
-The one figure of measured times, time-over-points.svg, is drawn by `figures_operating_points.time_over_points` alone.
+The one figure of measured times, time-over-points.svg, is drawn by
+`figures_operating_points.time_over_points` alone.
 """
 
 from __future__ import annotations
@@ -22,9 +23,11 @@ import figures_simulation
 import figures_waveforms
 import figures_weakening
 
-from dqforge.machines import catalogue
-from dqforge.optimizer.solution import solve_curves, solve_fit
-from dqforge.reports.figures import plot_fit, plot_mtpa, save
+from dqforge.machines.design import catalogue
+from dqforge.optimizer.current_reference.solve import solve_fit
+from dqforge.optimizer.operating_points.solve import solve_curves
+from dqforge.reports.current_reference.figures import plot_fit, plot_mtpa
+from dqforge.reports.pages.figures_style import save
 
 
 def main() -> None:

@@ -1,1 +1,3 @@
-"""What the drive is: quantities, input files, machine and inverter models, modulators and loss models."""
+"""What the drive is: quantities, input files, machine and inverter models,
+modulators and loss models.
+"""

@@ -9,19 +9,26 @@ class DqforgeError(Exception):
     Parameters
     ----------
     message:
-        What is wrong, what was expected, what to write; on a key of a design it begins with the key.
+        What is wrong, what was expected, what to write; on a key of a
+        design it begins with the key.
     source:
         File name as the user gave it, or None when there is no file.
     line, column:
         One-based position in the file, or None.
 
-    ``section`` is the dotted key that the error is about where the message names none (`dqforge.machines.places`).
+    ``section`` is the dotted key that the error is about where the message names none
+    (`dqforge.machines.places`).
     """
 
     exit_code = 1
 
     def __init__(
-        self, message: str, *, source: str | None = None, line: int | None = None, column: int | None = None
+        self,
+        message: str,
+        *,
+        source: str | None = None,
+        line: int | None = None,
+        column: int | None = None,
     ) -> None:
         self.message = message
         self.source = source
@@ -33,7 +40,8 @@ class DqforgeError(Exception):
     def __str__(self) -> str:
         position = [str(part) for part in (self.source, self.line, self.column) if part is not None]
         text = f"{':'.join(position)}: {self.message}" if position else self.message
-        # A file name may hold control characters; they must not reach a terminal or break the one line.
+        # A file name may hold control characters; they must not reach a
+        # terminal or break the one line.
         return "".join(character if character.isprintable() else "?" for character in text)
 
 
@@ -44,7 +52,10 @@ class InputError(DqforgeError, ValueError):
 
 
 class NoSolutionError(DqforgeError):
-    """The design is valid, but what it asks for cannot be had; the message says which limit stands in the way."""
+    """The design is valid, but what it asks for cannot be had.
+
+    The message says which limit stands in the way.
+    """
 
 
 class VerificationError(DqforgeError):

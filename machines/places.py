@@ -1,8 +1,9 @@
-"""Where the keys of a design stand in its file, and how a refusal from anywhere in the program finds its place there.
+"""Where the keys of a design stand in its file, and how a refusal from anywhere in the
+program finds its place there.
 
-What solves, tunes and prints knows nothing of files. Its messages begin with the key that they are about, such as
-``control.observer: ...``; what cannot know the key stands in a block `about` a section. Where the design is at hand,
-`Places.locate` turns either into file, line and column.
+What solves, tunes and prints knows nothing of files. Its messages begin with the key that they are
+about, such as ``control.observer: ...``; what cannot know the key stands in a block `about` a
+section. Where the design is at hand, `Places.locate` turns either into file, line and column.
 """
 
 from __future__ import annotations
@@ -14,11 +15,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from dqforge.machines.errors import DqforgeError, VerificationError
-from dqforge.machines.quantities import shown
+from dqforge.machines.wording import shown
 
 KeyPath = tuple[str | int, ...]
 
+
 _LEADING = re.compile(r"([a-z]\w*)((?:\.[a-z]\w*|\[\d+\])*)(?=[:, ]|$)", re.ASCII)
+
+
 _PART = re.compile(r"\.([a-z]\w*)|\[(\d+)\]", re.ASCII)
 
 
@@ -39,7 +43,9 @@ def dotted(path: KeyPath) -> str:
 
 
 def leading_path(message: str) -> KeyPath:
-    """Path of the dotted key that a message begins with; a first word that is no key counts, too."""
+    """Path of the dotted key that a message begins with; a first word that is no key counts,
+    too.
+    """
     found = _LEADING.match(message)
     if found is None:
         return ()
@@ -48,9 +54,15 @@ def leading_path(message: str) -> KeyPath:
 
 
 def nearest(
-    keys: Mapping[KeyPath, Position], values: Mapping[KeyPath, Position], path: KeyPath, *, key: bool = False
+    keys: Mapping[KeyPath, Position],
+    values: Mapping[KeyPath, Position],
+    path: KeyPath,
+    *,
+    key: bool = False,
 ) -> Position:
-    """Where the value of a part begins, or its key, or the nearest enclosing part that is in the file."""
+    """Where the value of a part begins, or its key, or the nearest enclosing
+    part that is in the file.
+    """
     for length in range(len(path), 0, -1):
         # For a key that is missing, its section's key is the line to look at.
         table = keys if key or length < len(path) else values
@@ -68,7 +80,8 @@ class Places:
     source:
         File name as the user gave it.
     keys, values:
-        Where each key and its value begin, by path. List entries have the position of their value in both.
+        Where each key and its value begin, by path. List entries have the
+        position of their value in both.
     sections:
         Keys that a design may have at its top level.
     """
@@ -84,13 +97,18 @@ class Places:
         Parameters
         ----------
         error:
-            Left as it is where it has a position, where it is about another file or an option of the command line,
-            and where it is about compiled C.
+            Left as it is where it has a position, where it is about another file or an option of
+            the command line, and where it is about compiled C.
         section:
             The dotted key to name where the message names none.
         """
         option = error.message.startswith("--")
-        if error.line is not None or error.source is not None or option or isinstance(error, VerificationError):
+        if (
+            error.line is not None
+            or error.source is not None
+            or option
+            or isinstance(error, VerificationError)
+        ):
             return
         path = leading_path(error.message)
         if not path or path[0] not in self.sections:
@@ -102,7 +120,9 @@ class Places:
 
 @contextmanager
 def about(section: str) -> Iterator[None]:
-    """Name the section of the design that errors of the block are about, unless they know better."""
+    """Name the section of the design that errors of the block are about,
+    unless they know better.
+    """
     try:
         yield
     except DqforgeError as error:

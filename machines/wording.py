@@ -1,4 +1,6 @@
-"""Words of messages: input values as they are shown, and what an unknown word may have been meant to be."""
+"""Words of messages: input values as they are shown, and what an unknown word
+may have been meant to be.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,9 @@ from collections.abc import Iterable
 
 
 def shown(value: object) -> str:
-    """Text of an input value for an error message: quoted, one line, printable, at most 40 characters."""
+    """Text of an input value for an error message: quoted, one line, printable,
+    at most 40 characters.
+    """
     text = str(value)
     text = text if len(text) <= 40 else text[:37] + "..."
     return "'" + "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text) + "'"
@@ -16,7 +20,8 @@ def shown(value: object) -> str:
 def close_matches(word: str, candidates: Iterable[str], limit: int = 2) -> list[str]:
     """Candidates that `word` may have been meant to be, best first.
 
-    A candidate that differs in upper and lower case alone leaves no doubt, and is then the only one.
+    A candidate that differs in upper and lower case alone leaves no doubt,
+    and is then the only one.
     """
     known = list(candidates)
     folded = [c for c in known if c.casefold() == word.casefold()]

@@ -1,1 +1,3 @@
-"""What comes out: C headers and their verification, figures, the HTML report and the papers' tables."""
+"""What comes out: C headers and their verification, figures, the HTML
+report and the papers' tables.
+"""

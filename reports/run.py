@@ -1,32 +1,38 @@
-"""The main job: solve a design, emit its header, prove the header, and gather the files to be written."""
+"""The main job: solve a design, emit its header, prove the header, and
+gather the files to be written.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dqforge.machines.design import Design
-from dqforge.machines.numerical import on_design
-from dqforge.optimizer.solution import GainSet, Solution, solve
-from dqforge.reports.control_fixed_header import control_fixed_files
-from dqforge.reports.control_header import control_files
-from dqforge.reports.drive_simulation import simulate_design, simulation_files
-from dqforge.reports.further_headers import programmes
-from dqforge.reports.gains_header import gains_files
-from dqforge.reports.header import header_files
-from dqforge.reports.html_report import render_report
-from dqforge.reports.observer_header import observer_files
-from dqforge.reports.reference_ir import PlainData
-from dqforge.reports.result_json import plain_solution, to_text
-from dqforge.reports.rule_header import choice_files
-from dqforge.reports.speed_observer_header import speed_observer_files
-from dqforge.reports.surface_header import weakening_files
-from dqforge.reports.verify import Verification, verify_files
-from dqforge.reports.waveform_header import waveform_files
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.numerical import on_design
+from dqforge.optimizer.control_design.gain_set import GainSet
+from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.capabilities import programmes
+from dqforge.reports.control.fixed_header import control_fixed_files
+from dqforge.reports.control.header import control_files
+from dqforge.reports.field_weakening.header import weakening_files
+from dqforge.reports.loops.header import gains_files
+from dqforge.reports.main_header.header import header_files
+from dqforge.reports.modulation_choice.header import choice_files
+from dqforge.reports.observers.position_header import observer_files
+from dqforge.reports.observers.speed_header import speed_observer_files
+from dqforge.reports.pages.envelope import to_text
+from dqforge.reports.plain_data import PlainData
+from dqforge.reports.report import render_report
+from dqforge.reports.result import plain_solution
+from dqforge.reports.simulation.design_run import simulate_design, simulation_files
+from dqforge.reports.verification.host import Verification, verify_files
+from dqforge.reports.waveforms.header import waveform_files
 
 
 @dataclass(frozen=True, slots=True)
 class RunOutput:
-    """What a run made: the solution, the outcome of the verification (None if it was skipped), and the files."""
+    """What a run made: the solution, the outcome of the verification (None if it was skipped),
+    and the files.
+    """
 
     solution: Solution
     verification: Verification | None
@@ -95,5 +101,7 @@ def run_design(design: Design, *, verify: bool) -> RunOutput:
     if verify and design.simulation is not None:
         simulation = simulate_design(design, solution=output.solution)
         output.files.update(simulation_files(simulation))
-    output.files["report.html"] = render_report(output.solution, output.verification, simulation).encode("utf-8")
+    output.files["report.html"] = render_report(
+        output.solution, output.verification, simulation
+    ).encode("utf-8")
     return output

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from dqforge.machines.synchronous import LinearMachine
+from dqforge.machines.dq_machines.synchronous import LinearMachine
 
 # No test may depend on the speed of the machine; in CI every run tries the same examples.
 settings.register_profile("dqforge", deadline=None, derandomize=bool(os.environ.get("CI")))
@@ -31,7 +31,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Folder with real files made by others; it lies beside the checkout and is no part of the project."""
+    """Folder with real files made by others.
+
+    It lies beside the checkout and is no part of the project.
+    """
     folder = REPOSITORY.parent / "shared" / "data"
     if not folder.is_dir():
         if os.environ.get("CI"):
@@ -44,7 +47,14 @@ def shared_data() -> Path:
 def ipm100() -> LinearMachine:
     """Machine of paper 000 with the values that its Table 2 identifies."""
     return LinearMachine(
-        pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0, inertia=0.05, omega_m_max=942.478
+        pole_pairs=4,
+        r_s=2e-3,
+        l_d=350e-6,
+        l_q=592e-6,
+        psi_pm=0.1049,
+        i_max=283.0,
+        inertia=0.05,
+        omega_m_max=942.478,
     )
 
 
@@ -52,5 +62,12 @@ def ipm100() -> LinearMachine:
 def bench001() -> LinearMachine:
     """Machine of paper 001, appendix A."""
     return LinearMachine(
-        pole_pairs=3, r_s=2.35, l_d=1.61e-3, l_q=1.74e-3, psi_pm=0.06, i_max=2.263, inertia=200e-6, friction=40e-6
+        pole_pairs=3,
+        r_s=2.35,
+        l_d=1.61e-3,
+        l_q=1.74e-3,
+        psi_pm=0.06,
+        i_max=2.263,
+        inertia=200e-6,
+        friction=40e-6,
     )

@@ -1,4 +1,6 @@
-"""Designs with one key changed: every word it may be, both ends of its range, left out, and values that are wrong."""
+"""Designs with one key changed: every word it may be, both ends of its range, left out,
+and values that are wrong.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +12,9 @@ from typing import Any, Literal, get_args, get_origin
 import yaml
 from pydantic import BaseModel
 
-from dqforge.machines import catalogue
-from dqforge.machines.entries import CountRule, QuantityRule
-from dqforge.machines.schema import DesignFile
+from dqforge.machines.design import catalogue
+from dqforge.machines.design.schema import DesignFile
+from dqforge.machines.entries.rules import CountRule, QuantityRule
 
 Path = tuple[str | int, ...]
 _OFTEN_WRONG: tuple[object, ...] = (
@@ -34,7 +36,10 @@ _OFTEN_WRONG: tuple[object, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A design of the library with one key changed; ``what`` names the change. Its text is made on demand."""
+    """A design of the library with one key changed; ``what`` names the change.
+
+    Its text is made on demand.
+    """
 
     drive: str
     what: str
@@ -67,7 +72,9 @@ def document(drive: str) -> dict[str, Any]:
 
 
 def permitted(drive: str) -> Iterator[Change]:
-    """Every word and both ends of the range of each key of the schema, and each key of the design left out."""
+    """Every word and both ends of the range of each key of the schema, and each
+    key of the design left out.
+    """
     base = document(drive)
     for path in sorted(_paths(base), key=str):
         yield _change(drive, base, path, "left out", None, leave_out=True)
@@ -77,7 +84,9 @@ def permitted(drive: str) -> Iterator[Change]:
 
 
 def wrong(drive: str) -> Iterator[Change]:
-    """Each key of the design with values that are mostly wrong, left out, or beside a key that nobody knows."""
+    """Each key of the design with values that are mostly wrong, left out,
+    or beside a key that nobody knows.
+    """
     base = document(drive)
     for path in sorted(_paths(base), key=str):
         yield _change(drive, base, path, "left out", None, leave_out=True)
@@ -103,7 +112,13 @@ def _scaled(drive: str, base: dict[str, Any], path: Path, factor: float) -> Iter
 
 
 def _change(
-    drive: str, base: dict[str, Any], path: Path, what: str, value: object, *, leave_out: bool = False
+    drive: str,
+    base: dict[str, Any],
+    path: Path,
+    what: str,
+    value: object,
+    *,
+    leave_out: bool = False,
 ) -> Change:
     return Change(drive, f"{'.'.join(map(str, path))} {what}", base, path, value, leave_out)
 
@@ -116,14 +131,27 @@ def _at(base: Any, path: Path) -> Any:
 
 def _paths(node: Any, path: Path = ()) -> list[Path]:
     """All keys and list entries, those of sections included."""
-    items = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    items = (
+        node.items()
+        if isinstance(node, dict)
+        else enumerate(node)
+        if isinstance(node, list)
+        else ()
+    )
     return [found for key, value in items for found in ((*path, key), *_paths(value, (*path, key)))]
 
 
 def _fields(model: type[BaseModel], path: Path) -> Iterator[tuple[Path, Any, list[Any]]]:
-    """Path, type and constraints of every key that is no section; lists of sections are left out."""
+    """Path, type and constraints of every key that is no section.
+
+    Lists of sections are left out.
+    """
     for name, field in model.model_fields.items():
-        inner = [part for part in _parts(field.annotation) if isinstance(part, type) and issubclass(part, BaseModel)]
+        inner = [
+            part
+            for part in _parts(field.annotation)
+            if isinstance(part, type) and issubclass(part, BaseModel)
+        ]
         listed = any(get_origin(part) is tuple for part in _parts(field.annotation))
         if inner and not listed:
             for section in inner:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from dqforge.machines.design import Design
-from dqforge.machines.inverter import Inverter, SwitchDevice
-from dqforge.machines.machine_loss import NO_EXTRA_LOSS
-from dqforge.machines.settings import (
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.settings import (
     ControlSettings,
     CurrentLoopSettings,
     ExportSettings,
@@ -18,19 +16,35 @@ from dqforge.machines.settings import (
     OperationSettings,
     PerUnitBases,
     SpeedLoopSettings,
-    Strategy,
     WaveformSettings,
 )
-from dqforge.machines.synchronous import LinearMachine
-from dqforge.optimizer.current_reference import CurrentReference
-from dqforge.optimizer.reference_fit import ReferenceFit
+from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS
+from dqforge.machines.names import Strategy
+from dqforge.optimizer.current_reference.fit import ReferenceFit
+from dqforge.optimizer.current_reference.forms import CurrentReference
 
 IPM = LinearMachine(
-    pole_pairs=4, r_s=2e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0, inertia=0.05, omega_m_max=942.478
+    pole_pairs=4,
+    r_s=2e-3,
+    l_d=350e-6,
+    l_q=592e-6,
+    psi_pm=0.1049,
+    i_max=283.0,
+    inertia=0.05,
+    omega_m_max=942.478,
 )
-INVERSE_SALIENT = LinearMachine(pole_pairs=3, r_s=0.1, l_d=2e-3, l_q=1e-3, psi_pm=0.1, i_max=80.0, inertia=1e-3)
-SURFACE = LinearMachine(pole_pairs=3, r_s=0.1, l_d=1e-3, l_q=1e-3, psi_pm=0.1, i_max=50.0, inertia=1e-3)
-RELUCTANCE = LinearMachine(pole_pairs=2, r_s=0.54, l_d=41.5e-3, l_q=6.2e-3, psi_pm=0.0, i_max=22.0, inertia=1e-2)
+INVERSE_SALIENT = LinearMachine(
+    pole_pairs=3, r_s=0.1, l_d=2e-3, l_q=1e-3, psi_pm=0.1, i_max=80.0, inertia=1e-3
+)
+SURFACE = LinearMachine(
+    pole_pairs=3, r_s=0.1, l_d=1e-3, l_q=1e-3, psi_pm=0.1, i_max=50.0, inertia=1e-3
+)
+RELUCTANCE = LinearMachine(
+    pole_pairs=2, r_s=0.54, l_d=41.5e-3, l_q=6.2e-3, psi_pm=0.0, i_max=22.0, inertia=1e-2
+)
 MOSFET = SwitchDevice("mosfet", 9.5e-3, 0.86e-3, 0.86e-3, 206.5, 500.0, 0.306)
 
 
@@ -43,7 +57,9 @@ def make_design(
     prefix: str = "drive",
     vectors: int = 256,
 ) -> Design:
-    """A complete design around a machine: 100 kHz control, a MOSFET inverter at 500 V, one point of comparison."""
+    """A complete design around a machine: 100 kHz control, a MOSFET inverter at 500 V,
+    one point of comparison.
+    """
     has_magnet = machine.psi_pm > 0.0
     control = ControlSettings(
         t_s=1e-5,
@@ -52,7 +68,9 @@ def make_design(
         observer=ObserverSettings(500.0) if has_magnet else None,
         bases=PerUnitBases(machine.i_max, 288.675, 942.0, 240.0),
     )
-    losses = LossSettings((LoadPoint(5.0, 300.0),), strategies=("id0", "mtpa") if has_magnet else ("mtpa",))
+    losses = LossSettings(
+        (LoadPoint(5.0, 300.0),), strategies=("id0", "mtpa") if has_magnet else ("mtpa",)
+    )
     return Design(
         name=name,
         about="made by the tests",

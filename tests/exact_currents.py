@@ -1,6 +1,8 @@
-"""Errors of current references against exact currents that owe nothing to the library's closed forms.
+"""Errors of current references against exact currents that owe nothing to
+the library's closed forms.
 
-Newton's method in extended precision on the equations of the machine written out here; mpmath where that is not enough.
+Newton's method in extended precision on the equations of the machine written out here;
+mpmath where that is not enough.
 """
 
 from __future__ import annotations
@@ -12,10 +14,10 @@ import mpmath
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.synchronous import LinearMachine, Machine
-from dqforge.optimizer.current_choice import CurrentChoice
-from dqforge.optimizer.current_reference import PENALTY_FROM, Reference
-from dqforge.optimizer.fixed_reference import FixedReference
+from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
+from dqforge.optimizer.current_reference.forms import PENALTY_FROM, Reference
+from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 Wide = NDArray[Any]
 """Arrays in extended precision (float64 for flux maps, whose splines are doubles)."""
@@ -35,19 +37,35 @@ class Found:
     voltage_excess: float
 
     def most(self, other: Found) -> Found:
-        return Found(**{f.name: max(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)})
+        return Found(
+            **{f.name: max(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)}
+        )
 
 
 def wide(machine: Machine, values: Any) -> Wide:
-    return np.asarray(values, dtype=np.longdouble if isinstance(machine, LinearMachine) else np.float64)
+    return np.asarray(
+        values, dtype=np.longdouble if isinstance(machine, LinearMachine) else np.float64
+    )
 
 
 def flux_terms(machine: Machine, i_d: Wide, i_q: Wide) -> tuple[Wide, ...]:
     """psi_d, psi_q, their four derivatives, and t_dd, t_dq, t_qq over 3/2 p."""
     if isinstance(machine, LinearMachine):
-        l_d, l_q, psi = (np.longdouble(value) for value in (machine.l_d, machine.l_q, machine.psi_pm))
+        l_d, l_q, psi = (
+            np.longdouble(value) for value in (machine.l_d, machine.l_q, machine.psi_pm)
+        )
         zero = np.zeros_like(i_d)
-        return psi + l_d * i_d, l_q * i_q, l_d + zero, zero, zero, l_q + zero, zero, l_d - l_q + zero, zero
+        return (
+            psi + l_d * i_d,
+            l_q * i_q,
+            l_d + zero,
+            zero,
+            zero,
+            l_q + zero,
+            zero,
+            l_d - l_q + zero,
+            zero,
+        )
     jet = machine.jet(i_d, i_q)
     t_dd = jet.d_dd * i_q - jet.q_dd * i_d - 2.0 * jet.l_qd
     t_dq = jet.l_dd + jet.d_dq * i_q - jet.l_qq - jet.q_dq * i_d
@@ -68,10 +86,14 @@ def voltage_share(choice: CurrentChoice, i_d: Wide, i_q: Wide) -> Wide:
     omega, limit = wide(machine, machine.pole_pairs * speed.omega_m), wide(machine, speed.v_max)
     psi_d, psi_q = flux_terms(machine, i_d, i_q)[:2]
     r_s = wide(machine, machine.r_s)
-    return np.asarray(((r_s * i_d - omega * psi_q) ** 2 + (r_s * i_q + omega * psi_d) ** 2) / limit**2)
+    return np.asarray(
+        ((r_s * i_d - omega * psi_q) ** 2 + (r_s * i_q + omega * psi_d) ** 2) / limit**2
+    )
 
 
-def _step(choice: CurrentChoice, torque: Wide, i_d: Wide, i_q: Wide, limited: Wide) -> tuple[Wide, Wide]:
+def _step(
+    choice: CurrentChoice, torque: Wide, i_d: Wide, i_q: Wide, limited: Wide
+) -> tuple[Wide, Wide]:
     machine = choice.machine
     psi_d, psi_q, l_dd, l_dq, l_qd, l_qq, t_dd, t_dq, t_qq = flux_terms(machine, i_d, i_q)
     k = 1.5 * machine.pole_pairs
@@ -80,28 +102,47 @@ def _step(choice: CurrentChoice, torque: Wide, i_d: Wide, i_q: Wide, limited: Wi
     if choice.strategy == "id0":
         c, c_d, c_q = i_d, np.ones_like(i_d), np.zeros_like(i_d)
     else:
-        c, c_d, c_q = t_q * i_d - t_d * i_q, t_q + t_dq * i_d - t_dd * i_q, t_qq * i_d - t_d - t_dq * i_q
+        c, c_d, c_q = (
+            t_q * i_d - t_d * i_q,
+            t_q + t_dq * i_d - t_dd * i_q,
+            t_qq * i_d - t_d - t_dq * i_q,
+        )
     if choice.speed is not None:
-        omega, r_s = wide(machine, machine.pole_pairs * choice.speed.omega_m), wide(machine, machine.r_s)
+        omega, r_s = (
+            wide(machine, machine.pole_pairs * choice.speed.omega_m),
+            wide(machine, machine.r_s),
+        )
         v_d, v_q = r_s * i_d - omega * psi_q, r_s * i_q + omega * psi_d
         over = v_d**2 + v_q**2 - wide(machine, choice.speed.v_max) ** 2
         over_d = 2.0 * (v_d * (r_s - omega * l_qd) + v_q * omega * l_dd)
         over_q = 2.0 * (v_q * (r_s + omega * l_dq) - v_d * omega * l_qq)
-        c, c_d, c_q = (np.where(limited, *pair) for pair in ((over, c), (over_d, c_d), (over_q, c_q)))
+        c, c_d, c_q = (
+            np.where(limited, *pair) for pair in ((over, c), (over_d, c_d), (over_q, c_q))
+        )
     det = t_d * c_q - t_q * c_d
     det = np.where(det == 0.0, np.inf, det)
     return i_d - (error * c_q - c * t_q) / det, i_q - (c * t_d - error * c_d) / det
 
 
 def exact_currents(choice: CurrentChoice, torque: Wide) -> tuple[Wide, Wide]:
-    """Exact currents for torques >= 0; the solver's are the start and say where the voltage limits."""
+    """Exact currents for torques >= 0.
+
+    The solver's are the start and say where the voltage limits.
+    """
     machine = choice.machine
     if isinstance(machine, LinearMachine) and machine.psi_pm == 0.0 and choice.speed is None:
         size = np.sqrt(
-            torque / (1.5 * machine.pole_pairs * abs(wide(machine, machine.l_q) - wide(machine, machine.l_d)))
+            torque
+            / (
+                1.5
+                * machine.pole_pairs
+                * abs(wide(machine, machine.l_q) - wide(machine, machine.l_d))
+            )
         )
         return (-size if machine.l_q > machine.l_d else size), size
-    i_d, i_q = (wide(machine, current) for current in choice.currents(np.asarray(torque, dtype=np.float64)))
+    i_d, i_q = (
+        wide(machine, current) for current in choice.currents(np.asarray(torque, dtype=np.float64))
+    )
     limited = voltage_share(choice, i_d, i_q) > 1.0 - 1e-9
     for _ in range(NEWTON_STEPS):
         i_d, i_q = _step(choice, torque, i_d, i_q, limited)
@@ -124,7 +165,9 @@ def found_errors(choice: CurrentChoice, reference: Reference, torque: NDArray[An
     return worst.most(_errors(choice, reference, request[other], *rest))
 
 
-def _errors(choice: CurrentChoice, reference: Reference, request: Wide, exact: Any, given: Any) -> Found:
+def _errors(
+    choice: CurrentChoice, reference: Reference, request: Wide, exact: Any, given: Any
+) -> Found:
     machine = choice.machine
     i_d, i_q = (wide(machine, current) for current in given)
     produced = torque_of(machine, i_d, i_q)
@@ -145,25 +188,35 @@ def _errors(choice: CurrentChoice, reference: Reference, request: Wide, exact: A
 
 
 def mpmath_currents(machine: LinearMachine, torque: float) -> tuple[Any, Any]:
-    """MTPA currents of a salient machine in 40 digits: the root of paper 000's quartic next to zero."""
+    """MTPA currents of a salient machine in 40 digits: the root of paper
+    000's quartic next to zero.
+    """
     with mpmath.workdps(40):
         dl = mpmath.mpf(machine.l_q) - mpmath.mpf(machine.l_d)
         psi, k = mpmath.mpf(machine.psi_pm), mpmath.mpf(1.5 * machine.pole_pairs)
         t = mpmath.mpf(torque)
-        # (psi - dl i_d)^3 i_d + dl (T / k)^2 = 0 with i_d against the sign of dl: one root between 0 and its bound.
-        bound = -mpmath.sign(dl) * mpmath.sqrt(t / k / abs(dl)) * 2 - mpmath.sign(dl) * mpmath.mpf(10) ** -30
+        # (psi - dl i_d)^3 i_d + dl (T / k)^2 = 0 with i_d against the sign of dl:
+        # one root between 0 and its bound.
+        bound = (
+            -mpmath.sign(dl) * mpmath.sqrt(t / k / abs(dl)) * 2
+            - mpmath.sign(dl) * mpmath.mpf(10) ** -30
+        )
 
         def quartic(i_d: Any) -> Any:
             return (psi - dl * i_d) ** 3 * i_d + dl * (t / k) ** 2
 
         i_d = (
-            mpmath.mpf(0) if t == 0 else mpmath.findroot(quartic, (mpmath.mpf(0), bound), solver="anderson", tol=1e-75)
+            mpmath.mpf(0)
+            if t == 0
+            else mpmath.findroot(quartic, (mpmath.mpf(0), bound), solver="anderson", tol=1e-75)
         )
         return i_d, t / k / (psi - dl * i_d)
 
 
 def neighbours(values: NDArray[np.float32], reach: int) -> NDArray[Any]:
-    """Positive floats and all others within ``reach`` units in the last place, ascending bit patterns."""
+    """Positive floats and all others within ``reach`` units in the last place,
+    ascending bit patterns.
+    """
     bits = np.asarray(values, dtype=np.float32).view(np.int32).astype(np.int64)
     near = (bits[:, np.newaxis] + np.arange(-reach, reach + 1)).ravel()
     floats: NDArray[Any] = np.maximum(near, 0).astype(np.int32).view(np.float32)
@@ -180,7 +233,9 @@ def edges_of(reference: Reference) -> NDArray[Any]:
 
 
 def dense_torques(reference: Reference, count: int, seed: int, reach: int = 50) -> NDArray[Any]:
-    """Torques from zero to the end: random, log-spaced, and beside every breakpoint and both ends."""
+    """Torques from zero to the end: random, log-spaced, and beside every
+    breakpoint and both ends.
+    """
     generator = np.random.default_rng(seed)
     if isinstance(reference, FixedReference):
         if reference.width <= 16:

@@ -1,4 +1,6 @@
-"""A small machine, a reference that is a straight line and plain formulas, for the lemmas of the certificates."""
+"""A small machine, a reference that is a straight line and plain formulas,
+for the lemmas of the certificates.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +9,13 @@ from typing import Any
 import numpy as np
 from flint import arb
 
-from dqforge.machines.synchronous import LinearMachine
-from dqforge.optimizer.current_choice import CurrentChoice, SpeedPoint
-from dqforge.optimizer.current_reference import CurrentReference, Polynomials
-from dqforge.optimizer.exact_conditions import Local, Task
-from dqforge.optimizer.interval_newton import UNKNOWN, Interval
-from dqforge.optimizer.rounding import pieces
-from dqforge.optimizer.single_precision import SinglePolynomial
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.optimizer.certificates.exact_conditions import Local, Task
+from dqforge.optimizer.certificates.interval_newton import UNKNOWN, Interval
+from dqforge.optimizer.certificates.rounding import pieces
+from dqforge.optimizer.current_reference.forms import CurrentReference, Polynomials
+from dqforge.optimizer.curves.single_precision import SinglePolynomial
+from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint
 
 
 def close(value: float, expected: float, rel: float = 1e-7) -> None:
@@ -30,8 +32,13 @@ LINE = Polynomials(
 MACHINE = LinearMachine(pole_pairs=2, r_s=0.5, l_d=0.05, l_q=0.15, psi_pm=0.25, i_max=20.0)
 
 
-def task_of(speed: SpeedPoint | None = None, machine: LinearMachine = MACHINE, form: Any = LINE) -> Task:
-    return Task.of(CurrentChoice(machine, "mtpa", machine.i_max, speed), CurrentReference(form, np.float32(6.0)))
+def task_of(
+    speed: SpeedPoint | None = None, machine: LinearMachine = MACHINE, form: Any = LINE
+) -> Task:
+    return Task.of(
+        CurrentChoice(machine, "mtpa", machine.i_max, speed),
+        CurrentReference(form, np.float32(6.0)),
+    )
 
 
 def interval(task: Task, low: float, high: float) -> Interval:
@@ -39,7 +46,9 @@ def interval(task: Task, low: float, high: float) -> Interval:
 
 
 def plain(machine: LinearMachine, i_d: float, i_q: float) -> dict[str, float]:
-    """Torque with its derivatives, and the condition of least loss with its own, of constant inductances."""
+    """Torque with its derivatives, and the condition of least loss with its own,
+    of constant inductances.
+    """
     k, s, psi = 1.5 * machine.pole_pairs, machine.l_d - machine.l_q, machine.psi_pm
     t_d, t_q = k * s * i_q, k * (psi + s * i_d)
     return {

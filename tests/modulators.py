@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dqforge.machines.settings import ModulationName
+from dqforge.machines.names import ModulationName
 
 THIRD = 2.0 * math.pi / 3.0
 # Degrees by which neighbouring intervals overlap, so that rounding leaves no gap between them.
@@ -37,7 +37,10 @@ def _rests_from_to(name: str, lag: float) -> list[tuple[float, float]]:
 
 
 def rest(name: str, angle: float, lag: float) -> tuple[int, bool] | None:
-    """Phase that rests and whether at the positive rail, for the voltage angle `angle`; None if all switch."""
+    """Phase that rests and whether at the positive rail, for the voltage angle `angle`.
+
+    None if all switch.
+    """
     if name in CONTINUOUS:
         return None
     v, i = phases_at(angle), phases_at(angle - lag)
@@ -49,7 +52,13 @@ def rest(name: str, angle: float, lag: float) -> tuple[int, bool] | None:
         opposite = math.degrees(math.remainder(angle - k * THIRD + math.pi, 2.0 * math.pi))
         if any(a - TINY <= own <= b + TINY for a, b in _rests_from_to(name, lag)):
             return k, True
-        negative = [(-60.0, 60.0)] if name == "dpwmmin" else [] if name == "dpwmmax" else _rests_from_to(name, lag)
+        negative = (
+            [(-60.0, 60.0)]
+            if name == "dpwmmin"
+            else []
+            if name == "dpwmmax"
+            else _rests_from_to(name, lag)
+        )
         if any(a - TINY <= opposite <= b + TINY for a, b in negative):
             return k, False
     raise AssertionError((name, angle, lag))

@@ -1,4 +1,6 @@
-"""A smooth saturated machine written twice, for NumPy and for CasADi, so that solvers can be compared on it."""
+"""A smooth saturated machine written twice, for NumPy and for CasADi,
+so that solvers can be compared on it.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +10,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dqforge.machines.saturation import SaturationModel
-from dqforge.machines.synchronous import FloatArray, FluxJet, MachineFormulas
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.saturation import SaturationModel
+from dqforge.machines.dq_machines.synchronous import FluxJet, MachineFormulas
 
 PM_SYRM = SaturationModel(
     a_d0=3.96,
@@ -32,7 +35,9 @@ PM_SYRM = SaturationModel(
 
 @dataclass(frozen=True)
 class ArctanMachine(MachineFormulas):
-    """Cross-saturated: psi_d = psi_m + a_d atan(i_d/b_d) - c i_q^2, psi_q = a_q atan(i_q/b_q) - 2 c i_d i_q."""
+    """Cross-saturated: psi_d = psi_m + a_d atan(i_d/b_d) - c i_q^2, psi_q = a_q
+    atan(i_q/b_q) - 2 c i_d i_q.
+    """
 
     pole_pairs: int = 3
     r_s: float = 0.05

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from dqforge.machines.synchronous import FloatArray
+from dqforge.machines.arrays import FloatArray
 
 PSI = 9.549e-3
 """Magnet flux linkage of the machine in Wb: 3 V peak of phase at 50 Hz electrical."""
@@ -21,7 +21,9 @@ Files = dict[str, bytes]
 
 
 def emf() -> tuple[FloatArray, FloatArray]:
-    """Times in s, shape (N,), and the voltages of three phases with 4 % of a fifth harmonic, shape (3, N)."""
+    """Times in s, shape (N,), and the voltages of three phases with 4 % of a fifth harmonic,
+    shape (3, N).
+    """
     time: FloatArray = START + STEP * np.arange(SAMPLES, dtype=np.float64)
     omega = 2.0 * np.pi * 50.0
     theta = omega * time + 0.7 - np.arange(3)[:, None] * 2.0 * np.pi / 3.0
@@ -34,7 +36,10 @@ TIME, VOLTS = emf()
 
 def rows(columns: Sequence[FloatArray], mark: str = ",", end: str = "") -> str:
     """Lines of columns of numbers."""
-    return "".join(mark.join(f"{value:.7g}" for value in row) + end + "\n" for row in zip(*columns, strict=True))
+    return "".join(
+        mark.join(f"{value:.7g}" for value in row) + end + "\n"
+        for row in zip(*columns, strict=True)
+    )
 
 
 def german(text: str) -> str:
@@ -45,7 +50,9 @@ def german(text: str) -> str:
 def beside(settings: Sequence[str], *columns: FloatArray) -> list[str]:
     """Rows of numbers with settings in the first cells of the first rows."""
     lines = rows(columns).splitlines()
-    return [(settings[k] if k < len(settings) else ",,") + "," + line for k, line in enumerate(lines)]
+    return [
+        (settings[k] if k < len(settings) else ",,") + "," + line for k, line in enumerate(lines)
+    ]
 
 
 def tektronix_settings(channel: int) -> list[str]:
@@ -61,19 +68,25 @@ def tektronix_settings(channel: int) -> list[str]:
 
 def tektronix_all() -> Files:
     blocks = [beside(tektronix_settings(k + 1), TIME, VOLTS[k]) for k in range(3)]
-    return {"T0000ALL.CSV": "\n".join(",,".join(line) for line in zip(*blocks, strict=True)).encode() + b"\n"}
+    return {
+        "T0000ALL.CSV": "\n".join(",,".join(line) for line in zip(*blocks, strict=True)).encode()
+        + b"\n"
+    }
 
 
 def tektronix_single() -> Files:
     names = [f"F0000CH{k}.CSV" for k in (1, 2, 3)]
-    lines = [",\n".join(beside(tektronix_settings(k + 1), TIME, VOLTS[k])) + ",\n" for k in range(3)]
+    lines = [
+        ",\n".join(beside(tektronix_settings(k + 1), TIME, VOLTS[k])) + ",\n" for k in range(3)
+    ]
     return {name: text.encode() for name, text in zip(names, lines, strict=True)}
 
 
 def tektronix_mdo() -> Files:
     head = (
         "Model,MDO3024\nFirmware Version,1.26\n\nWaveform Type,ANALOG,,\nHorizontal Units,s,,\n"
-        f"Sample Interval,{STEP},,\nRecord Length,{SAMPLES},,\nVertical Units,V,V,V\n\n,,,\nTIME,CH1,CH2,CH3\n"
+        f"Sample Interval,{STEP},,\nRecord Length,{SAMPLES},,\nVertical Units,V,V,V\n\n,,,\n"
+        "TIME,CH1,CH2,CH3\n"
     )
     return {"tek0001ALL.csv": (head + rows([TIME, *VOLTS])).encode()}
 
@@ -84,11 +97,16 @@ def tektronix_without_times(titles: str) -> Files:
 
 
 def keysight() -> Files:
-    return {"scope_0.csv": ("x-axis,1,2,3\nsecond,Volt,Volt,Volt\n" + rows([TIME, *VOLTS])).encode()}
+    return {
+        "scope_0.csv": ("x-axis,1,2,3\nsecond,Volt,Volt,Volt\n" + rows([TIME, *VOLTS])).encode()
+    }
 
 
 def keysight_single() -> Files:
-    head = f"Revision:,0\nType:,raw\nPoints:,{SAMPLES}\nXInc:,{STEP:.6e}\nXOrg:,{START:.6e}\nYData range:,8\nData:,\n"
+    head = (
+        f"Revision:,0\nType:,raw\nPoints:,{SAMPLES}\nXInc:,{STEP:.6e}\nXOrg:,{START:.6e}\n"
+        "YData range:,8\nData:,\n"
+    )
     return {f"ch{k + 1}.csv": (head + rows([TIME, VOLTS[k]])).encode() for k in range(3)}
 
 
@@ -105,13 +123,17 @@ def rohde_schwarz_rto() -> Files:
 
 
 def lecroy() -> Files:
-    head = f"LECROYWR64Xi,Waveform\nSegments,1,SegmentSize,{SAMPLES}\nSegment,TrigTime\nTime,Ch1,Ch2,Ch3\n"
+    head = (
+        f"LECROYWR64Xi,Waveform\nSegments,1,SegmentSize,{SAMPLES}\nSegment,TrigTime\n"
+        "Time,Ch1,Ch2,Ch3\n"
+    )
     return {"LC00000.csv": (head + rows([TIME, *VOLTS])).encode()}
 
 
 def lecroy_single() -> Files:
     head = (
-        f"LECROYHDO4024,21525,Waveform\nSegments,1,SegmentSize,{SAMPLES}\nSegment,TrigTime,TimeSinceSegment1\n"
+        f"LECROYHDO4024,21525,Waveform\nSegments,1,SegmentSize,{SAMPLES}\n"
+        "Segment,TrigTime,TimeSinceSegment1\n"
         "#1,12-Mar-2024 10:00:00,0\nTime,Ampl\n"
     )
     return {f"C{k + 1}Trace00000.csv": (head + rows([TIME, VOLTS[k]])).encode() for k in range(3)}
@@ -131,8 +153,14 @@ def picoscope_matlab() -> Files:
     from scipy.io import savemat
 
     stream = io.BytesIO()
-    single = {name: volts.astype(np.float32)[:, None] for name, volts in zip("ABC", VOLTS, strict=True)}
-    savemat(stream, {"Tstart": START, "Tinterval": STEP, "Length": float(SAMPLES), **single}, do_compression=True)
+    single = {
+        name: volts.astype(np.float32)[:, None] for name, volts in zip("ABC", VOLTS, strict=True)
+    }
+    savemat(
+        stream,
+        {"Tstart": START, "Tinterval": STEP, "Length": float(SAMPLES), **single},
+        do_compression=True,
+    )
     return {"pico.mat": stream.getvalue()}
 
 
@@ -158,7 +186,11 @@ def rigol_dho() -> Files:
 
 def rigol_ds1000z() -> Files:
     head = f"X,CH1,CH2,CH3,Start,Increment,\nSequence,Volt,Volt,Volt,{START:.6e},{STEP:.6e}\n"
-    return {"NewFile1.csv": (head + rows([np.arange(SAMPLES, dtype=np.float64), *VOLTS], end=",,")).encode()}
+    return {
+        "NewFile1.csv": (
+            head + rows([np.arange(SAMPLES, dtype=np.float64), *VOLTS], end=",,")
+        ).encode()
+    }
 
 
 def rigol_mso5000(end: str = "") -> Files:
@@ -168,7 +200,8 @@ def rigol_mso5000(end: str = "") -> Files:
 
 def siglent(unit: str) -> Files:
     head = (
-        f"Record Length,Analog:{SAMPLES}\nSample Interval,Analog:{STEP}\nVertical Units,CH1:V CH2:V CH3:V\n"
+        f"Record Length,Analog:{SAMPLES}\nSample Interval,Analog:{STEP}\n"
+        "Vertical Units,CH1:V CH2:V CH3:V\n"
         "Vertical Scale,CH1:1.00 CH2:1.00 CH3:1.00\nHorizontal Units,s\nModel Number,SDS1104X-E\n"
         f"Source,CH1,CH2,CH3\nSecond,{unit},{unit},{unit}\n"
     )
@@ -179,13 +212,20 @@ def yokogawa() -> Files:
     head = (
         '"//YOKOGAWA ASCII FILE FORMAT"\nModel,DL850\nBlockNumber,1\nTraceName,CH1,CH2,CH3\n'
         f"BlockSize,{SAMPLES},{SAMPLES},{SAMPLES}\nVUnit,V,V,V\nSampleRate,50000,50000,50000\n"
-        f"HResolution,{STEP:.6E},{STEP:.6E},{STEP:.6E}\nHOffset,{START},{START},{START}\nHUnit,s,s,s\n\n"
+        f"HResolution,{STEP:.6E},{STEP:.6E},{STEP:.6E}\nHOffset,{START},{START},{START}\n"
+        "HUnit,s,s,s\n\n"
     )
-    return {"DL0001.csv": (head + "".join("," + line + "\n" for line in rows(list(VOLTS)).splitlines())).encode()}
+    return {
+        "DL0001.csv": (
+            head + "".join("," + line + "\n" for line in rows(list(VOLTS)).splitlines())
+        ).encode()
+    }
 
 
 def saleae() -> Files:
-    return {"analog.csv": ("Time [s],Channel 0,Channel 1,Channel 2\n" + rows([TIME, *VOLTS])).encode()}
+    return {
+        "analog.csv": ("Time [s],Channel 0,Channel 1,Channel 2\n" + rows([TIME, *VOLTS])).encode()
+    }
 
 
 def utf16_tabs() -> Files:

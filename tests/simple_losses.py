@@ -1,4 +1,6 @@
-"""Losses of a bridge by its constants alone: what the budget of a drive must agree with where it counts no more."""
+"""Losses of a bridge by its constants alone: what the budget of a drive must agree
+with where it counts no more.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dqforge.machines.inverter import Inverter
-from dqforge.machines.modulation import BoolArray, in_linear_range
-from dqforge.machines.semiconductors import bridge_load, required_device, thermal_balance
-from dqforge.machines.settings import ModulationName
-from dqforge.machines.synchronous import FloatArray, Machine, copper_loss
+from dqforge.machines.arrays import BoolArray, FloatArray
+from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.dq_machines.synchronous import Machine, copper_loss
+from dqforge.machines.losses.constant_device import bridge_load, required_device, thermal_balance
+from dqforge.machines.modulation.modulators import in_linear_range
+from dqforge.machines.names import ModulationName
 
 
 @dataclass(frozen=True, slots=True)
 class SimpleBudget:
-    """Losses in W and the junction temperature in degC at points, arrays of one shape; NaN at thermal runaway."""
+    """Losses in W and the junction temperature in degC at points, arrays of one shape;
+    NaN at thermal runaway.
+    """
 
     torque: FloatArray
     copper: FloatArray
@@ -59,5 +64,6 @@ def loss_budget(
         voltage=voltage,
         linear=in_linear_range(modulation, voltage, inverter.v_dc),
         steady=bridge.thermally_stable,
-        cool_enough=bridge.junction_temperature <= required_device(inverter).max_junction_temperature,
+        cool_enough=bridge.junction_temperature
+        <= required_device(inverter).max_junction_temperature,
     )

@@ -1,4 +1,6 @@
-"""The command line in-process: tables, JSON, files, exit codes, and one clear line for every wrong input."""
+"""The command line in-process: tables, JSON, files, exit codes, and one clear
+line for every wrong input.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ import pytest
 import yaml
 
 from dqforge import __version__, cli
-from dqforge.machines import catalogue
+from dqforge.machines.design import catalogue
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,9 @@ def one_line(outcome: Outcome, code: int) -> str:
 
 
 IPM = "paper000-ipmsm-100kw"
-COMMANDS = sorted(command.callback.__name__ for command in cli.app.registered_commands if command.callback)
+COMMANDS = sorted(
+    command.callback.__name__ for command in cli.app.registered_commands if command.callback
+)
 PROPORTIONAL = {"form": "proportional", "gain": 1, "torque_max": 1}
 BENCH = "paper001-pmsm-bench"
 
@@ -90,14 +94,18 @@ def test_run_writes_everything_and_verify_agrees(run: Run, tmp_path: Path) -> No
     verified = run("verify", "out")
     assert verified.code == 0
     assert "60608 results equal the model bit for bit" in verified.out
-    assert re.search(r"6 files equal what dqforge-input/design\.yaml .*: \d+ macros, \d+ literals", verified.out)
+    assert re.search(
+        r"6 files equal what dqforge-input/design\.yaml .*: \d+ macros, \d+ literals", verified.out
+    )
 
 
 def test_readme_shows_what_a_run_prints(run: Run, tmp_path: Path) -> None:
     """The summary and the header excerpt of the README are those of the shipped drive."""
     readme = (Path(__file__).parent.parent / "README.md").read_text()
     printed = " ".join(run("run", IPM, "-o", "out").out.split())
-    block = readme[readme.index("    IPMSM 100 kW (paper 000)") : readme.index("## What the header looks like")]
+    block = readme[
+        readme.index("    IPMSM 100 kW (paper 000)") : readme.index("## What the header looks like")
+    ]
     assert " ".join(block.split()) in printed
     header = (tmp_path / "out" / "ipm100.h").read_text()
     excerpt = readme[readme.index("```c") : readme.index("```\n", readme.index("```c") + 4)]
@@ -128,9 +136,13 @@ def test_changed_header_fails_verification(run: Run, tmp_path: Path) -> None:
     header = tmp_path / "out" / "ipm100.h"
     text = header.read_text()
     header.write_text(re.sub(r"0\.6294F", "0.6295F", text, count=1))
-    assert re.search(r"ipm100\.h:\d+: 0\.6295F, the design gives 0\.6294F$", one_line(run("verify", "out"), 1))
+    assert re.search(
+        r"ipm100\.h:\d+: 0\.6295F, the design gives 0\.6294F$", one_line(run("verify", "out"), 1)
+    )
     header.write_text(text.replace("i_q = torque /", "i_q = torque //"))
-    assert re.search(r"ipm100\.h:\d+: '/', the design gives ' '$", one_line(run("verify", "out"), 1))
+    assert re.search(
+        r"ipm100\.h:\d+: '/', the design gives ' '$", one_line(run("verify", "out"), 1)
+    )
 
 
 @pytest.mark.parametrize(
@@ -150,9 +162,11 @@ def test_changed_header_fails_verification(run: Run, tmp_path: Path) -> None:
         ("[" * 100_000, "is not JSON"),
     ],
 )
-def test_what_is_no_output_is_not_read_as_headers(tmp_path: Path, content: str | None, phrase: str) -> None:
+def test_what_is_no_output_is_not_read_as_headers(
+    tmp_path: Path, content: str | None, phrase: str
+) -> None:
     from dqforge.machines.errors import InputError
-    from dqforge.reports.verify import read_folder
+    from dqforge.reports.written_headers import read_folder
 
     if content is not None:
         (tmp_path / "result.json").write_text(content)
@@ -162,7 +176,8 @@ def test_what_is_no_output_is_not_read_as_headers(tmp_path: Path, content: str |
 
 
 @pytest.mark.parametrize(
-    "content", [None, "", "{", "[]", "{}", '{"layout": 1}', "[" * 100_000, '{"layout": 1, "parts": 3}']
+    "content",
+    [None, "", "{", "[]", "{}", '{"layout": 1}', "[" * 100_000, '{"layout": 1, "parts": 3}'],
 )
 def test_verify_refuses_what_is_no_output(run: Run, tmp_path: Path, content: str | None) -> None:
     (tmp_path / "out").mkdir()
@@ -205,8 +220,16 @@ def test_json_holds_the_physics(run: Run) -> None:
 
 def test_bench_drive_has_the_paper_integers(run: Run) -> None:
     gains = json.loads(run("tune", BENCH, "--json").out)["gains"]
-    assert (gains["speed"]["kp_q"], gains["speed"]["ki_ts_q"], gains["speed"]["q_formats"]) == (20000, 2500, [10, 10])
-    assert (gains["i_q"]["kp_q"], gains["i_q"]["ki_ts_q"], gains["i_q"]["q_formats"]) == (136, 26, [10, 15])
+    assert (gains["speed"]["kp_q"], gains["speed"]["ki_ts_q"], gains["speed"]["q_formats"]) == (
+        20000,
+        2500,
+        [10, 10],
+    )
+    assert (gains["i_q"]["kp_q"], gains["i_q"]["ki_ts_q"], gains["i_q"]["q_formats"]) == (
+        136,
+        26,
+        [10, 15],
+    )
     assert "20000 (Q10), 2500 (Q10)" in run("tune", BENCH).out
 
 
@@ -250,7 +273,9 @@ def test_machines_schema_and_reproduce(run: Run) -> None:
     assert all(name in listing for name in catalogue.names())
     assert yaml.safe_load(run("machines", IPM).out)["machine"]["resistance"]["value"] == "2 mOhm"
     schema = json.loads(run("schema").out)
-    assert {"machine", "inverter", "control", "fit", "losses", "export"} <= set(schema["properties"])
+    assert {"machine", "inverter", "control", "fit", "losses", "export"} <= set(
+        schema["properties"]
+    )
     assert "98.6767" in run("reproduce", "000").out
     assert json.loads(run("reproduce", "000", "--json").out)["table_4"][0]["printed_loss"] == 1064.0
     assert "write: dqforge reproduce 000" in one_line(run("reproduce", "007"), 2)
@@ -341,7 +366,19 @@ def test_operating_points_at_a_speed_and_on_a_map(run: Run, tmp_path: Path) -> N
     assert max(points["voltage_V"]) <= limit["v_max_V"] * (1.0 + 1e-8)
     assert max(points["kkt_residual"]) < 1e-8
     assert {"none", "voltage"} <= set(points["held_by"])
-    chart = run("mtpa", IPM, "--map", "12x15", "--json", "--plot", "map.svg", "--modulation", "spwm", "--margin", "5 %")
+    chart = run(
+        "mtpa",
+        IPM,
+        "--map",
+        "12x15",
+        "--json",
+        "--plot",
+        "map.svg",
+        "--modulation",
+        "spwm",
+        "--margin",
+        "5 %",
+    )
     assert chart.code == 0, chart.err
     document = json.loads(chart.out)["operating_map"]
     assert document["limit"]["v_max_V"] == pytest.approx(0.95 * 250.0)
@@ -365,7 +402,9 @@ def test_one_operating_point_in_detail(run: Run) -> None:
     outcome = run("mtpa", IPM, "--torque", "-100 N m", "--speed", "6000 rpm")
     assert "voltage: the field is weakened" in outcome.out
     assert "optimality residual" in outcome.out
-    document = json.loads(run("mtpa", IPM, "--torque", "-100 N m", "--speed", "6000 rpm", "--json").out)
+    document = json.loads(
+        run("mtpa", IPM, "--torque", "-100 N m", "--speed", "6000 rpm", "--json").out
+    )
     found = document["operating_points"]
     i_d, i_q = found["points"]["i_d_A"][0], found["points"]["i_q_A"][0]
     assert 1.5 * 4 * (0.1049 + (350e-6 - 592e-6) * i_d) * i_q == pytest.approx(-100.0, rel=1e-7)
@@ -375,39 +414,55 @@ def test_one_operating_point_in_detail(run: Run) -> None:
     assert losses["total_W"][0] == pytest.approx(parts, rel=1e-8)
     assert found["most_torque"]["torque_Nm"][0] < -100.0
     assert (
-        json.loads(run("mtpa", "abb-ipmsm-2k2", "--torque", "1 N m", "--json").out)["operating_points"]["losses"][
-            "conduction_W"
-        ]
+        json.loads(run("mtpa", "abb-ipmsm-2k2", "--torque", "1 N m", "--json").out)[
+            "operating_points"
+        ]["losses"]["conduction_W"]
         is None
     )
 
 
 def test_least_total_loss_counts_iron_and_loses_less(run: Run, tmp_path: Path) -> None:
-    """With iron loss the field is weakened before the voltage asks for it: less loss in total, more in the copper."""
+    """With iron loss the field is weakened before the voltage asks for it: less loss in total,
+    more in the copper.
+    """
     text = run("machines", IPM).out.replace(
-        "\ninverter:", "  iron_loss: {frequency: 400 Hz, flux: 0.12 Wb, hysteresis: 150 W, eddy: 250 W}\ninverter:", 1
+        "\ninverter:",
+        (
+            "  iron_loss: {frequency: 400 Hz, flux: 0.12 Wb, hysteresis: 150 W, eddy: 250 W}\n"
+            "inverter:"
+        ),
+        1,
     )
     (tmp_path / "iron.yaml").write_text(text, encoding="utf-8")
     where = ("mtpa", "iron.yaml", "--torque", "60 N m", "--speed", "6000 rpm", "--json")
     copper, total = (
-        json.loads(run(*where, "--objective", name).out)["operating_points"] for name in ("copper", "total")
+        json.loads(run(*where, "--objective", name).out)["operating_points"]
+        for name in ("copper", "total")
     )
     assert total["losses"]["total_W"][0] < 0.98 * copper["losses"]["total_W"][0]
     assert total["losses"]["copper_W"][0] > copper["losses"]["copper_W"][0]
     assert total["losses"]["iron_W"][0] < copper["losses"]["iron_W"][0]
-    assert total["points"]["minimised_W"][0] == pytest.approx(total["losses"]["total_W"][0], rel=1e-2)
-    assert "expected copper or total" in one_line(run("mtpa", IPM, "--map", "8x8", "--objective", "iron"), 2)
+    assert total["points"]["minimised_W"][0] == pytest.approx(
+        total["losses"]["total_W"][0], rel=1e-2
+    )
+    assert "expected copper or total" in one_line(
+        run("mtpa", IPM, "--map", "8x8", "--objective", "iron"), 2
+    )
 
 
 def test_speed_beyond_all_currents_has_no_solution(run: Run) -> None:
     """The ABB machine's back-EMF cannot be weakened enough above 4597 rpm."""
     line = one_line(run("mtpa", "abb-ipmsm-2k2", "--speed", "5000 rpm"), 1)
     assert "it can be kept up to 4597 rpm" in line
-    assert "no current" in one_line(run("mtpa", "abb-ipmsm-2k2", "--torque", "1 N m", "--speed", "-5000 rpm"), 1)
+    assert "no current" in one_line(
+        run("mtpa", "abb-ipmsm-2k2", "--torque", "1 N m", "--speed", "-5000 rpm"), 1
+    )
 
 
 def test_resistance_drop_beyond_the_voltage_limit(run: Run, tmp_path: Path) -> None:
-    """IPM with 2 Ohm for 2 mOhm: 283 A take 566 V. Without a largest speed there is no speed at which a map ends."""
+    """IPM with 2 Ohm for 2 mOhm: 283 A take 566 V. Without a largest speed there is no
+    speed at which a map ends.
+    """
     text = catalogue.read_text(IPM).decode().replace("value: 2 mOhm", "value: 2 Ohm")
     text = text[: text.index("modulation_choice:")] + text[text.index("export:") :]
     path = tmp_path / "design.yaml"
@@ -419,12 +474,24 @@ def test_resistance_drop_beyond_the_voltage_limit(run: Run, tmp_path: Path) -> N
 
 
 def test_map_document_holds_envelopes_and_loci(run: Run) -> None:
-    document = json.loads(run("mtpa", "abb-syrm-6k7", "--map", "5x6", "--json").out)["operating_map"]
-    assert set(document) == {"limit", "characteristics", "envelope", "braking_envelope", "loci", "map", "objective"}
+    document = json.loads(run("mtpa", "abb-syrm-6k7", "--map", "5x6", "--json").out)[
+        "operating_map"
+    ]
+    assert set(document) == {
+        "limit",
+        "characteristics",
+        "envelope",
+        "braking_envelope",
+        "loci",
+        "map",
+        "objective",
+    }
     braking, motoring = document["braking_envelope"]["torque_Nm"], document["envelope"]["torque_Nm"]
     assert all(-low >= high * (1.0 - 1e-9) for low, high in zip(braking, motoring, strict=True))
     assert document["loci"]["mtpv"]["held_by"][0] == "MTPV"
-    assert document["loci"]["mtpa"]["torque_Nm"][-1] == pytest.approx(document["characteristics"]["torque_max_Nm"])
+    assert document["loci"]["mtpa"]["torque_Nm"][-1] == pytest.approx(
+        document["characteristics"]["torque_max_Nm"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -441,13 +508,17 @@ def test_map_document_holds_envelopes_and_loci(run: Run) -> None:
         (["--torque", "9 N m", "--plot", "x.svg"], "leave --torque out"),
     ],
 )
-def test_wrong_operating_point_options(run: Run, tmp_path: Path, arguments: list[str], phrase: str) -> None:
+def test_wrong_operating_point_options(
+    run: Run, tmp_path: Path, arguments: list[str], phrase: str
+) -> None:
     assert phrase in one_line(run("mtpa", IPM, *arguments), 2)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_operating_points_need_the_strategy_that_they_solve(run: Run) -> None:
-    assert "write strategy: mtpa" in one_line(run("mtpa", "paper002-pmsm-nonsinusoidal", "--speed", "9 rad/s"), 2)
+    assert "write strategy: mtpa" in one_line(
+        run("mtpa", "paper002-pmsm-nonsinusoidal", "--speed", "9 rad/s"), 2
+    )
 
 
 def test_poor_fits_are_called_so(run: Run, tmp_path: Path) -> None:
@@ -459,10 +530,17 @@ def test_poor_fits_are_called_so(run: Run, tmp_path: Path) -> None:
 
 
 def test_generating_speeds_are_points_of_comparison(run: Run, tmp_path: Path) -> None:
-    """At the opposite speed the resistance drop helps the voltage; copper and conduction losses are the same."""
+    """At the opposite speed the resistance drop helps the voltage.
+
+    Copper and conduction losses are the same.
+    """
     path = tmp_path / "design.yaml"
-    path.write_text(catalogue.read_text(IPM).decode().replace("speed: 300 rad/s", "speed: -300 rad/s"))
-    ours, theirs = (json.loads(run("losses", name, "--json").out)["losses"]["rows"] for name in (path, IPM))
+    path.write_text(
+        catalogue.read_text(IPM).decode().replace("speed: 300 rad/s", "speed: -300 rad/s")
+    )
+    ours, theirs = (
+        json.loads(run("losses", name, "--json").out)["losses"]["rows"] for name in (path, IPM)
+    )
     for row, other in zip(ours, theirs, strict=True):
         assert row["conduction_W"] == other["conduction_W"]
         assert row["voltage_V"] < other["voltage_V"]
@@ -472,7 +550,9 @@ WAVES = "paper002-phase-waveforms"
 
 
 @pytest.mark.slow
-def test_phase_currents_are_emitted_verified_and_a_changed_entry_is_found(run: Run, tmp_path: Path) -> None:
+def test_phase_currents_are_emitted_verified_and_a_changed_entry_is_found(
+    run: Run, tmp_path: Path
+) -> None:
     assert run("run", WAVES, "-o", "out").code == 0
     assert "40256 results equal" in run("verify", "out").out
     header = tmp_path / "out" / "pmsm002w_waveform.h"
@@ -480,13 +560,17 @@ def test_phase_currents_are_emitted_verified_and_a_changed_entry_is_found(run: R
     table = text.index("waveform_table")
     entry = re.search(r"-\d\.\d{5,}F", text[table:])
     assert entry is not None
-    changed = text[:table] + text[table:].replace(entry[0], entry[0][:-2] + str((int(entry[0][-2]) + 1) % 10) + "F", 1)
+    changed = text[:table] + text[table:].replace(
+        entry[0], entry[0][:-2] + str((int(entry[0][-2]) + 1) % 10) + "F", 1
+    )
     header.write_text(changed, encoding="ascii")
     assert "pmsm002w_waveform.h:" in one_line(run("verify", "out"), 1)
     header.write_text(text, encoding="ascii")
     result = tmp_path / "out" / "result.json"
     document = json.loads(result.read_text(encoding="ascii"))
-    result.write_text(json.dumps(document | {"waveform_header": "x"}, indent=1) + "\n", encoding="ascii")
+    result.write_text(
+        json.dumps(document | {"waveform_header": "x"}, indent=1) + "\n", encoding="ascii"
+    )
     assert "result.json:" in one_line(run("verify", "out"), 1)
 
 
@@ -494,7 +578,9 @@ def test_phase_currents_of_the_command_line(run: Run, tmp_path: Path) -> None:
     """JSON against the phase model: constant torque at every angle, copper loss R mean(sum i^2)."""
     import numpy as np
 
-    outcome = run("dqy", WAVES, "--torque", "3.9 N m", "--speed", "2500 rpm", "--json", "--plot", "waves.svg")
+    outcome = run(
+        "dqy", WAVES, "--torque", "3.9 N m", "--speed", "2500 rpm", "--json", "--plot", "waves.svg"
+    )
     document = json.loads(outcome.out)["waveforms"]
     flux = np.array(document["emf_over_omega_Wb"])
     for rule in ("dqx", "dqy", "limited"):
@@ -528,12 +614,17 @@ def capture_file(path: Path) -> None:
     for lag in (0.0, 120.0, 240.0):
         theta = 2.0 * np.pi * 50.0 * time - np.radians(lag)
         phases.append(-20.0 * (np.sin(theta) + 0.03 * np.sin(5.0 * theta)))
-    rows = [";".join(f"{value:.6f}".replace(".", ",") for value in row) for row in zip(time, *phases, strict=True)]
+    rows = [
+        ";".join(f"{value:.6f}".replace(".", ",") for value in row)
+        for row in zip(time, *phases, strict=True)
+    ]
     path.write_text("\n".join(["Zeit [s];a [V];b [V];c [V]", *rows]), encoding="utf-8")
 
 
 def test_capture_of_the_back_emf(run: Run, tmp_path: Path) -> None:
-    """psi = 20 V / (2 pi 50 Hz) = 63.66 mWb, by hand; with 2 pole pairs 13.33 V/krpm peak of phase."""
+    """psi = 20 V / (2 pi 50 Hz) = 63.66 mWb, by hand; with 2 pole pairs 13.33 V/krpm peak of
+    phase.
+    """
     capture_file(tmp_path / "scope.csv")
     shown = run("bemf", "scope.csv", "--pole-pairs", "2", "--plot", "scope.png")
     assert shown.code == 0, shown.err
@@ -541,7 +632,9 @@ def test_capture_of_the_back_emf(run: Run, tmp_path: Path) -> None:
     assert "13.33 V/krpm (phase peak)" in shown.out
     found = json.loads(run("bemf", "scope.csv", "--json").out)["bemf"]
     assert found["frequency_Hz"] == pytest.approx(50.0, rel=1e-6)
-    assert found["amplitudes_Wb"][1][4] / found["amplitudes_Wb"][1][0] == pytest.approx(0.03, rel=1e-3)
+    assert found["amplitudes_Wb"][1][4] / found["amplitudes_Wb"][1][0] == pytest.approx(
+        0.03, rel=1e-3
+    )
     assert found["sequence"] == "abc"
     lines = run("bemf", "scope.csv", "--line-to-line").out
     assert "do not contain the zero sequence" in lines
@@ -572,11 +665,16 @@ def test_budget_of_a_fit_is_shown_with_what_was_tried(run: Run, tmp_path: Path) 
     assert document["errors"]["torque_relative"] <= 2e-3
     assert document["trials"][-1]["quick"] is False
     assert run("run", "budget.yaml", "-o", "out").code == 0
-    assert "Forms tried for the budget" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Forms tried for the budget" in (tmp_path / "out" / "report.html").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_simulation_with_the_emitted_controller(run: Run, tmp_path: Path) -> None:
-    """The bench drive starts to 1200 rpm and turns back; figures, samples, JSON and picture agree."""
+    """The bench drive starts to 1200 rpm and turns back.
+
+    Figures, samples, JSON and picture agree.
+    """
     import numpy as np
 
     shown = run("simulate", BENCH, "-o", "out", "--plot", "run.svg")
@@ -592,11 +690,16 @@ def test_simulation_with_the_emitted_controller(run: Run, tmp_path: Path) -> Non
     assert set(document) == {"dqforge", "format", "command", "design", "simulation"}
     found = document["simulation"]
     assert found["bounded"] is True
-    assert [step["after"] for step in found["steps"]] == pytest.approx([40.0 * np.pi, -40.0 * np.pi])
+    assert [step["after"] for step in found["steps"]] == pytest.approx(
+        [40.0 * np.pi, -40.0 * np.pi]
+    )
     energy = found["energy_J"]
     assert energy["in"] == pytest.approx(energy["copper"] + energy["shaft"], rel=1e-3)
     assert document["simulation"]["inverter"] == "averaged"
-    assert json.loads(run("simulate", BENCH, "--json", "--switched").out)["simulation"]["inverter"] == "switched"
+    assert (
+        json.loads(run("simulate", BENCH, "--json", "--switched").out)["simulation"]["inverter"]
+        == "switched"
+    )
     again = run("simulate", BENCH, "-o", "again")
     assert again.code == 0
     assert run("simulate", BENCH, "-o", "third", "--json").code == 0
@@ -615,7 +718,9 @@ def test_simulation_is_in_the_report(run: Run, tmp_path: Path) -> None:
     assert 'id="simulation"' not in (tmp_path / "other" / "report.html").read_text(encoding="utf-8")
 
 
-def test_simulation_that_cannot_be_had(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_simulation_that_cannot_be_had(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert "add a section such as simulation" in one_line(run("simulate", IPM), 2)
     assert "no folder" in one_line(run("simulate", BENCH, "--plot", "nosuch/run.svg"), 2)
     monkeypatch.setattr("shutil.which", lambda _: None)
@@ -624,7 +729,9 @@ def test_simulation_that_cannot_be_had(run: Run, tmp_path: Path, monkeypatch: py
 
 
 def test_phase_currents_of_a_salient_machine(run: Run, tmp_path: Path) -> None:
-    """Torque from the printed currents by p (f'i + i' dL/dtheta i / 2) with the inductances of the file; the header."""
+    """Torque from the printed currents by p (f'i + i' dL/dtheta i / 2) with the
+    inductances of the file; the header.
+    """
     import numpy as np
 
     name = "salient-phase-waveforms"
@@ -642,7 +749,9 @@ def test_phase_currents_of_a_salient_machine(run: Run, tmp_path: Path) -> None:
     for rule in ("dqx", "dqy", "limited"):
         currents = np.array(document["rules"][rule]["currents_A"])
         square = np.einsum("kx,xkl,lx->x", currents, slope, currents)
-        np.testing.assert_allclose(2.0 * (np.sum(flux * currents, axis=0) + 0.5 * square), 3.0, rtol=1e-6)
+        np.testing.assert_allclose(
+            2.0 * (np.sum(flux * currents, axis=0) + 0.5 * square), 3.0, rtol=1e-6
+        )
     assert document["rules"]["limited"]["breaks"] == []
     assert document["rules"]["dqy"]["breaks"] == ["dc link"]
     assert document["confirmations"] == []

@@ -1,4 +1,6 @@
-"""The wheel holds exactly the package, its library and its templates, and the import order of the house is kept."""
+"""The wheel holds exactly the package, its library and its templates,
+and the import order of the house is kept.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +19,24 @@ PACKAGES = ("machines", "optimizer", "reports")
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
-    """A wheel built from a copy of the tracked and new files, under a folder that is not called dqforge."""
+    """A wheel built from a copy of the tracked and new files, under a folder
+    that is not called dqforge.
+    """
     copy = tmp_path_factory.mktemp("build") / "checkout"
     ignored = shutil.ignore_patterns(
         ".git", ".venv", ".typing", "build", "dist", "out", "*.egg-info", ".*_cache", "__pycache__"
     )
     shutil.copytree(ROOT, copy, ignore=ignored)
-    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(copy / "dist"), str(copy)]
+    command = [
+        sys.executable,
+        "-m",
+        "build",
+        "--wheel",
+        "--no-isolation",
+        "--outdir",
+        str(copy / "dist"),
+        str(copy),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
     (path,) = (copy / "dist").glob("*.whl")
@@ -34,10 +47,16 @@ def expected_files() -> set[str]:
     names = {"dqforge/__init__.py", "dqforge/cli.py", "dqforge/py.typed"}
     for package in PACKAGES:
         names |= {f"dqforge/{package}/{path.name}" for path in (ROOT / package).glob("*.py")}
-    names |= {f"dqforge/machines/library/{path.name}" for path in (ROOT / "machines" / "library").glob("*.yaml")}
+    names |= {
+        f"dqforge/machines/library/{path.name}"
+        for path in (ROOT / "machines" / "library").glob("*.yaml")
+    }
     devices = ROOT / "machines" / "library" / "devices"
     names |= {f"dqforge/machines/library/devices/{path.name}" for path in devices.glob("*.yaml")}
-    names |= {f"dqforge/reports/templates/{path.name}" for path in (ROOT / "reports" / "templates").glob("*.j2")}
+    names |= {
+        f"dqforge/reports/templates/{path.name}"
+        for path in (ROOT / "reports" / "templates").glob("*.j2")
+    }
     return names
 
 
@@ -62,7 +81,9 @@ def test_help_imports_nothing_heavy() -> None:
         "try:\n    cli.main(['--help'])\nexcept SystemExit:\n    pass\n"
         f"print([name for name in {heavy!r} if name in sys.modules], file=sys.stderr)"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     assert done.stderr.strip() == "[]"
 
 
@@ -74,11 +95,17 @@ def loaded_by(*arguments: str) -> tuple[set[str], int]:
     """Which packages of the card a command of its own process imports, and its exit code."""
     program = (
         "import sys\nfrom dqforge import cli\ncode = 0\n"
-        f"try:\n    code = cli.main({list(arguments)!r})\nexcept SystemExit as end:\n    code = end.code\n"
-        f"print(*[name for name in {CARD!r} if name in sys.modules], file=sys.stderr)\nsys.exit(code or 0)"
+        f"try:\n    code = cli.main({list(arguments)!r})\nexcept SystemExit as end:\n"
+        "    code = end.code\n"
+        f"print(*[name for name in {CARD!r} if name in sys.modules], file=sys.stderr)\n"
+        "sys.exit(code or 0)"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    return set(done.stderr.splitlines()[-1].split()) if done.stderr.strip() else set(), done.returncode
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    return set(
+        done.stderr.splitlines()[-1].split()
+    ) if done.stderr.strip() else set(), done.returncode
 
 
 def test_neither_help_nor_check_loads_what_they_do_not_need() -> None:
@@ -89,7 +116,7 @@ def test_neither_help_nor_check_loads_what_they_do_not_need() -> None:
 
 @pytest.mark.slow
 def test_each_package_of_the_card_is_loaded_where_it_works_alone(tmp_path: Path) -> None:
-    from dqforge.machines import catalogue
+    from dqforge.machines.design import catalogue
 
     design = tmp_path / "flux.yaml"
     text = catalogue.read_text("paper001-pmsm-bench").decode()
@@ -102,11 +129,17 @@ def test_each_package_of_the_card_is_loaded_where_it_works_alone(tmp_path: Path)
     assert loaded_by("tune", "paper000-ipmsm-100kw") == ({"numpy", "yaml"}, 0)
     found, code = loaded_by("tune", str(design))
     assert code == 0
-    assert found - {"osqp", "nlopt"} == {"numpy", "yaml", "cvxpy"}  # cvxpy looks which of its solvers are there
+    assert found - {"osqp", "nlopt"} == {
+        "numpy",
+        "yaml",
+        "cvxpy",
+    }  # cvxpy looks which of its solvers are there
 
 
 def test_a_plain_installation_brings_the_whole_card() -> None:
-    """No extra is needed for any of them, and the locked versions that `make demo` installs hold them all."""
+    """No extra is needed for any of them, and the locked versions that `make
+    demo` installs hold them all.
+    """
     import tomllib
 
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -1,4 +1,6 @@
-"""What `check` calls valid runs, every refusal has a place, and numerical trouble is one line without a warning."""
+"""What `check` calls valid runs, every refusal has a place, and numerical trouble is
+one line without a warning.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +15,11 @@ from design_changes import Change, document, permitted, wrong
 from drives import make_design
 
 from dqforge import cli
-from dqforge.machines import catalogue
-from dqforge.machines.design import Design
+from dqforge.machines.design import catalogue
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.numerical import numerical_errors, on_design
 from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError
-from dqforge.machines.loader import load_text
-from dqforge.machines.numerical import numerical_errors, on_design
 from dqforge.machines.places import leading_path
 from dqforge.optimizer.solution import solve
 from dqforge.reports.run import run_design
@@ -26,7 +28,9 @@ DRIVES = [*catalogue.names(), "template"]
 
 
 def outcome(change: Change, judge: Callable[[Design], object] | None = None) -> str:
-    """Whether a changed design is valid or refused; a refusal has file, line, column and key on its one line."""
+    """Whether a changed design is valid or refused; a refusal has file, line,
+    column and key on its one line.
+    """
     return judged(change.text, change.what, judge)
 
 
@@ -51,16 +55,28 @@ def test_the_walk_finds_every_word_and_every_end() -> None:
     """A few that a reader expects, and both ends of a range in SI units."""
     found = {change.what for change in permitted("template")}
     assert "inverter.device.kind is 'igbt'" in found
-    assert "inverter.device.diode_voltage left out" not in found  # the template leaves it out itself
-    assert {"inverter.dead_time is 0.0", "inverter.dead_time is 0.0001", "machine.poles left out"} <= found
-    assert {"fit.form is 'closed-form'", "fit.continuous is False", "fit.method is 'lagrange'"} <= found
+    assert (
+        "inverter.device.diode_voltage left out" not in found
+    )  # the template leaves it out itself
+    assert {
+        "inverter.dead_time is 0.0",
+        "inverter.dead_time is 0.0001",
+        "machine.poles left out",
+    } <= found
+    assert {
+        "fit.form is 'closed-form'",
+        "fit.continuous is False",
+        "fit.method is 'lagrange'",
+    } <= found
     assert len(found) > 500
 
 
 def test_an_igbt_without_its_diode_is_refused_at_the_key() -> None:
     """What the template offers in a comment: the one word changed."""
     change = next(c for c in permitted("template") if c.what == "inverter.device.kind is 'igbt'")
-    with pytest.raises(InputError, match=r"design\.yaml:\d+:\d+: inverter\.device: .*diode_voltage: 1\.2 V") as caught:
+    with pytest.raises(
+        InputError, match=r"design\.yaml:\d+:\d+: inverter\.device: .*diode_voltage: 1\.2 V"
+    ) as caught:
         load_text(change.text, "design.yaml")
     assert change.text.decode().splitlines()[(caught.value.line or 0) - 1].strip() == "kind: igbt"
     given = change.text.replace(b"kind: igbt", b"kind: igbt\n    diode_voltage: 1.2 V")
@@ -69,7 +85,10 @@ def test_an_igbt_without_its_diode_is_refused_at_the_key() -> None:
 
 def test_whatever_check_calls_valid_runs_or_is_refused_with_its_place() -> None:
     """One in sixty of all changes of the template, the same ones every time."""
-    found = [outcome(change, lambda design: run_design(design, verify=False)) for change in _some("template", 60)]
+    found = [
+        outcome(change, lambda design: run_design(design, verify=False))
+        for change in _some("template", 60)
+    ]
     assert {"valid", "refused"} == set(found)
 
 
@@ -94,7 +113,9 @@ def test_a_sample_of_broken_designs_is_refused_with_a_place(drive: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("drive", DRIVES)
 def test_no_refusal_of_a_broken_design_lacks_its_place(drive: str) -> None:
-    """Thousands of designs: every key of every library drive left out, of the wrong kind, or out by powers of ten."""
+    """Thousands of designs: every key of every library drive left out, of the wrong kind,
+    or out by powers of ten.
+    """
     found = [outcome(change) for change in wrong(drive)]
     assert found.count("refused") > len(found) // 4
 
@@ -107,16 +128,29 @@ def test_no_refusal_of_a_solution_lacks_its_place(drive: str) -> None:
         outcome(change, solve)
 
 
-# What is refused behind the reader, by modules that know no file; with the key that the message must name.
+# What is refused behind the reader, by modules that know no file;
+# with the key that the message must name.
 UNSOLVABLE = [
-    ("control.observer.pole is '1e6 rad/s'", ("control", "observer", "pole"), "1e6 rad/s", "control.observer"),
-    ("a margin that no gain keeps", ("control", "current_loop", "phase_margin_min"), "89 deg", "control.current_loop"),
+    (
+        "control.observer.pole is '1e6 rad/s'",
+        ("control", "observer", "pole"),
+        "1e6 rad/s",
+        "control.observer",
+    ),
+    (
+        "a margin that no gain keeps",
+        ("control", "current_loop", "phase_margin_min"),
+        "89 deg",
+        "control.current_loop",
+    ),
     ("a torque beyond the limit", ("fit", "torque_max"), "900 N m", "fit.torque_max"),
 ]
 
 
 @pytest.mark.parametrize(("what", "path", "value", "key"), UNSOLVABLE)
-def test_refusals_of_the_solver_name_line_and_key(what: str, path: tuple[str, ...], value: str, key: str) -> None:
+def test_refusals_of_the_solver_name_line_and_key(
+    what: str, path: tuple[str, ...], value: str, key: str
+) -> None:
     import yaml
 
     changed = document("template")
@@ -134,16 +168,23 @@ def test_refusals_of_the_solver_name_line_and_key(what: str, path: tuple[str, ..
     assert line.split(":")[0] in key.split("."), what
 
 
-def test_the_command_line_says_the_same_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_says_the_same_place(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = catalogue.template().decode().replace("pole: 400 rad/s", "pole: 1e6 rad/s")
     path = tmp_path / "design.yaml"
     path.write_text(text, encoding="utf-8")
     number = 1 + text.splitlines().index("  observer:")
-    for command in (["tune", str(path)], ["run", str(path), "--no-verify", "-o", str(tmp_path / "out")]):
+    for command in (
+        ["tune", str(path)],
+        ["run", str(path), "--no-verify", "-o", str(tmp_path / "out")],
+    ):
         with pytest.raises(SystemExit) as caught:
             cli.main(command)
         assert caught.value.code == 1
-        assert capsys.readouterr().err.startswith(f"dqforge: {path}:{number}:3: control.observer: pole")
+        assert capsys.readouterr().err.startswith(
+            f"dqforge: {path}:{number}:3: control.observer: pole"
+        )
 
 
 @pytest.mark.parametrize("command", [["losses"], ["losses", "--choice"], ["simulate"], ["dqy"]])
@@ -182,16 +223,24 @@ def _empty(design: Design) -> float:
     return float(np.mean(np.array([])) * design.machine.r_s)
 
 
-@pytest.mark.parametrize(("entry", "key"), [(_divides, "fit"), (_overflows, "losses"), (_singular, "control")])
-def test_numerical_trouble_is_a_message_with_the_place(entry: Callable[[Design], float], key: str) -> None:
+@pytest.mark.parametrize(
+    ("entry", "key"), [(_divides, "fit"), (_overflows, "losses"), (_singular, "control")]
+)
+def test_numerical_trouble_is_a_message_with_the_place(
+    entry: Callable[[Design], float], key: str
+) -> None:
     loaded = catalogue.load("paper001-pmsm-bench")
-    with pytest.raises(NoSolutionError, match=rf"\.yaml:\d+:\d+: {key}: the numbers leave the range"):
+    with pytest.raises(
+        NoSolutionError, match=rf"\.yaml:\d+:\d+: {key}: the numbers leave the range"
+    ):
         entry(loaded)
     with pytest.raises(NoSolutionError, match=f"^{key}|^the numbers"):
         entry(make_design())
 
 
-def test_warnings_of_numpy_become_messages_and_never_text_on_stderr(capfd: pytest.CaptureFixture[str]) -> None:
+def test_warnings_of_numpy_become_messages_and_never_text_on_stderr(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     with pytest.raises(NoSolutionError, match=r"[Mm]ean of empty slice"):
         _empty(make_design())
     assert capfd.readouterr().err == ""
@@ -209,7 +258,8 @@ def test_wanted_infinities_stay(recwarn: pytest.WarningsRecorder) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new"), [("w: 2", "w: 2000"), ("w: 2", "w: 500"), ("s: 4", "s: 1e9"), ("t: 6", "t: 2e4")]
+    ("old", "new"),
+    [("w: 2", "w: 2000"), ("w: 2", "w: 500"), ("s: 4", "s: 1e9"), ("t: 6", "t: 2e4")],
 )
 def test_an_exponent_that_makes_the_magnets_vanish_is_refused(old: str, new: str) -> None:
     text = catalogue.read_text("baldor-pmsyrm-5k6").decode()

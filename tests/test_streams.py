@@ -1,4 +1,6 @@
-"""Standard streams that cannot be written: one line and a sensible exit code, and the output folder is whole."""
+"""Standard streams that cannot be written: one line and a sensible exit code,
+and the output folder is whole.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from dqforge.reports.manifest import MANIFEST, find_manifest, sha256
+from dqforge.reports.output.manifest import MANIFEST, find_manifest, sha256
 
 BENCH = "paper001-pmsm-bench"
 FULL = Path("/dev/full")
@@ -35,7 +37,8 @@ def dqforge(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.thinned
 @needs_full
 @pytest.mark.parametrize(
-    "command", ["--version", "--help", f"machines {BENCH}", f"check {BENCH}", f"check {BENCH} --json"]
+    "command",
+    ["--version", "--help", f"machines {BENCH}", f"check {BENCH}", f"check {BENCH} --json"],
 )
 def test_a_full_disk_under_standard_output_is_one_line(command: str, tmp_path: Path) -> None:
     done = dqforge(f"dqforge {command} > /dev/full", tmp_path)
@@ -51,11 +54,16 @@ def test_files_are_whole_where_standard_output_is_full(tmp_path: Path) -> None:
     assert done.stderr.count("\n") == 1
     manifest = find_manifest(tmp_path / "out")
     assert manifest is not None
-    assert all(sha256((tmp_path / "out" / name).read_bytes()) == digest for name, digest in manifest.files.items())
+    assert all(
+        sha256((tmp_path / "out" / name).read_bytes()) == digest
+        for name, digest in manifest.files.items()
+    )
     assert (tmp_path / "out" / MANIFEST).exists()
 
 
-@pytest.mark.parametrize("command", [f"check {BENCH}", *(pytest.param(more, marks=pytest.mark.slow) for more in MORE)])
+@pytest.mark.parametrize(
+    "command", [f"check {BENCH}", *(pytest.param(more, marks=pytest.mark.slow) for more in MORE)]
+)
 def test_a_reader_that_leaves_is_no_error(command: str, tmp_path: Path) -> None:
     done = dqforge(f"dqforge {command} | true", tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
@@ -67,9 +75,13 @@ def test_a_reader_that_leaves_is_no_error(command: str, tmp_path: Path) -> None:
         pytest.param(f"check {BENCH} >&-", 0, marks=pytest.mark.slow),
         (f"check {BENCH} >&- 2>&-", 0),
         ("check nowhere 2>&-", 2),
-        pytest.param("check nowhere > /dev/full 2> /dev/full", 2, marks=[needs_full, pytest.mark.slow]),
+        pytest.param(
+            "check nowhere > /dev/full 2> /dev/full", 2, marks=[needs_full, pytest.mark.slow]
+        ),
     ],
 )
-def test_closed_streams_change_nothing_but_the_text(command: str, code: int, tmp_path: Path) -> None:
+def test_closed_streams_change_nothing_but_the_text(
+    command: str, code: int, tmp_path: Path
+) -> None:
     done = dqforge(f"dqforge {command}", tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (code, "", "")

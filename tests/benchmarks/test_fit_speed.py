@@ -1,4 +1,6 @@
-"""Time of fits and of budgets against the search of breakpoints by DIRECT-L and Nelder-Mead, in one run."""
+"""Time of fits and of budgets against the search of breakpoints by DIRECT-L and Nelder-Mead,
+in one run.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +11,17 @@ import pytest
 from drives import IPM, RELUCTANCE
 from saturated import ArctanMachine
 
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.settings import FitBudget, FitSettings
+from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.settings import FitBudget, FitSettings
-from dqforge.machines.synchronous import FloatArray, Machine
-from dqforge.optimizer.breakpoints import search
-from dqforge.optimizer.current_choice import CurrentChoice
-from dqforge.optimizer.edge_levelling import level_edges
-from dqforge.optimizer.fit_alternatives import alternatives
-from dqforge.optimizer.fit_choice import choose_fit
-from dqforge.optimizer.fitting import Curve, SideConditions, fit_curve, largest_error
-from dqforge.optimizer.reference_fit import fit_reference
+from dqforge.optimizer.current_reference.alternatives import alternatives
+from dqforge.optimizer.current_reference.cheapest import choose_fit
+from dqforge.optimizer.current_reference.fit import fit_reference
+from dqforge.optimizer.curves.breakpoints import search
+from dqforge.optimizer.curves.edge_levelling import level_edges
+from dqforge.optimizer.curves.fitting import Curve, SideConditions, fit_curve, largest_error
+from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 pytestmark = pytest.mark.benchmark
 
@@ -37,13 +40,20 @@ def seconds(call: Callable[[], object], repetitions: int = 3) -> float:
 
 
 def searched(curves: list[Curve], degree: int, segments: int, end: float) -> FloatArray:
-    """Breakpoints as they were found before: interpolation ranks for DIRECT-L, programmes for Nelder-Mead."""
+    """Breakpoints as they were found before: interpolation ranks for DIRECT-L,
+    programmes for Nelder-Mead.
+    """
 
     def coarse(edges: FloatArray) -> float:
-        return max(largest_error(curve, fit_curve(curve, edges, degree, "lagrange", TIED)) for curve in curves)
+        return max(
+            largest_error(curve, fit_curve(curve, edges, degree, "lagrange", TIED))
+            for curve in curves
+        )
 
     def fine(edges: FloatArray) -> float:
-        fits = [fit_curve(curve, edges, degree, "minimax", TIED, exchange=False) for curve in curves]
+        fits = [
+            fit_curve(curve, edges, degree, "minimax", TIED, exchange=False) for curve in curves
+        ]
         return max(largest_error(curve, fit) for curve, fit in zip(curves, fits, strict=True))
 
     return search(coarse, fine, segments, end)
@@ -57,18 +67,24 @@ def test_breakpoints_against_the_search() -> None:
         for degree, segments in ((2, 2), (4, 2), (3, 3), (6, 4)):
             ways: dict[str, Callable[[], FloatArray]] = {
                 "search": lambda d=degree, s=segments, c=curves, e=end: searched(c, d, s, e),  # type: ignore[misc]
-                "level": lambda d=degree, s=segments, c=curves, e=end: level_edges(c, d, s, TIED, e),  # type: ignore[misc]
+                "level": lambda d=degree, s=segments, c=curves, e=end: level_edges(
+                    c, d, s, TIED, e
+                ),  # type: ignore[misc]
             }
             errors, taken = {}, {}
             for way, call in ways.items():
                 start = time.perf_counter()
                 edges = call()
                 taken[way] = time.perf_counter() - start
-                errors[way] = max(largest_error(c, fit_curve(c, edges, degree, "minimax", TIED)) for c in curves)
+                errors[way] = max(
+                    largest_error(c, fit_curve(c, edges, degree, "minimax", TIED)) for c in curves
+                )
             before, after = taken["search"], taken["level"]
             print(
-                f"\n{name}, degree {degree}, {segments} segments: {1e3 * before:,.0f} ms -> {1e3 * after:,.0f} ms,"
-                f" ratio {before / after:.0f}; error {errors['level'] / errors['search']:.4f} of what it was",
+                "\n"
+                f"{name}, degree {degree}, {segments} segments: {1e3 * before:,.0f} ms -> "
+                f"{1e3 * after:,.0f} ms, ratio {before / after:.0f}; error "
+                f"{errors['level'] / errors['search']:.4f} of what it was",
                 end="",
             )
 
@@ -82,7 +98,10 @@ def test_fit_with_its_alternatives() -> None:
             alone = seconds(lambda c=choice, s=settings: fit_reference(c, s))  # type: ignore[misc]
             table = seconds(lambda c=choice, f=fit: alternatives(c, f))  # type: ignore[misc]
             print(
-                f"\n{name}, degree {degree}, {segments} segments: fit {alone:.3f} s, alternatives {table:.3f} s", end=""
+                "\n"
+                f"{name}, degree {degree}, {segments} segments: fit {alone:.3f} s, alternatives "
+                f"{table:.3f} s",
+                end="",
             )
 
 
@@ -95,4 +114,9 @@ def test_budgets() -> None:
                 tried = f"{len(choose_fit(choice, FitSettings(), FitBudget(torque_error=torque_error)).trials)} tried"
             except NoSolutionError:
                 tried = "none keeps it"
-            print(f"\n{name}, torque error {torque_error:g}: {time.perf_counter() - start:.2f} s, {tried}", end="")
+            print(
+                "\n"
+                f"{name}, torque error {torque_error:g}: {time.perf_counter() - start:.2f} s, "
+                f"{tried}",
+                end="",
+            )

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dqforge.machines.flux_map import FluxMap, complete_by_symmetry
-from dqforge.machines.synchronous import FloatArray
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.flux_map import FluxMap, complete_by_symmetry
 
 pytestmark = pytest.mark.benchmark
 
@@ -38,4 +38,8 @@ def test_time_per_point(shared_data: Path) -> None:
             d = generator.uniform(flux_map.i_d[0], flux_map.i_d[-1], count)
             q = generator.uniform(flux_map.i_q[0], flux_map.i_q[-1], count)
             jet, flux = _best(flux_map.jet, d, q), _best(flux_map.flux, d, q)
-            print(f"\n{name}, {count:,} points: jet {jet:.3f} us/point, flux alone {flux:.3f} us/point", end="")
+            print(
+                "\n"
+                f"{name}, {count:,} points: jet {jet:.3f} us/point, flux alone {flux:.3f} us/point",
+                end="",
+            )

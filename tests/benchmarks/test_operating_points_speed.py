@@ -1,4 +1,6 @@
-"""Points per second of the batched solver, its growth, its memory, and the same points one by one with SciPy."""
+"""Points per second of the batched solver, its growth, its memory, and the same
+points one by one with SciPy.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from dqforge.machines.flux_map import FluxMap, SaturatedMachine, complete_by_symmetry
-from dqforge.machines.synchronous import FloatArray
-from dqforge.optimizer.mtpa_locus import mtpa_locus
-from dqforge.optimizer.operating_points import optimal_points
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine, complete_by_symmetry
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
+from dqforge.optimizer.operating_points.points import optimal_points
 
 pytestmark = pytest.mark.benchmark
 
@@ -29,8 +31,12 @@ def baldor(shared_data: Path) -> SaturatedMachine:
     return SaturatedMachine(2, 0.63, FluxMap(current.real[:, 0].copy(), i_q, psi_d, psi_q), 19.5)
 
 
-def scipy_point(machine: SaturatedMachine, torque: float, omega_m: float, start: tuple[float, float]) -> float:
-    """Least |i|^2 of one point by SLSQP with a start near the solution, which the batched solver does not need."""
+def scipy_point(
+    machine: SaturatedMachine, torque: float, omega_m: float, start: tuple[float, float]
+) -> float:
+    """Least |i|^2 of one point by SLSQP with a start near the solution, which the
+    batched solver does not need.
+    """
     omega = machine.pole_pairs * omega_m
 
     def flux(i: FloatArray) -> tuple[float, float]:
@@ -51,7 +57,9 @@ def scipy_point(machine: SaturatedMachine, torque: float, omega_m: float, start:
         {"type": "ineq", "fun": volts},
         {"type": "ineq", "fun": lambda i: 1.0 - (i[0] ** 2 + i[1] ** 2) / machine.i_max**2},
     ]
-    outcome = minimize(lambda i: (i[0] ** 2 + i[1] ** 2) / 100.0, start, method="SLSQP", constraints=rules)
+    outcome = minimize(
+        lambda i: (i[0] ** 2 + i[1] ** 2) / 100.0, start, method="SLSQP", constraints=rules
+    )
     return 100.0 * float(outcome.fun)
 
 
@@ -65,7 +73,10 @@ def test_map_of_a_measured_machine_against_scipy(baldor: SaturatedMachine) -> No
     start = time.perf_counter()
     squares = [
         scipy_point(
-            baldor, points.torque[k], points.omega_m[k], (0.9 * float(points.i_d[k]) - 0.1, 1.1 * float(points.i_q[k]))
+            baldor,
+            points.torque[k],
+            points.omega_m[k],
+            (0.9 * float(points.i_d[k]) - 0.1, 1.1 * float(points.i_q[k])),
         )
         for k in chosen
     ]
@@ -74,7 +85,10 @@ def test_map_of_a_measured_machine_against_scipy(baldor: SaturatedMachine) -> No
     agree = int(np.count_nonzero(np.abs(np.array(squares) / ours - 1.0) < 1e-3))
     worst = float(np.max(points.kkt_residual))
     print(f"\n200 x 200 map: {batched:,.0f} points/s, residual {worst:.1e}")
-    print(f"SLSQP point by point: {single:,.0f} points/s; the map is {batched / single:,.0f} times as fast")
+    print(
+        f"SLSQP point by point: {single:,.0f} points/s; the map is {batched / single:,.0f} times "
+        "as fast"
+    )
     print(f"{agree} of {chosen.size} of its points agree to 0.1 % in loss")
     assert worst < 1e-8
 
@@ -91,18 +105,25 @@ def test_time_grows_linearly(baldor: SaturatedMachine) -> None:
     slope = np.polyfit(np.log(counts), np.log(seconds), 1)[0]
     last = np.log(seconds[-1] / seconds[-2]) / np.log(counts[-1] / counts[-2])
     print("\n" + ", ".join(f"{n:,}: {s:.3f} s" for n, s in zip(counts, seconds, strict=True)))
-    print(f"log-log slope {slope:.2f} over all, {last:.2f} over the last decade (below 1: the scan of the 201 speeds)")
+    print(
+        f"log-log slope {slope:.2f} over all, {last:.2f} over the last decade (below 1: the scan "
+        "of the 201 speeds)"
+    )
 
 
 def test_every_point_with_a_speed_of_its_own(baldor: SaturatedMachine) -> None:
-    """The slowest case: the scan of the feasible region is made anew for every point beyond the base speed."""
+    """The slowest case: the scan of the feasible region is made anew for every
+    point beyond the base speed.
+    """
     generator = np.random.default_rng(3)
     torque, omega = generator.uniform(-60.0, 60.0, 30_000), generator.uniform(-800.0, 800.0, 30_000)
     start = time.perf_counter()
     points = optimal_points(baldor, torque, omega, v_max=V_MAX)
     rate = torque.size / (time.perf_counter() - start)
     worst = float(np.max(points.kkt_residual))
-    print(f"\n30,000 points, each at a speed of its own: {rate:,.0f} points/s, residual {worst:.1e}")
+    print(
+        f"\n30,000 points, each at a speed of its own: {rate:,.0f} points/s, residual {worst:.1e}"
+    )
 
 
 def test_memory_of_a_million_points() -> None:
@@ -117,7 +138,9 @@ def test_memory_of_a_million_points() -> None:
         "p = optimal_points(m, t, w, v_max=288.0)\n"
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     mebibytes = int(done.stdout) / 1024.0
     print(f"\npeak memory of a million points: {mebibytes:.0f} MiB")
     assert mebibytes < 1024.0

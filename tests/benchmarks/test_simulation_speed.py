@@ -1,4 +1,6 @@
-"""How long a simulation takes against the time it simulates: printed, never asserted (run with ``-m benchmark -s``)."""
+"""How long a simulation takes against the time it simulates: printed,
+never asserted (run with ``-m benchmark -s``).
+"""
 
 from __future__ import annotations
 
@@ -7,17 +9,19 @@ from dataclasses import replace
 
 import pytest
 
-from dqforge.machines import catalogue
-from dqforge.machines.scenario import Scenario, constant
+from dqforge.machines.design import catalogue
+from dqforge.machines.plants.scenario import Scenario, constant
 from dqforge.optimizer.solution import solve
-from dqforge.reports.control_header import gain_bytes, plain_control
-from dqforge.reports.drive_simulation import controller_files, drive_of
-from dqforge.reports.simulation import simulate, simulate_many, simulator
+from dqforge.reports.control.header import gain_bytes, plain_control
+from dqforge.reports.simulation.compiled_plant import simulate, simulate_many, simulator
+from dqforge.reports.simulation.design_run import controller_files, drive_of
 
 pytestmark = pytest.mark.benchmark
 
 
-@pytest.mark.parametrize("name", ["paper001-pmsm-bench", "paper000-ipmsm-100kw", "baldor-pmsyrm-5k6"])
+@pytest.mark.parametrize(
+    "name", ["paper001-pmsm-bench", "paper000-ipmsm-100kw", "baldor-pmsyrm-5k6"]
+)
 def test_one_second_of_drive_time(name: str) -> None:
     design = catalogue.load(name)
     solution = solve(design)
@@ -37,7 +41,9 @@ def test_one_second_of_drive_time(name: str) -> None:
         many = (time.perf_counter() - start) / 100.0 / 0.05
     samples = 1.0 / design.control.t_s
     print(
-        f"\n{name}, {samples:,.0f} samples per second of drive time: compiling {compiled:.2f} s, averaged"
-        f" {spent['averaged']:.3f}, switched {spent['switched']:.3f}, in a batch {many:.3f} seconds per second",
+        "\n"
+        f"{name}, {samples:,.0f} samples per second of drive time: compiling {compiled:.2f} s, "
+        f"averaged {spent['averaged']:.3f}, switched {spent['switched']:.3f}, in a batch "
+        f"{many:.3f} seconds per second",
         end="",
     )

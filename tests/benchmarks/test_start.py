@@ -1,4 +1,6 @@
-"""How long a user waits: ratios measured in one run and printed, never asserted (run with ``-m benchmark -s``)."""
+"""How long a user waits: ratios measured in one run and printed, never asserted (run
+with ``-m benchmark -s``).
+"""
 
 from __future__ import annotations
 
@@ -10,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dqforge.machines import catalogue
-from dqforge.optimizer.fitting import SideConditions, fit_curve
-from dqforge.optimizer.mtpa import mtpa_per_unit
-from dqforge.reports.paper000 import table_1
+from dqforge.machines.design import catalogue
+from dqforge.optimizer.curves.fitting import SideConditions, fit_curve
+from dqforge.optimizer.operating_points.mtpa import mtpa_per_unit
+from dqforge.reports.papers.paper000 import table_1
 from dqforge.reports.run import run_design
 
 pytestmark = pytest.mark.benchmark
@@ -33,13 +35,21 @@ def test_help_against_importing_numpy() -> None:
     numpy_time = seconds([sys.executable, "-c", "import numpy"])
     help_time = seconds([str(Path(sys.executable).with_name("dqforge")), "--help"])
     print(
-        f"\ndqforge --help: {help_time / numpy_time:.2f} times 'import numpy' ({help_time:.3f} s, {numpy_time:.3f} s)"
+        "\n"
+        f"dqforge --help: {help_time / numpy_time:.2f} times 'import numpy' ({help_time:.3f} s, "
+        f"{numpy_time:.3f} s)"
     )
 
 
 def test_demo_against_importing_numpy(tmp_path: Path) -> None:
     numpy_time = seconds([sys.executable, "-c", "import numpy"], 3)
-    command = [str(Path(sys.executable).with_name("dqforge")), "run", "paper000-ipmsm-100kw", "-o", str(tmp_path)]
+    command = [
+        str(Path(sys.executable).with_name("dqforge")),
+        "run",
+        "paper000-ipmsm-100kw",
+        "-o",
+        str(tmp_path),
+    ]
     demo_time = seconds(command, 3)
     print(f"\ndemo: {demo_time:.2f} s, {demo_time / numpy_time:.0f} times 'import numpy'")
 
@@ -51,11 +61,15 @@ def test_breakpoint_search_against_the_rest_of_a_run() -> None:
     start = time.perf_counter()
     run_design(catalogue.load("paper000-ipmsm-100kw"), verify=True)
     whole = time.perf_counter() - start
-    print(f"\nbreakpoints of degree 2, 3 and 4 by search: {search:.2f} s; a whole run: {whole:.2f} s")
+    print(
+        f"\nbreakpoints of degree 2, 3 and 4 by search: {search:.2f} s; a whole run: {whole:.2f} s"
+    )
 
 
 def test_minimax_against_cvxpy() -> None:
-    """One minimax fit of two joined segments: the linear programme with exchange against cvxpy and Clarabel."""
+    """One minimax fit of two joined segments: the linear programme with exchange
+    against cvxpy and Clarabel.
+    """
     import cvxpy as cp
     from numpy.polynomial import chebyshev
 
@@ -80,5 +94,7 @@ def test_minimax_against_cvxpy() -> None:
     cp.Problem(cp.Minimize(level), constraints).solve(solver=cp.CLARABEL)
     theirs = time.perf_counter() - start
     print(
-        f"\nminimax fit: {ours * 1e3:.1f} ms; on 300 points per segment with cvxpy: {theirs / ours:.1f} times as long"
+        "\n"
+        f"minimax fit: {ours * 1e3:.1f} ms; on 300 points per segment with cvxpy: "
+        f"{theirs / ours:.1f} times as long"
     )

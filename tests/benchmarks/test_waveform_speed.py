@@ -1,4 +1,6 @@
-"""Constrained phase currents beside a conic formulation that is built and solved for each point, in one run."""
+"""Constrained phase currents beside a conic formulation that is built and solved for each point,
+in one run.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,10 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from dqforge.machines.phase_machine import PhaseMachine
-from dqforge.machines.synchronous import FloatArray
-from dqforge.optimizer.waveform_problem import WaveformLimits
-from dqforge.optimizer.waveform_solver import solve_waveforms
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.optimizer.waveforms.quadratic_problem import WaveformLimits
+from dqforge.optimizer.waveforms.solver import solve_waveforms
 
 pytestmark = pytest.mark.benchmark
 POINTS = 100
@@ -26,7 +28,11 @@ def machine(*, symmetric: bool) -> PhaseMachine:
     size = np.array([0.2, 0.036, 0.012, 0.006])
     lag = np.array([0.0, 0.0, np.pi, 0.0])
     amplitudes = size if symmetric else np.stack([size, 0.97 * size, 1.01 * size])
-    phases = lag if symmetric else np.stack([lag + np.array([1, 3, 5, 7]) * 2.0 * np.pi / 3.0 * k for k in range(3)])
+    phases = (
+        lag
+        if symmetric
+        else np.stack([lag + np.array([1, 3, 5, 7]) * 2.0 * np.pi / 3.0 * k for k in range(3)])
+    )
     return PhaseMachine.from_harmonics(
         [1, 3, 5, 7], amplitudes, phases, pole_pairs=2, r_s=1.0, l_s=8e-3, m_s=-1e-3, i_max=14.0
     )
@@ -37,7 +43,10 @@ def built_anew(drive: PhaseMachine, torque: float, omega_m: float) -> float:
     count, omega = drive.angles, drive.pole_pairs * omega_m
     shifts = (-1, 0, 1, 2)
     mean, change = (
-        sum(weight * np.roll(np.eye(count), offset, axis=0) for offset, weight in zip(shifts, weights, strict=True))
+        sum(
+            weight * np.roll(np.eye(count), offset, axis=0)
+            for offset, weight in zip(shifts, weights, strict=True)
+        )
         for weights in ((-1 / 16, 9 / 16, 9 / 16, -1 / 16), (1 / 24, -27 / 24, 27 / 24, -1 / 24))
     )
     i: Any = cp.Variable((3, count))
@@ -61,7 +70,9 @@ def timed(call: Callable[[], Any]) -> tuple[float, Any]:
     return time.perf_counter() - start, result
 
 
-@pytest.mark.parametrize("symmetric", [True, False], ids=["a sixth of the period", "the whole period"])
+@pytest.mark.parametrize(
+    "symmetric", [True, False], ids=["a sixth of the period", "the whole period"]
+)
 def test_sweep_of_operating_points(*, symmetric: bool, capsys: pytest.CaptureFixture[str]) -> None:
     drive = machine(symmetric=symmetric)
     generator = np.random.default_rng(3)
@@ -77,6 +88,8 @@ def test_sweep_of_operating_points(*, symmetric: bool, capsys: pytest.CaptureFix
         assert found.copper[k] == pytest.approx(copper, rel=1e-5)
     with capsys.disabled():
         print(
-            f"\n{POINTS} points x 360 angles x 3 phases, {binding} binding: {seconds * 1e3:.0f} ms, "
-            f"{theirs * POINTS / seconds:.0f} times faster than building and solving each with cvxpy and Clarabel"
+            "\n"
+            f"{POINTS} points x 360 angles x 3 phases, {binding} binding: {seconds * 1e3:.0f} ms, "
+            f"{theirs * POINTS / seconds:.0f} times faster than building and solving each with "
+            "cvxpy and Clarabel"
         )

@@ -1,4 +1,6 @@
-"""A design solved as a whole: each part gets the values of its own axis, strategy and operating point."""
+"""A design solved as a whole: each part gets the values of its own axis,
+strategy and operating point.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +9,10 @@ from dataclasses import replace
 import pytest
 from drives import IPM, SURFACE, make_design
 
-from dqforge.machines.settings import LoadPoint, LossSettings
-from dqforge.optimizer.solution import solve_curves, solve_gains, solve_losses
+from dqforge.machines.design.settings import LoadPoint, LossSettings
+from dqforge.optimizer.control_design.gain_set import solve_gains
+from dqforge.optimizer.losses.solve import solve_losses
+from dqforge.optimizer.operating_points.solve import solve_curves
 
 
 def test_each_axis_is_tuned_for_its_own_inductance() -> None:
@@ -21,8 +25,12 @@ def test_each_axis_is_tuned_for_its_own_inductance() -> None:
 
 
 def test_braking_loses_as_much_as_driving_in_copper_and_less_voltage() -> None:
-    """With -T the current is mirrored in i_q: the same copper and MOSFET conduction loss; r_s i_q helps the voltage."""
-    design = replace(make_design(), losses=LossSettings((LoadPoint(130.0, 300.0), LoadPoint(-130.0, 300.0))))
+    """With -T the current is mirrored in i_q: the same copper and MOSFET conduction loss;
+    r_s i_q helps the voltage.
+    """
+    design = replace(
+        make_design(), losses=LossSettings((LoadPoint(130.0, 300.0), LoadPoint(-130.0, 300.0)))
+    )
     comparison = solve_losses(design)
     assert comparison is not None
     budget = comparison.budget

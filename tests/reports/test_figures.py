@@ -1,4 +1,6 @@
-"""Figures: labelled with units, well-formed, the same bytes twice, and refused where the format is unknown."""
+"""Figures: labelled with units, well-formed, the same bytes twice, and refused
+where the format is unknown.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +15,13 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from dqforge.machines import catalogue
+from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.figures import plot_errors, plot_fit, plot_gains, plot_losses, plot_mtpa, save, to_svg
-from dqforge.reports.figures_style import prefixed, thinned
+from dqforge.reports.current_reference.figures import plot_errors, plot_fit, plot_mtpa
+from dqforge.reports.loops.figures import plot_gains
+from dqforge.reports.losses.figures import plot_losses
+from dqforge.reports.pages.figures_style import prefixed, save, thinned, to_svg
 
 SVG = "{http://www.w3.org/2000/svg}"
 Draw = Callable[[Solution], Figure]
@@ -31,7 +35,13 @@ def _losses(solution: Solution) -> Figure:
 FIGURES: dict[str, tuple[Draw, tuple[str, ...]]] = {
     "mtpa": (
         lambda s: plot_mtpa(s.design, s.curves, s.fit),
-        ("i_d in A (peak)", "i_q in A (peak)", "current limit 283 A (peak)", "firmware reference", "150 N m"),
+        (
+            "i_d in A (peak)",
+            "i_q in A (peak)",
+            "current limit 283 A (peak)",
+            "firmware reference",
+            "150 N m",
+        ),
     ),
     "fit": (
         lambda s: plot_fit(s.design, s.fit),
@@ -39,13 +49,28 @@ FIGURES: dict[str, tuple[Draw, tuple[str, ...]]] = {
     ),
     "errors": (
         lambda s: plot_errors(s.design, s.fit),
-        ("Torque in N m", "Torque error in \u00b5N m", "ppb of largest torque", "Extra copper loss in W"),
+        (
+            "Torque in N m",
+            "Torque error in \u00b5N m",
+            "ppb of largest torque",
+            "Extra copper loss in W",
+        ),
     ),
     "loops": (
         lambda s: plot_gains(s.design, s.gains),
-        ("Time in ms", "Response per unit step", "Magnitude in dB", "Phase in degrees", "Frequency in Hz", "i_d: 71.0"),
+        (
+            "Time in ms",
+            "Response per unit step",
+            "Magnitude in dB",
+            "Phase in degrees",
+            "Frequency in Hz",
+            "i_d: 71.0",
+        ),
     ),
-    "losses": (_losses, ("Loss in W", "copper loss", "i_d = 0, SPWM", "MTPA, DDT-GDPWM", "\u25c0 least")),
+    "losses": (
+        _losses,
+        ("Loss in W", "copper loss", "i_d = 0, SPWM", "MTPA, DDT-GDPWM", "\u25c0 least"),
+    ),
 }
 
 
@@ -110,7 +135,9 @@ def test_figures_ignore_and_keep_the_users_settings(solution: Solution) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".svg", ".png", ".pdf"])
-def test_saved_files_are_the_same_bytes_twice(solution: Solution, tmp_path: Path, suffix: str) -> None:
+def test_saved_files_are_the_same_bytes_twice(
+    solution: Solution, tmp_path: Path, suffix: str
+) -> None:
     first, second = tmp_path / f"first{suffix}", tmp_path / f"second{suffix.upper()}"
     for path in (first, second):
         save(plot_mtpa(solution.design, solution.curves), path)
@@ -128,7 +155,9 @@ def test_saving_an_svg_leaves_the_figure_as_it_was(solution: Solution) -> None:
 
 
 @pytest.mark.parametrize("name", ["figure.jpg", "figure"])
-def test_an_unknown_suffix_is_refused_in_one_line(solution: Solution, tmp_path: Path, name: str) -> None:
+def test_an_unknown_suffix_is_refused_in_one_line(
+    solution: Solution, tmp_path: Path, name: str
+) -> None:
     with pytest.raises(InputError, match=r"\.svg, \.png or \.pdf") as caught:
         save(plot_mtpa(solution.design, solution.curves), tmp_path / name)
     assert "\n" not in str(caught.value)
@@ -136,7 +165,9 @@ def test_an_unknown_suffix_is_refused_in_one_line(solution: Solution, tmp_path: 
 
 
 def test_mtpa_without_fit_has_no_reference(solution: Solution) -> None:
-    assert "firmware reference" not in svg_texts(to_svg(plot_mtpa(solution.design, solution.curves)))
+    assert "firmware reference" not in svg_texts(
+        to_svg(plot_mtpa(solution.design, solution.curves))
+    )
 
 
 def test_alternatives_that_cannot_be_used_say_why(solution: Solution) -> None:
@@ -167,7 +198,8 @@ def test_thinning_keeps_extremes_and_ends() -> None:
 
 
 @pytest.mark.parametrize(
-    ("largest", "unit"), [(283.0, "A"), (0.02, "mA"), (3e-6, "\u00b5A"), (2e-9, "nA"), (1e-20, "pA"), (0.0, "A")]
+    ("largest", "unit"),
+    [(283.0, "A"), (0.02, "mA"), (3e-6, "\u00b5A"), (2e-9, "nA"), (1e-20, "pA"), (0.0, "A")],
 )
 def test_units_fit_the_size_of_the_values(largest: float, unit: str) -> None:
     assert prefixed(largest, "A")[1] == unit

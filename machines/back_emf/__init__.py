@@ -1,0 +1,1 @@
+"""Measured back-EMF: from captures to harmonics of the flux linkage."""

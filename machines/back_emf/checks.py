@@ -1,0 +1,438 @@
+"""What makes an oscilloscope capture of the back-EMF unfit, and what its user should know.
+
+The refusals raise `InputError` with the file and the line where the trouble begins.
+The findings are sentences.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.back_emf.harmonics import HarmonicFit, resolution
+from dqforge.machines.errors import InputError
+from dqforge.machines.units.quantities import format_quantity
+
+_LEAST_SAMPLES = 16
+
+
+_LEAST_EXPLAINED = 0.8
+
+
+_DEAD_EXPLAINED = 0.5
+
+
+_PROBE_RATIO = 3.0
+
+"""No three windings of one machine differ as much as this; probes set to 1 and 10 do."""
+
+
+_DISPLACEMENT = np.radians(20.0)
+
+
+_CONTRADICTION = 0.05
+
+
+_RUN = 6
+
+
+_LEAST_CLIPPED = 0.005
+
+
+_NOTED = {
+    "asymmetry": 0.03,
+    "displacement": np.radians(2.0),
+    "even": 0.01,
+    "offset": 0.03,
+    "noise": 0.05,
+    "drift": 0.05,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where samples come from: file name and the line of each sample, shape (N,)."""
+
+    source: str
+    lines: NDArray[np.intp]
+
+    def error(self, message: str, sample: int | None = 0) -> InputError:
+        """Return the error for the user at a sample, or about the file as a whole."""
+        line = None if sample is None or not self.lines.size else int(self.lines[sample])
+        return InputError(message, source=self.source, line=line)
+
+
+def check_samples(
+    time: FloatArray | None, angle: FloatArray | None, voltages: FloatArray, origin: Origin
+) -> FloatArray:
+    """Refuse shapes that do not fit, too few samples, values that are not finite and
+    time that does not ascend.
+
+    The time or angle, whichever is given, is returned.
+    """
+    axis = time if time is not None else angle
+    if axis is None or (time is not None and angle is not None):
+        raise origin.error("a capture has either times or angles", None)
+    if (
+        axis.ndim != 1
+        or voltages.ndim != 2
+        or voltages.shape[1] != axis.size
+        or origin.lines.shape != axis.shape
+    ):
+        shapes = f"{axis.shape}, {voltages.shape} and {origin.lines.shape}"
+        raise origin.error(
+            f"a capture needs as many samples as times and lines, got the shapes {shapes}", None
+        )
+    if axis.size < _LEAST_SAMPLES:
+        raise origin.error(
+            f"{axis.size} samples are too few; a period needs at least {_LEAST_SAMPLES}", None
+        )
+    for name, values in (
+        ("time" if time is not None else "angle", axis[None]),
+        ("voltage", voltages),
+    ):
+        wrong = np.flatnonzero(~np.all(np.isfinite(values), axis=0))
+        if wrong.size:
+            raise origin.error(
+                f"a {name} is missing or not finite; give a number or leave the line out",
+                int(wrong[0]),
+            )
+    if time is not None:
+        back = np.flatnonzero(np.diff(time) <= 0.0)
+        if back.size:
+            here = int(back[0]) + 1
+            what = (
+                "equals the time before"
+                if time[here] == time[here - 1]
+                else "is before the time of the last line"
+            )
+            raise origin.error(
+                f"the time {time[here]:.9g} s {what}; times must ascend and be written with all "
+                "their digits",
+                here,
+            )
+    return axis
+
+
+def check_flat(voltages: FloatArray, origin: Origin) -> None:
+    """Refuse channels, shape (K, N), that never change."""
+    for channel, values in enumerate(voltages, start=1):
+        if np.ptp(values) == 0.0:
+            raise origin.error(
+                f"channel {channel} is dead: it stays at {values[0]:g} V; connect its probe, or "
+                "choose other columns"
+            )
+
+
+def check_line(share: float, origin: Origin) -> None:
+    """Refuse captures without a frequency that stands out; ``share`` is that of its power."""
+    if share < 0.3:
+        raise origin.error(
+            f"the capture is not periodic: no frequency stands out, the strongest has {share:.0%} "
+            "of the power; give a part where the machine turns steadily and the inverter is off"
+        )
+
+
+def check_length(periods: float, samples: float, origin: Origin) -> None:
+    """Refuse captures of less than one electrical period, or with less than 8
+    ``samples`` to the period.
+    """
+    if periods < 0.98:
+        raise origin.error(
+            f"the capture holds about {periods:.2f} electrical periods; at least 1 is needed, 5 or "
+            "more are better"
+        )
+    if samples < 8.0:
+        raise origin.error(
+            f"the capture has about {samples:.1f} samples in an electrical period, so that it may "
+            "show another frequency than the machine's; at least 8 are needed: sample faster or "
+            "turn the machine more slowly"
+        )
+
+
+def check_clipping(voltages: FloatArray, samples: float, origin: Origin) -> list[str]:
+    """Refuse channels, shape (K, N), that stand at an extreme value for longer than noise permits.
+
+    A trapezoid is flat, too, but its noise moves the samples of the top. Without noise to tell the
+    two apart there is a finding instead. ``samples`` is the number of samples to the period.
+    """
+    findings = []
+    for channel, values in enumerate(voltages, start=1):
+        step, size = resolution(values), float(np.ptp(values))
+        # The top of a sine stands at one level for as long as it falls by less than a step.
+        natural = samples / np.pi * np.arccos(1.0 - min(2.0 * step / size, 1.0))
+        for level in (float(np.max(values)), float(np.min(values))):
+            stands = values == level
+            edges = np.flatnonzero(
+                np.diff(np.concatenate([[False], stands, [False]]).astype(np.int8))
+            )
+            runs = edges[1::2] - edges[::2]
+            if (
+                np.max(runs) < max(_RUN, samples / 50.0, 1.5 * natural)
+                or np.mean(stands) < _LEAST_CLIPPED
+            ):
+                continue
+            text = (
+                f"{np.count_nonzero(stands)} samples ({np.mean(stands):.1%}) of channel {channel} "
+                f"stand at {level:g} V"
+            )
+            if _noise_between(values) < max(0.7 * step, 1e-5 * size):
+                findings.append(
+                    f"{text}; make sure that the range of the oscilloscope was not exceeded."
+                )
+                continue
+            longest = int(edges[2 * int(np.argmax(runs >= _RUN))])
+            raise origin.error(
+                f"{text}: clipped; capture again with a larger range (more volts per division)",
+                longest,
+            )
+    return findings
+
+
+def _noise_between(values: FloatArray) -> float:
+    """Noise of samples, shape (N,), that lie between the extremes, from their second differences.
+
+    The median ignores edges and glitches; rounding without noise gives at most 0.6 steps.
+    """
+    inner = (values > np.min(values)) & (values < np.max(values))
+    seconds = np.abs(np.diff(values, 2))[inner[:-2] & inner[1:-1] & inner[2:]]
+    return 1.4826 / np.sqrt(6.0) * float(np.median(seconds)) if seconds.size else 0.0
+
+
+def check_periodic(fit: HarmonicFit, voltages: FloatArray, samples: float, origin: Origin) -> None:
+    """Refuse channels, shape (K, N), that a machine turning at a steady or
+    drifting speed does not explain.
+    """
+    if np.min(fit.motion.rate()) <= 0.0:
+        raise origin.error(
+            "the machine stops or turns back within the capture; give a part where it turns one way"
+        )
+    best = float(np.max(fit.explained))
+    block = min(int(samples), fit.residual.shape[1])
+    whole = fit.residual.shape[1] // block * block
+    blocks = fit.residual[:, :whole].reshape(fit.residual.shape[0], -1, block)
+    left = np.einsum("kbn,kbn->kb", blocks, blocks, dtype=np.float64) / block
+    departs = left > (1.0 - _LEAST_EXPLAINED) * np.array([[np.var(row)] for row in voltages])
+    first = np.argmax(departs, axis=1) * block
+    for channel, share in enumerate(fit.explained):
+        if share < _DEAD_EXPLAINED and best >= _LEAST_EXPLAINED:
+            raise origin.error(
+                f"channel {channel + 1} is dead or comes loose: only {max(share, 0.0):.0%} of it "
+                "has the period of the others, the rest is noise; connect its probe, or choose "
+                "other columns",
+                int(first[channel]),
+            )
+    worst = int(np.argmin(fit.explained))
+    if fit.explained[worst] < _LEAST_EXPLAINED:
+        raise origin.error(
+            f"the capture is not periodic: harmonics of {fit.motion.frequency:.4g} Hz explain "
+            f"{max(float(fit.explained[worst]), 0.0):.0%} of channel {worst + 1}, less than "
+            f"{_LEAST_EXPLAINED:.0%}; give a part where the machine turns steadily and the "
+            "inverter is off",
+            int(first[worst]),
+        )
+    if np.any(departs):
+        channel = int(np.argmax(np.any(departs, axis=1)))
+        raise origin.error(
+            f"channel {channel + 1} departs here from the period of the rest (harmonics of "
+            f"{fit.motion.frequency:.4g} Hz); give a part without disturbance, where the machine "
+            "turns steadily",
+            int(first[channel]),
+        )
+
+
+def check_ratios(fundamentals: NDArray[np.complex128], origin: Origin) -> None:
+    """Refuse two or three channels of which one is larger or smaller by a factor,
+    as by the setting of its probe.
+    """
+    sizes = np.abs(fundamentals)
+    # Of two that differ nobody can say which is wrong.
+    for channel, size in enumerate(sizes) if sizes.size == 3 else ():
+        others = float(np.mean(np.delete(sizes, channel)))
+        ratio = max(size / others, others / size)
+        alike = np.ptp(np.delete(sizes, channel)) < 0.5 * others
+        if ratio < _PROBE_RATIO or not alike:
+            continue
+        word = "less" if size < others else "more"
+        scale = ["1", "1", "1"]
+        scale[channel] = f"{_round_ratio(others / float(size)):g}"
+        raise origin.error(
+            f"channel {channel + 1} reads {ratio:.1f} times {word} than the others; "
+            f"probe setting? if so, give scale ({', '.join(scale)})"
+        )
+    if np.max(sizes) > _PROBE_RATIO * np.min(sizes):
+        text = ", ".join(f"{size / np.max(sizes):.3g}" for size in sizes)
+        raise origin.error(
+            f"the channels' fundamentals are as {text}; check the probes' settings and give scale"
+        )
+
+
+def _round_ratio(factor: float) -> float:
+    """Factor as a probe may have it (1, 2 or 5 times a power of ten) when within 5 % of one."""
+    decade = 10.0 ** np.floor(np.log10(factor))
+    likely = decade * np.array([1.0, 2.0, 5.0, 10.0])
+    nearest = float(likely[np.argmin(np.abs(likely - factor))])
+    return nearest if abs(nearest - factor) < 0.05 * factor else float(f"{factor:.3g}")
+
+
+def check_displacements(fundamentals: NDArray[np.complex128], origin: Origin) -> None:
+    """Refuse two or three channels that are not 120 degrees apart, in either sequence."""
+    lags = np.angle(fundamentals[0] / fundamentals[1:])
+    wanted = (2.0 * np.pi / 3.0) * np.arange(1, fundamentals.size)
+    if (
+        min(np.max(np.abs(np.angle(np.exp(1j * (lags - sign * wanted))))) for sign in (1.0, -1.0))
+        < _DISPLACEMENT
+    ):
+        return
+    degrees = [float(lag) for lag in np.degrees(lags) % 360.0]
+    found = [
+        f"channel {channel} is {lag:.0f} degrees" for channel, lag in enumerate(degrees, start=2)
+    ]
+    raise origin.error(
+        f"{' and '.join(found)} behind channel 1; three phases are 120 and 240 degrees behind (or "
+        f"240 and 120){_displacement_hint(degrees)}"
+    )
+
+
+def _displacement_hint(degrees: list[float]) -> str:
+    """What may be the reason, from how far the second and third channel are behind the first."""
+    pairs = [("1 and 2", degrees[0])]
+    pairs += [
+        pair
+        for third in degrees[1:]
+        for pair in (("1 and 3", third), ("2 and 3", third - degrees[0]))
+    ]
+    same = [name for name, lag in pairs if min(lag % 360.0, -lag % 360.0) < 10.0]
+    if same:
+        return f"; channels {same[0]} show the same voltage"
+    if any(abs(min(lag % 360.0, -lag % 360.0) - 60.0) < 15.0 for _, lag in pairs):
+        return "; a probe is connected the wrong way round (give it a negative scale)"
+    return "; check what the probes were connected to"
+
+
+def check_speed(
+    frequency: float, pole_pairs: int | None, speed: float | None, origin: Origin
+) -> None:
+    """Refuse a stated speed in rad/s that contradicts the measured electrical frequency in Hz."""
+    if pole_pairs is None or speed is None:
+        return
+    stated = pole_pairs * abs(speed) / (2.0 * np.pi)
+    if abs(stated - frequency) > _CONTRADICTION * frequency:
+        implied = 2.0 * np.pi * frequency / pole_pairs
+        pairs = 2.0 * np.pi * frequency / max(abs(speed), 1e-300)
+        raise origin.error(
+            f"{format_quantity(abs(speed), 'rpm')} and {pole_pairs} pole pairs make {stated:.4g} "
+            f"Hz, but the capture has {frequency:.4g} Hz, i.e. {format_quantity(implied, 'rpm')} "
+            f"or {pairs:.2f} pole pairs; correct one of them",
+            None,
+        )
+
+
+def check_coverage(gap: float, origin: Origin) -> None:
+    """Refuse angles that leave more than an eighth of the electrical period without a sample.
+
+    ``gap`` in rad.
+    """
+    if gap > np.pi / 4.0 * (1.0 + 1e-9):
+        raise origin.error(
+            f"the angles leave {np.degrees(gap):.0f} degrees of the electrical period without a "
+            "sample; they must cover a whole period in steps of 45 degrees at most"
+        )
+
+
+def check_condition(fit: HarmonicFit, origin: Origin) -> None:
+    """Refuse samples that lie so unevenly that they do not tell the harmonics apart."""
+    if fit.condition > 1e8:
+        raise origin.error(
+            f"the samples lie too unevenly to tell {fit.coefficients.shape[1]} harmonics apart; "
+            "ask for fewer harmonics"
+        )
+
+
+def check_certain(amplitudes: FloatArray, uncertainty: FloatArray, origin: Origin) -> list[str]:
+    """Refuse fundamentals that are no larger than their uncertainty, shapes (3,);
+    a finding above a fifth of them.
+    """
+    worst = float(np.max(uncertainty / np.maximum(amplitudes, 1e-300)))
+    if worst >= 1.0:
+        raise origin.error(
+            "the fundamental is less than its uncertainty; capture more periods, or with less noise"
+        )
+    if worst > 0.2:
+        return [
+            (
+                f"The fundamental is uncertain by {worst:.0%}; capture more periods, or with less "
+                "noise."
+            )
+        ]
+    return []
+
+
+@dataclass(frozen=True, slots=True)
+class BemfSymmetry:
+    """How far three phases are from three equal ones with equal poles.
+
+    Parameters
+    ----------
+    amplitude:
+        Largest difference of a phase's fundamental amplitude from the mean, over the mean.
+    displacement:
+        Largest deviation of a fundamental from its 120 degrees, in rad.
+    even:
+        Root of the sum of the squared even harmonics that exceed their uncertainty, over the
+        fundamental, of the phase where it is largest.
+    half_wave:
+        Largest |f(theta) + f(theta + pi)| / 2 that these harmonics make, over the largest |f|: 0 if
+        the half waves mirror each other.
+    """
+
+    amplitude: float
+    displacement: float
+    even: float
+    half_wave: float
+
+
+def remarks(
+    symmetry: BemfSymmetry,
+    offsets: FloatArray,
+    noise: FloatArray,
+    amplitudes: FloatArray,
+    drift: float,
+    unit: str,
+) -> list[str]:
+    """Sentences on what a user should know.
+
+    Offsets, noise and fundamental amplitudes in one unit, shape (3,).
+    """
+    findings = []
+    for phase, (offset, rms, amplitude) in enumerate(zip(offsets, noise, amplitudes, strict=True)):
+        name = "abc"[phase]
+        if abs(offset) > _NOTED["offset"] * amplitude:
+            share = offset / amplitude
+            findings.append(
+                f"Phase {name} has an offset of {offset:.3g} {unit} ({share:+.1%} of its "
+                "amplitude): removed."
+            )
+        if rms > _NOTED["noise"] * amplitude:
+            findings.append(
+                f"Phase {name} has {rms:.3g} {unit} r.m.s. ({rms / amplitude:.1%} of its "
+                "amplitude) of noise."
+            )
+    if symmetry.amplitude > _NOTED["asymmetry"]:
+        findings.append(
+            f"The phases' amplitudes differ from their mean by up to {symmetry.amplitude:.1%}."
+        )
+    if symmetry.displacement > _NOTED["displacement"]:
+        worst = float(np.degrees(symmetry.displacement))
+        findings.append(f"The phases are not 120 degrees apart, but up to {worst:.1f} degrees off.")
+    if symmetry.even > _NOTED["even"]:
+        findings.append(
+            f"Even harmonics make {symmetry.even:.1%} of the fundamental: north and south poles "
+            "differ."
+        )
+    if abs(drift) > _NOTED["drift"]:
+        findings.append(f"The speed changes by {drift:+.1%} over the capture: divided out.")
+    return findings

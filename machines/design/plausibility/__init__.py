@@ -1,0 +1,1 @@
+"""Values of a design held against what drives usually have."""

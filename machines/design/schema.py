@@ -1,0 +1,96 @@
+"""The design file as a schema: every key with its meaning, unit and default.
+
+The models hold what the file says; `dqforge.machines.design.loader` turns it into a
+`dqforge.machines.design.design.Design`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import Field
+
+from dqforge.machines.design.sections.control import ControlSection
+from dqforge.machines.design.sections.export import ExportSection
+from dqforge.machines.design.sections.field_weakening import WeakeningSection
+from dqforge.machines.design.sections.fit import FitSection
+from dqforge.machines.design.sections.inverter import InverterSection
+from dqforge.machines.design.sections.losses import LossSection
+from dqforge.machines.design.sections.machine import MachineSection
+from dqforge.machines.design.sections.modulation_choice import ChoiceSection
+from dqforge.machines.design.sections.operation import OperationSection
+from dqforge.machines.design.sections.simulation import SimulationSection
+from dqforge.machines.design.sections.waveform import WaveformSection
+from dqforge.machines.entries.kinds import (
+    About,
+    Name,
+    Section,
+    Version,
+)
+
+
+class DesignFile(Section):
+    """Design of a motor drive: machine, inverter, control, and what is to be generated."""
+
+    dqforge: Version = Field(description="version of this format")
+    name: Name = Field(description="one line that names the design, at most 80 characters")
+    about: About = Field(default="", description="a paragraph on the design")
+    machine: MachineSection
+    inverter: InverterSection
+    control: ControlSection = ControlSection()
+    operation: OperationSection = OperationSection()
+    fit: FitSection = FitSection()
+    losses: LossSection | None = Field(
+        default=None, description="loss comparison, if one is wanted"
+    )
+    waveform: WaveformSection = Field(
+        default=WaveformSection(), description="phase currents, for machine.model waveform"
+    )
+    field_weakening: WeakeningSection | None = Field(
+        default=None, description="two-dimensional current references, if they are wanted"
+    )
+    modulation_choice: ChoiceSection | None = Field(
+        default=None, description="choice of modulator and switching frequency, if it is wanted"
+    )
+    simulation: SimulationSection | None = Field(
+        default=None, description="simulation in the time domain, if one is wanted"
+    )
+    export: ExportSection = ExportSection()
+
+
+_SIMPLE = (
+    str,
+    int,
+    float,
+    list,
+)  # defaults worth showing; those of whole sections repeat their keys
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of the design file, for editors and for documentation."""
+    schema: dict[str, Any] = _tidied(DesignFile.model_json_schema())
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "dqforge design file",
+    } | schema
+
+
+def _tidied(schema: Any) -> Any:
+    """Schema without generated titles and without null, which the reader refuses."""
+    if isinstance(schema, list):
+        return [_tidied(item) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    tidy: dict[str, Any] = {}
+    for key, value in schema.items():
+        if (key == "title" and isinstance(value, str)) or (
+            key == "default" and not isinstance(value, _SIMPLE)
+        ):
+            continue
+        if key == "anyOf":
+            choices = [choice for choice in value if choice != {"type": "null"}]
+            # An optional entry with several forms arrives as a choice within a choice.
+            tidy |= _tidied(choices[0]) if len(choices) == 1 else {"anyOf": _tidied(choices)}
+        else:
+            tidy[key] = _tidied(value)
+    return tidy

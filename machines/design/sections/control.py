@@ -1,0 +1,397 @@
+"""The section ``control``: what may be written, what is made of it, and
+what is checked across it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import Field
+
+from dqforge.machines.design.sections.tolerances import TolerancesSection
+from dqforge.machines.design.settings import (
+    CurrentLoopSettings,
+    ObserverSettings,
+    SpeedLoopSettings,
+)
+from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
+from dqforge.machines.entries.kinds import (
+    Bandwidth,
+    CurrentGain,
+    CurrentIntegralGain,
+    FilterTime,
+    GainFormats,
+    PhaseCurrent,
+    PhaseMargin,
+    Rate,
+    Section,
+    Speed,
+    SpeedGain,
+    SpeedIntegralGain,
+    Torque,
+    Voltage,
+)
+from dqforge.machines.entries.rules import si_of
+from dqforge.machines.files.positioned_yaml import YamlDocument
+from dqforge.machines.names import (
+    CurrentLoopMethod,
+    ObserverMethodName,
+    ObserverTuningName,
+    SpeedLoopMethod,
+)
+from dqforge.machines.places import KeyPath
+from dqforge.machines.units.quantities import format_quantity
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.schema import DesignFile
+
+
+_EXAMPLES: dict[tuple[str | int, str], str] = {
+    ("current_loop", "bandwidth"): "500 Hz",
+    ("current_loop", "kp"): "1.1 V/A",
+    ("current_loop", "ki"): "32 V/(A s)",
+    ("speed_loop", "bandwidth"): "20 Hz",
+    ("speed_loop", "kp"): "0.1 N m s/rad",
+    ("speed_loop", "ki"): "6 N m/rad",
+}
+
+
+def check_loops(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
+    """Check that each controller has the keys that its method needs.
+
+    Raises `InputError` with a position.
+    """
+    control = sections.control
+    _check_method(control.current_loop, ("control", "current_loop"), document)
+    _check_schedule(control.current_loop, machine, document)
+    wants_inertia = []
+    if control.speed_loop is not None:
+        _check_method(control.speed_loop, ("control", "speed_loop"), document)
+        wants_inertia.append("speed_loop")
+    if control.observer is not None:
+        _check_observer(control.observer, document)
+        if control.observer.method == "reduced-order":
+            wants_inertia.append("observer")
+        if machine.psi_pm == 0.0:
+            message = (
+                "control.observer: this observer needs a magnet flux, the machine has none; remove "
+                "it"
+            )
+            raise document.error(message, ("control", "observer"), key=True)
+    if wants_inertia and machine.inertia is None:
+        message = (
+            f"control.{wants_inertia[0]} needs the inertia; write machine.inertia, such as 200e-6 "
+            "kg m^2"
+        )
+        raise document.error(message, ("control", wants_inertia[0]), key=True)
+
+
+_OBSERVER_KEYS = {
+    "reduced-order": ("pole",),
+    "extended-emf": ("bandwidth", "pll_bandwidth", "damping"),
+    "flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
+    "open-loop-flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
+    "matsui-voltage": ("bandwidth", "pll_bandwidth", "damping"),
+    "matsui-current": ("bandwidth", "pll_bandwidth"),
+    "ekf": (),
+}
+
+
+def _check_observer(observer: ObserverSection, document: YamlDocument) -> None:
+    path, used = ("control", "observer"), _OBSERVER_KEYS[observer.method]
+    if observer.method == "reduced-order" and observer.pole is None:
+        message = (
+            "control.observer: the method 'reduced-order' needs the key 'pole'; write pole: 400 "
+            "rad/s"
+        )
+        raise document.error(message, path, key=True)
+    for key in ("pole", "bandwidth", "pll_bandwidth", "damping", "speed_gain"):
+        if getattr(observer, key) is not None and key not in used:
+            raise document.error(
+                f"control.observer: the method '{observer.method}' does not use '{key}'; remove "
+                f"it, or write another method (it uses {', '.join(used) or 'no key but tuning'})",
+                (*path, key),
+                key=True,
+            )
+
+
+def _check_method(
+    loop: CurrentLoopSection | SpeedLoopSection, path: KeyPath, document: YamlDocument
+) -> None:
+    needed = {"bandwidth": ("bandwidth",), "damping": ("bandwidth",), "given": ("kp", "ki")}.get(
+        loop.method, ()
+    )
+    where = ".".join(map(str, path))
+    for key in needed:
+        if getattr(loop, key) is None:
+            example = _EXAMPLES[path[-1], key]
+            raise document.error(
+                f"{where}: the method '{loop.method}' needs the key '{key}'; write {key}: "
+                f"{example}",
+                (*path, "method"),
+            )
+    for key in ("bandwidth", "kp", "ki"):
+        if getattr(loop, key) is not None and key not in needed:
+            method = "bandwidth" if key == "bandwidth" else "given"
+            raise document.error(
+                f"{where}: the method '{loop.method}' does not use '{key}'; write method: "
+                f"{method}, or remove the key",
+                (*path, key),
+                key=True,
+            )
+    if "max_sensitivity" in loop.model_fields_set and loop.method != "optimised":
+        raise document.error(
+            f"{where}: the method '{loop.method}' does not use 'max_sensitivity'; write method: "
+            "optimised, or remove the key",
+            (*path, "max_sensitivity"),
+            key=True,
+        )
+
+
+def _check_schedule(loop: CurrentLoopSection, machine: Machine, document: YamlDocument) -> None:
+    path = ("control", "current_loop", "schedule")
+    if not loop.schedule:
+        return
+    if isinstance(machine, LinearMachine):
+        message = (
+            "control.current_loop.schedule: the machine's inductances are constant, so are the "
+            "gains; remove it"
+        )
+        raise document.error(message, path)
+    if loop.method == "given":
+        message = (
+            "control.current_loop.schedule: given gains are constant; write another method, or "
+            "schedule: false"
+        )
+        raise document.error(message, path)
+
+
+def sampling_warning(machine: Machine, f_s: float) -> str:
+    """Sentence on a sampling (Hz) that is slow against the electrical frequency at top speed,
+    or an empty text.
+    """
+    if machine.omega_m_max is None:
+        return ""
+    f_e = machine.pole_pairs * machine.omega_m_max / (2.0 * math.pi)
+    if f_s >= 10.0 * f_e:
+        return ""
+    return (
+        f"at {format_quantity(machine.omega_m_max, 'rpm')} there are only {f_s / f_e:.2g} samples "
+        "per electrical period; the current control needs about ten"
+    )
+
+
+_DEFAULT_MARGIN = CurrentLoopSettings().phase_margin_min
+
+
+def read_current_loop(section: CurrentLoopSection) -> CurrentLoopSettings:
+    margin = si_of(section.phase_margin_min)
+    return CurrentLoopSettings(
+        method=section.method,
+        bandwidth=si_of(section.bandwidth),
+        damping=section.damping,
+        spread=section.spread,
+        kp=si_of(section.kp),
+        ki=si_of(section.ki),
+        phase_margin_min=_DEFAULT_MARGIN if margin is None else margin,
+        q_formats=section.q_formats,
+        max_sensitivity=section.max_sensitivity,
+        schedule=section.schedule,
+    )
+
+
+def read_speed_loop(section: SpeedLoopSection) -> SpeedLoopSettings:
+    margin = si_of(section.phase_margin_min)
+    return SpeedLoopSettings(
+        method=section.method,
+        ratio=section.ratio,
+        bandwidth=si_of(section.bandwidth),
+        damping=section.damping,
+        spread=section.spread,
+        filter_time=si_of(section.filter_time) or 0.0,
+        kp=si_of(section.kp),
+        ki=si_of(section.ki),
+        phase_margin_min=_DEFAULT_MARGIN if margin is None else margin,
+        q_formats=section.q_formats,
+        max_sensitivity=section.max_sensitivity,
+    )
+
+
+def read_observer(section: ObserverSection) -> ObserverSettings:
+    return ObserverSettings(
+        pole=si_of(section.pole),
+        method=section.method,
+        bandwidth=si_of(section.bandwidth),
+        pll_bandwidth=si_of(section.pll_bandwidth),
+        damping=section.damping,
+        speed_gain=section.speed_gain,
+        tuning=section.tuning,
+    )
+
+
+_CURRENT = CurrentLoopSettings()
+
+
+_SPEED = SpeedLoopSettings()
+
+
+class CurrentLoopSection(Section):
+    """PI current controllers of both axes."""
+
+    method: CurrentLoopMethod = Field(
+        default=_CURRENT.method, description="how the gains are found"
+    )
+    bandwidth: Bandwidth | None = Field(
+        default=None,
+        description="for bandwidth and damping (there the natural frequency): in Hz or rad/s",
+    )
+    damping: float = Field(
+        default=_CURRENT.damping, gt=0.0, le=10.0, description="damping ratio, for damping"
+    )
+    spread: float = Field(
+        default=_CURRENT.spread, gt=1.0, le=100.0, description="a of the symmetrical optimum"
+    )
+    kp: CurrentGain | None = Field(default=None, description="for given: proportional gain (V/A)")
+    ki: CurrentIntegralGain | None = Field(
+        default=None, description="for given: integral gain (V/(A s))"
+    )
+    phase_margin_min: PhaseMargin | None = Field(
+        default=None, description="least phase margin (rad; write deg); default 30 deg"
+    )
+    q_formats: GainFormats | None = Field(
+        default=None,
+        description=(
+            "fractional bits of the per-unit integers kp and ki t_s, such as [10, 15], or auto"
+        ),
+    )
+    max_sensitivity: float = Field(
+        default=_CURRENT.max_sensitivity,
+        ge=1.05,
+        le=4.0,
+        description="for optimised: largest M_s within the tolerances",
+    )
+    schedule: bool = Field(
+        default=_CURRENT.schedule,
+        description="gains over the current, for machines that saturate: a header of its own",
+    )
+
+
+class SpeedLoopSection(Section):
+    """PI speed controller that commands torque."""
+
+    method: SpeedLoopMethod = Field(default=_SPEED.method, description="how the gains are found")
+    ratio: int = Field(
+        default=_SPEED.ratio, ge=1, le=100_000, description="current samples per speed sample"
+    )
+    bandwidth: Bandwidth | None = Field(
+        default=None,
+        description="for bandwidth and damping (there the natural frequency): in Hz or rad/s",
+    )
+    damping: float = Field(
+        default=_SPEED.damping, gt=0.0, le=10.0, description="damping ratio, for damping"
+    )
+    spread: float = Field(
+        default=_SPEED.spread, gt=1.0, le=100.0, description="a of the symmetrical optimum"
+    )
+    filter_time: FilterTime | None = Field(
+        default=None, description="first-order filter on the speed (s); default 0"
+    )
+    kp: SpeedGain | None = Field(
+        default=None, description="for given: proportional gain (N m s/rad)"
+    )
+    ki: SpeedIntegralGain | None = Field(
+        default=None, description="for given: integral gain (N m/rad)"
+    )
+    phase_margin_min: PhaseMargin | None = Field(
+        default=None, description="least phase margin (rad; write deg); default 30 deg"
+    )
+    q_formats: GainFormats | None = Field(
+        default=None,
+        description=(
+            "fractional bits of the per-unit integers kp and ki t_s, such as [10, 10], or auto"
+        ),
+    )
+    max_sensitivity: float = Field(
+        default=_SPEED.max_sensitivity,
+        ge=1.05,
+        le=4.0,
+        description="for optimised: largest M_s within the tolerances",
+    )
+
+
+class ObserverSection(Section):
+    """Speed or position observer."""
+
+    method: ObserverMethodName = Field(
+        default="reduced-order", description="how speed or position is observed"
+    )
+    pole: Bandwidth | None = Field(
+        default=None,
+        description="for reduced-order: the pole lies at -pole (rad/s, or Hz times 2 pi)",
+    )
+    bandwidth: Bandwidth | None = Field(
+        default=None,
+        description="of the EMF filter or of the flux correction at rest (rad/s, or Hz times 2 pi)",
+    )
+    pll_bandwidth: Bandwidth | None = Field(
+        default=None,
+        description="natural frequency of the phase-locked loop (rad/s, or Hz times 2 pi)",
+    )
+    damping: Annotated[float, Field(gt=0.0, le=10.0)] | None = Field(
+        default=None, description="damping ratio of the phase-locked loop; default 1"
+    )
+    speed_gain: Annotated[float, Field(ge=0.0, le=10.0)] | None = Field(
+        default=None,
+        description="for flux and open-loop-flux: share of the speed in the correction of the flux",
+    )
+    tuning: ObserverTuningName = Field(
+        default="named",
+        description="named: what is left open has its usual value; optimised: it is searched for",
+    )
+
+
+class PerUnitSection(Section):
+    """Bases of the per-unit gains."""
+
+    current: PhaseCurrent | None = Field(
+        default=None, description="base current (A); default the current limit"
+    )
+    voltage: Voltage | None = Field(
+        default=None, description="base voltage (V, peak of phase); default v_dc/sqrt(3)"
+    )
+    speed: Speed | None = Field(
+        default=None,
+        description="base mechanical speed (rad/s; write rpm); default the largest speed",
+    )
+    torque: Torque | None = Field(
+        default=None, description="base torque (N m); default 3/2 p psi_pm times the base current"
+    )
+
+
+class ControlSection(Section):
+    """Sampling and controllers."""
+
+    sampling_frequency: Rate | None = Field(
+        default=None,
+        description="sampling of the current control (Hz); default the switching frequency",
+    )
+    current_loop: CurrentLoopSection = Field(
+        default=CurrentLoopSection(), description="current controllers"
+    )
+    speed_loop: SpeedLoopSection | None = Field(
+        default=None, description="speed controller, if one is wanted"
+    )
+    observer: ObserverSection | None = Field(
+        default=None, description="speed observer, if one is wanted"
+    )
+    per_unit: PerUnitSection = Field(
+        default=PerUnitSection(), description="bases of the per-unit gains"
+    )
+    tolerances: TolerancesSection | None = Field(
+        default=None,
+        description="how far the drive may be from its data; every loop must hold throughout",
+    )
+    gains: bool = Field(
+        default=True, description="false: no loops are tuned, the header holds the references alone"
+    )

@@ -1,0 +1,42 @@
+"""The section ``export``: what may be written, and what is made of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from dqforge.machines.design.settings import (
+    ExportSettings,
+)
+from dqforge.machines.entries.kinds import (
+    ControlFormats,
+    Prefix,
+    Section,
+)
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.schema import DesignFile
+
+
+def read_export(sections: DesignFile) -> ExportSettings:
+    export = sections.export
+    return ExportSettings(export.prefix, export.vectors, tuple(dict.fromkeys(export.control)))
+
+
+_EXPORT = ExportSettings(prefix="motor")
+
+
+class ExportSection(Section):
+    """The header."""
+
+    prefix: Prefix = Field(
+        default=_EXPORT.prefix, description="first part of every name in the code, a C identifier"
+    )
+    vectors: int = Field(
+        default=_EXPORT.vectors, ge=16, le=4096, description="least number of test vectors"
+    )
+    control: ControlFormats = Field(
+        default=_EXPORT.control,
+        description="control functions as C: float32, q15, q31 or a list of them; default none",
+    )

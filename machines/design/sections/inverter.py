@@ -1,0 +1,262 @@
+"""The switch of a design: constants in the design file, or tables from a file or
+the library made constants.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
+from dqforge.machines.devices.device import DeviceModel
+from dqforge.machines.devices.inverter import Topology
+from dqforge.machines.devices.sections import DeviceEntry, DeviceReference, DeviceSection
+from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.entries.kinds import (
+    DeadTime,
+    OnResistance,
+    PhaseCurrent,
+    Rate,
+    Section,
+    Temperature,
+    Voltage,
+)
+from dqforge.machines.entries.rules import si_of
+from dqforge.machines.errors import InputError
+from dqforge.machines.files.positioned_yaml import YamlDocument
+from dqforge.machines.places import KeyPath
+from dqforge.machines.units.quantities import format_quantity
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.schema import DesignFile
+
+
+_DEFAULT_JUNCTION = 175.0  # degC, usual for the power modules of today
+
+
+_DEFAULT_GUESS = 100.0  # degC, between a warm heat sink and the limit
+
+
+_PATH: KeyPath = ("inverter", "device")
+
+
+def read_inverter_device(
+    section: InverterSection, i_max: float, reading: Reading
+) -> tuple[SwitchDevice | None, DeviceModel | None]:
+    """Constants of the switch for the loss budget, and its tables where the design names some.
+
+    Parameters
+    ----------
+    section:
+        The inverter of the design file.
+    i_max:
+        Current limit of the drive in A (peak), where the tables are made constants
+        unless the file says otherwise.
+    reading:
+        The design in the course of being read.
+
+    Raises
+    ------
+    InputError
+        The device file or the name is wrong, or the thermal resistance is known nowhere;
+        with a position.
+    """
+    if section.device is None:
+        return None, None
+    if isinstance(section.device, DeviceSection):
+        return _constants(section.device, reading), None
+    reference = section.device
+    model = _model(reference, reading)
+    for finding in model.findings:
+        reading.remarks.append(f"inverter.device ({model.name}): {finding}")
+    guess = si_of(reference.junction_temperature)
+    temperature = _DEFAULT_GUESS if guess is None else guess
+    if reference.reference_current is not None:
+        current = reading.peak(reference.reference_current, "inverter.device.reference_current")
+    else:
+        current = i_max
+    with reading.document.at(_PATH, key=True):
+        device = model.switch_device(
+            current, section.v_dc.si, temperature, si_of(reference.thermal_resistance)
+        )
+    _remark(model, device, temperature, reading)
+    if reference.thermal_resistance is None:
+        value = format_quantity(device.thermal_resistance, "K/W")
+        reach = "heat sink" if model.case_resistance else "case alone"
+        reading.remarks.append(
+            f"inverter.device.thermal_resistance is {value} by its data, from junction to {reach}"
+        )
+    return device, model
+
+
+def _model(reference: DeviceReference, reading: Reading) -> DeviceModel:
+    """Tables of the file or the device of the library."""
+    # The readers are needed for devices with tables only; a design with constants
+    # starts faster without them.
+    document = reading.document
+    if (reference.file is None) == (reference.name is None):
+        message = "inverter.device: write either file or name"
+        raise document.error(message, _PATH, key=True)
+    if reference.name is not None:
+        from dqforge.machines.devices import catalogue as device_catalogue
+
+        with document.at((*_PATH, "name")):
+            content = device_catalogue.read_text(reference.name)
+        reading.files.append(content)
+        reading.names.append("")  # it comes with the package
+        return device_catalogue.load(reference.name)
+    from dqforge.machines.devices.files import MAX_BYTES, read_device
+
+    name = reference.file or ""
+    content = reading.read_beside(name, (*_PATH, "file"), MAX_BYTES)
+    try:
+        return read_device(content, name)
+    except InputError as error:
+        if error.line is not None:
+            raise
+        raise document.error(
+            f"inverter.device: {name}: {error.message}", (*_PATH, "file")
+        ) from None
+
+
+def _remark(model: DeviceModel, device: SwitchDevice, temperature: float, reading: Reading) -> None:
+    """Say where the tables were made constants, and where they do not reach."""
+    point = (
+        f"{format_quantity(device.reference_current, 'A')}, "
+        f"{format_quantity(device.reference_voltage, 'V')} and {temperature:g} degC"
+    )
+    reading.remarks.append(
+        f"inverter.device: the tables of {model.name} are made constants at {point}: "
+        f"on resistance {format_quantity(device.on_resistance, 'Ohm')} at 25 degC, "
+        f"switching energy {format_quantity(device.switching_energy, 'J')} in all"
+    )
+    lookups = {
+        "on-state voltage": model.on_voltage(device.reference_current, temperature),
+        "turn-on energy": model.turn_on_energy(
+            device.reference_current, device.reference_voltage, temperature
+        ),
+        "turn-off energy": model.turn_off_energy(
+            device.reference_current, device.reference_voltage, temperature
+        ),
+        "recovery energy": model.recovery_energy(
+            device.reference_current, device.reference_voltage, temperature
+        ),
+    }
+    beyond = [name for name, found in lookups.items() if bool(found.outside)]
+    if beyond:
+        reading.remarks.append(
+            f"inverter.device: {point} lie outside the tables of {', '.join(beyond)}"
+        )
+    if model.blocking_voltage is not None and device.reference_voltage > model.blocking_voltage:
+        raise reading.document.error(
+            f"inverter.v_dc {format_quantity(device.reference_voltage, 'V')} is above the "
+            f"{model.blocking_voltage:g} V that {model.name} blocks; lower it, or take another "
+            "device",
+            ("inverter", "v_dc"),
+        )
+
+
+def _constants(section: DeviceSection, reading: Reading) -> SwitchDevice:
+    """Constants of the design file."""
+    if section.on_resistance_temperature_coefficient is None:
+        reading.remarks.append(
+            "inverter.device.on_resistance is taken as independent of temperature"
+        )
+    if section.max_junction_temperature is None:
+        reading.remarks.append(
+            f"inverter.device.max_junction_temperature is {_DEFAULT_JUNCTION:g} degC"
+        )
+    diode = (section.diode_voltage, section.diode_resistance)
+    if section.kind == "igbt" and not any(entry is not None and entry.si > 0.0 for entry in diode):
+        message = (
+            "inverter.device: an IGBT conducts backwards through its diode; write diode_voltage: "
+            "1.2 V"
+        )
+        raise reading.document.error(
+            message, (*_PATH, "diode_voltage" if diode[0] is not None else "kind")
+        )
+    hottest = si_of(section.max_junction_temperature)
+    return SwitchDevice(
+        kind=section.kind,
+        on_resistance=section.on_resistance.si,
+        turn_on_energy=section.turn_on_energy.si,
+        turn_off_energy=section.turn_off_energy.si,
+        reference_current=section.reference_current.si,
+        reference_voltage=section.reference_voltage.si,
+        thermal_resistance=section.thermal_resistance.si,
+        reverse_recovery_energy=si_of(section.reverse_recovery_energy) or 0.0,
+        on_resistance_temperature_coefficient=si_of(section.on_resistance_temperature_coefficient)
+        or 0.0,
+        on_voltage=si_of(section.on_voltage) or 0.0,
+        diode_voltage=si_of(section.diode_voltage) or 0.0,
+        diode_resistance=si_of(section.diode_resistance) or 0.0,
+        max_junction_temperature=_DEFAULT_JUNCTION if hottest is None else hottest,
+    )
+
+
+def check_inverter(sections: DesignFile, document: YamlDocument) -> None:
+    """Check dead time and sampling against the switching frequency.
+
+    Raises `InputError` with a position.
+    """
+    f_sw = sections.inverter.switching_frequency.si
+    dead_time = sections.inverter.dead_time
+    if dead_time is not None and dead_time.si >= 0.5 / f_sw:
+        raise document.error(
+            f"inverter.dead_time {dead_time.text} is not shorter than half a switching period, "
+            f"{format_quantity(0.5 / f_sw, 's')}; check both units",
+            ("inverter", "dead_time"),
+        )
+    sampling = sections.control.sampling_frequency
+    if sampling is not None and not f_sw / 10.0 <= sampling.si <= 2.0 * f_sw * (
+        1.0 + ROUNDING_OF_DATA
+    ):
+        raise document.error(
+            f"control.sampling_frequency {sampling.text} does not belong to a switching frequency "
+            f"of {format_quantity(f_sw, 'Hz')}; write {format_quantity(f_sw / 10.0, 'Hz')} to "
+            f"{format_quantity(2.0 * f_sw, 'Hz')}",
+            ("control", "sampling_frequency"),
+        )
+    if sections.losses is not None and sections.inverter.device is None:
+        raise document.error(
+            "losses: the loss comparison needs the switch; write the section inverter.device, or "
+            "remove losses",
+            ("losses",),
+            key=True,
+        )
+
+
+DEFAULT_COOLANT = 25.0
+
+
+class InverterSection(Section):
+    """The inverter."""
+
+    topology: Topology = Field(
+        default="three-wire", description="three-wire: two-level bridge, star point not connected"
+    )
+    v_dc: Voltage = Field(description="DC-link voltage (V)")
+    switching_frequency: Rate = Field(description="carrier frequency (Hz)")
+    dead_time: DeadTime | None = Field(default=None, description="dead time (s); default 0")
+    max_current: PhaseCurrent | None = Field(
+        default=None, description="largest phase current (A); kind peak (default) or rms"
+    )
+    coolant_temperature: Temperature | None = Field(
+        default=None,
+        description=(
+            "temperature that thermal_resistance refers to (degC, also without a unit); default 25"
+        ),
+    )
+    capacitor_esr: OnResistance | None = Field(
+        default=None,
+        description=(
+            "series resistance of the DC-link capacitor (Ohm) for loss maps and missions; default 0"
+        ),
+    )
+    device: DeviceEntry | None = Field(
+        default=None,
+        description=(
+            "the switch, needed for losses: its constants, or a file or name of the library"
+        ),
+    )

@@ -1,0 +1,93 @@
+"""The section ``operation``: what may be written, what is made of it,
+and what is checked across it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from dqforge.machines.design.reading import ROUNDING_OF_DATA
+from dqforge.machines.design.settings import (
+    OperationSettings,
+)
+from dqforge.machines.design.speed_remarks import bare_speed_hint
+from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.entries.kinds import (
+    Section,
+    Share,
+    Speed,
+)
+from dqforge.machines.entries.rules import si_of
+from dqforge.machines.files.positioned_yaml import YamlDocument
+from dqforge.machines.names import (
+    ModulationName,
+    Strategy,
+)
+from dqforge.machines.units.quantities import format_quantity
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.schema import DesignFile
+
+
+def check_speed(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
+    """Check the speed for which the field is weakened."""
+    operation, weakening = sections.operation, sections.field_weakening
+    for key in ("modulation", "voltage_margin"):
+        if operation.speed is None and weakening is None and key in operation.model_fields_set:
+            message = (
+                f"operation.{key} limits the voltage at a speed; write speed: 3000 rpm, or remove "
+                "the key"
+            )
+            raise document.error(message, ("operation", key), key=True)
+    if operation.speed is None:
+        return
+    if operation.strategy == "id0":
+        message = (
+            "operation.speed: id0 cannot weaken the field; write strategy: mtpa, or remove the "
+            "speed"
+        )
+        raise document.error(message, ("operation", "speed"), key=True)
+    most = machine.omega_m_max
+    if most is not None and operation.speed.si > most * (1.0 + ROUNDING_OF_DATA):
+        shown, limit = format_quantity(operation.speed.si, "rpm"), format_quantity(most, "rpm")
+        message = (
+            f"operation.speed: {shown} is above machine.max_speed {limit}; "
+            f"{bare_speed_hint(operation.speed)}"
+        )
+        raise document.error(message, ("operation", "speed"))
+
+
+def read_operation(section: OperationSection) -> OperationSettings:
+    return OperationSettings(
+        section.strategy,
+        si_of(section.speed),
+        section.modulation,
+        si_of(section.voltage_margin) or 0.0,
+    )
+
+
+_OPERATION = OperationSettings()
+
+
+class OperationSection(Section):
+    """Which currents make the torque."""
+
+    strategy: Strategy = Field(
+        default="mtpa", description="mtpa: least current for the torque; id0: no d current"
+    )
+    speed: Speed | None = Field(
+        default=None,
+        description=(
+            "mechanical speed for which the field is weakened (rad/s; write rpm); default: none"
+        ),
+    )
+    modulation: ModulationName = Field(
+        default=_OPERATION.modulation,
+        description="whose linear range limits the voltage at the speed",
+    )
+    voltage_margin: Share | None = Field(
+        default=None,
+        description="share of that voltage kept free for control (write 5 %); default 0",
+    )

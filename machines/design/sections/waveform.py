@@ -1,0 +1,121 @@
+"""The section ``waveform``: what may be written, what is made of it,
+and what is checked across it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from dqforge.machines.design.settings import (
+    WaveformSettings,
+)
+from dqforge.machines.entries.kinds import (
+    Current,
+    Section,
+    Share,
+    SlewRate,
+    SmallShare,
+    Speed,
+    Torque,
+)
+from dqforge.machines.entries.rules import si_of
+from dqforge.machines.files.positioned_yaml import YamlDocument
+from dqforge.machines.names import (
+    OpenPhase,
+    WaveformForm,
+)
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.schema import DesignFile
+
+
+def check_waveform(sections: DesignFile, document: YamlDocument) -> None:
+    """Check that the section on phase currents, and a topology with a neutral,
+    have a machine they are for.
+    """
+    is_waveform = sections.machine.model == "waveform"
+    if sections.waveform.model_fields_set and not is_waveform:
+        message = (
+            "waveform: phase currents are shaped for a machine of model: waveform; write it, or "
+            "remove the section"
+        )
+        raise document.error(message, ("waveform",), key=True)
+    if sections.machine.inductance_harmonics is not None:
+        _check_saliency(sections, document)
+    if sections.inverter.topology != "three-wire" and not is_waveform:
+        raise document.error(
+            f"inverter.topology: {sections.inverter.topology} serves machines of model: waveform; "
+            "write three-wire",
+            ("inverter", "topology"),
+        )
+
+
+def _check_saliency(sections: DesignFile, document: YamlDocument) -> None:
+    """Check that nothing is asked for that needs constant inductances."""
+    if sections.waveform.form == "table":
+        message = (
+            "waveform.form: a table over the angle needs currents in proportion to the torque, "
+            "which those of a machine with inductance_harmonics are not; write harmonics"
+        )
+        raise document.error(message, ("waveform", "form"))
+    if sections.inverter.topology == "diode-neutral":
+        message = (
+            "inverter.topology: diode-neutral is not offered for a machine with "
+            "inductance_harmonics; write three-wire"
+        )
+        raise document.error(message, ("inverter", "topology"))
+    if sections.simulation is not None:
+        message = (
+            "simulation: a machine with inductance_harmonics is not simulated, the simulated "
+            "phases have constant inductances; remove the section"
+        )
+        raise document.error(message, ("simulation",), key=True)
+
+
+_WAVEFORM = WaveformSettings()
+
+
+def read_waveform(section: WaveformSection) -> WaveformSettings:
+    error = si_of(section.error)
+    return WaveformSettings(
+        torque=si_of(section.torque),
+        omega_m=si_of(section.speed),
+        ripple=si_of(section.ripple) or 0.0,
+        neutral=si_of(section.neutral_current),
+        open_phase=section.open_phase,
+        slew=si_of(section.slew_rate),
+        form=section.form,
+        error=_WAVEFORM.error if error is None else error,
+    )
+
+
+_WAVEFORM = WaveformSettings()
+
+
+class WaveformSection(Section):
+    """Phase currents of a machine whose back-EMF is not sinusoidal."""
+
+    torque: Torque | None = Field(
+        default=None, description="torque of the comparison (N m); default: most of dq"
+    )
+    speed: Speed | None = Field(
+        default=None, description="its mechanical speed (rad/s; write rpm); default: base speed"
+    )
+    ripple: Share | None = Field(
+        default=None, description="permitted deviation of the torque (write 5 %); default 0"
+    )
+    neutral_current: Current | None = Field(
+        default=None, description="largest neutral current (A); default: none"
+    )
+    open_phase: OpenPhase | None = Field(
+        default=None, description="a phase that carries no current: a, b or c"
+    )
+    slew_rate: SlewRate | None = Field(
+        default=None, description="largest rate of change of a current (A/s)"
+    )
+    form: WaveformForm = Field(default=_WAVEFORM.form, description="what the firmware evaluates")
+    error: SmallShare | None = Field(
+        default=None, description="largest error of it over the peak; default 0.5 %"
+    )

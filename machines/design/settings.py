@@ -1,0 +1,321 @@
+"""What a design asks for: control, fit, loss comparison and export, as plain values in SI units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from dqforge.machines.losses.mission import Mission
+from dqforge.machines.names import (
+    BreakpointMode,
+    Core,
+    CurrentLoopMethod,
+    FitForm,
+    FitMethod,
+    ModulationName,
+    NumberFormat,
+    ObserverMethodName,
+    ObserverTuningName,
+    OpenPhase,
+    QFormats,
+    SpeedLoopMethod,
+    Strategy,
+    WaveformForm,
+)
+
+LossStrategy = Literal["mtpa", "id0", "least-loss"]
+
+"""``mtpa``: least copper loss, the field weakened where the voltage asks for it; ``id0``: no d
+current; ``least-loss``: least loss of machine and inverter together, within the same limits."""
+
+
+GainWish = Literal["required", "optional", "none"]
+
+
+@dataclass(frozen=True, slots=True)
+class OperationSettings:
+    """Which currents make the torque, and where.
+
+    ``omega_m`` in rad/s (mechanical) is the speed for which the currents are chosen, None where the
+    voltage limits nothing. The voltage limit there is the linear range of ``modulation`` less
+    ``voltage_margin``, a share of 0 to 1 that is kept for control.
+    """
+
+    strategy: Strategy = "mtpa"
+    omega_m: float | None = None
+    modulation: ModulationName = "svpwm"
+    voltage_margin: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class FitBudget:
+    """What a current reference must keep, for the cheapest form that does; None where that is free.
+
+    ``torque_error`` and ``loss_penalty`` are the largest relative errors (`ReferenceErrors`),
+    ``flash`` the bytes of constants.
+    """
+
+    torque_error: float | None = None
+    loss_penalty: float | None = None
+    flash: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FitSettings:
+    """How the current references become polynomials.
+
+    ``torque_max`` in N m is the end of the domain, or None for the largest torque that the current
+    limit allows. ``breakpoints`` in N m are searched for when None; a given tuple has ``segments -
+    1`` ascending entries. With a ``budget`` form, degree, segments and breakpoints are searched
+    for, and the format where that is None. Cycles are those of ``core``. ``full_scale`` is what 1
+    stands for in fixed point: torque in N m and current in A. ``flat_at_zero`` leaves the linear
+    term of i_d out of its first segment.
+    """
+
+    form: FitForm = "torque-exact"
+    method: FitMethod = "minimax"
+    degree: int = 4
+    segments: int = 2
+    breakpoint_mode: BreakpointMode = "shared"
+    exact_at_zero: bool = True
+    continuous: bool = True
+    flat_at_zero: bool = False
+    torque_max: float | None = None
+    breakpoints: tuple[float, ...] | None = None
+    budget: FitBudget | None = None
+    format: NumberFormat | None = "float32"
+    full_scale: tuple[float, float] | None = None
+    core: Core = "cortex-m4"
+
+
+@dataclass(frozen=True, slots=True)
+class WeakeningSettings:
+    """Current references over torque, voltage and speed.
+
+    ``omega_m`` in rad/s (mechanical) is the largest speed that they reach. ``torque_error``, over
+    the largest torque, and ``voltage_excess``, over the voltage limit, are the largest permitted
+    ones, ``flash`` the bytes of code and constants.
+    """
+
+    omega_m: float
+    torque_error: float = 0.005
+    voltage_excess: float = 0.005
+    flash: int = 2048
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentLoopSettings:
+    """PI current controllers of both axes.
+
+    ``bandwidth`` in rad/s is for the methods ``bandwidth`` and ``damping`` (there the natural
+    frequency); ``damping`` is the damping ratio; ``spread`` is a of the symmetrical optimum; ``kp``
+    in V/A and ``ki`` in V/(A s) are for the method ``given`` (both axes). ``q_formats`` are the
+    fractional bits (kp, ki t_s) of the per-unit integers, if asked; ``auto`` takes those that use
+    16 bits best. ``max_sensitivity`` bounds M_s of the method ``optimised``. With ``schedule`` the
+    gains follow the inductances of a machine that saturates.
+    """
+
+    method: CurrentLoopMethod = "magnitude-optimum"
+    bandwidth: float | None = None
+    damping: float = 0.7071067811865476
+    spread: float = 2.0
+    kp: float | None = None
+    ki: float | None = None
+    phase_margin_min: float = 0.5235987755982988
+    q_formats: QFormats | None = None
+    max_sensitivity: float = 1.6
+    schedule: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLoopSettings:
+    """PI speed controller that commands torque; it runs every ``ratio``-th current sample.
+
+    ``filter_time`` in s is a first-order filter on the measured speed (0 for none). ``kp`` in N m
+    s/rad and ``ki`` in N m/rad are for the method ``given``. The other fields are as in
+    `CurrentLoopSettings`.
+    """
+
+    method: SpeedLoopMethod = "symmetrical-optimum"
+    ratio: int = 10
+    bandwidth: float | None = None
+    damping: float = 1.0
+    spread: float = 3.0
+    filter_time: float = 0.0
+    kp: float | None = None
+    ki: float | None = None
+    phase_margin_min: float = 0.5235987755982988
+    q_formats: QFormats | None = None
+    max_sensitivity: float = 1.6
+
+
+ToleranceName = Literal["r_s", "l_d", "l_q", "psi_pm", "inertia", "v_dc", "dead_time"]
+
+
+Deviation = float | tuple[float, float]
+
+"""How far a value may be off: both ways, or from the first (zero or negative) to the
+second (zero or positive)."""
+
+
+def both_sides(deviation: Deviation) -> tuple[float, float]:
+    """Least and largest value of a deviation; a single number goes to either side."""
+    return deviation if isinstance(deviation, tuple) else (-deviation, deviation)
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """How far the drive may be from its data; 0 where a value is taken as exact.
+
+    ``r_s``, ``l_d``, ``l_q``, ``psi_pm`` and ``inertia`` are relative; ``v_dc`` is that of the
+    voltage that acts from the one that duty cycles are computed with. ``dead_time`` in s is what
+    the compensation of the dead time leaves over (positive), or does too much (negative), and
+    ``low_current`` in A (peak of phase) the smallest current at which the loops must hold in spite
+    of it.
+    """
+
+    r_s: Deviation = 0.0
+    l_d: Deviation = 0.0
+    l_q: Deviation = 0.0
+    psi_pm: Deviation = 0.0
+    inertia: Deviation = 0.0
+    v_dc: Deviation = 0.0
+    dead_time: Deviation = 0.0
+    low_current: float = 0.0
+
+    def limits(self, name: ToleranceName) -> tuple[float, float]:
+        """Least (zero or negative) and largest (zero or positive) deviation of one parameter."""
+        return both_sides(getattr(self, name))
+
+
+@dataclass(frozen=True, slots=True)
+class ObserverSettings:
+    """Speed or position observer.
+
+    ``pole`` is for the reduced-order speed observer, whose pole lies at ``-pole`` (rad/s,
+    positive). The others are for the position observers, None for what the method usually has:
+    ``bandwidth`` and ``pll_bandwidth`` in rad/s, ``damping`` of the phase-locked loop,
+    ``speed_gain`` the share of the speed in the correction of the flux.
+    """
+
+    pole: float | None = None
+    method: ObserverMethodName = "reduced-order"
+    bandwidth: float | None = None
+    pll_bandwidth: float | None = None
+    damping: float | None = None
+    speed_gain: float | None = None
+    tuning: ObserverTuningName = "named"
+
+
+@dataclass(frozen=True, slots=True)
+class PerUnitBases:
+    """Bases of the per-unit gains: current in A, voltage in V, mechanical speed in rad/s,
+    torque in N m.
+    """
+
+    current: float
+    voltage: float
+    speed: float
+    torque: float
+
+
+@dataclass(frozen=True, slots=True)
+class ControlSettings:
+    """Sampling and controllers; ``t_s`` is the current-control sampling period in s.
+
+    ``tolerances`` is the box in which every loop must hold, None where only the data themselves
+    count. ``gains`` are ``optional`` where the design says nothing of control: a machine without
+    them still has its current references.
+    """
+
+    t_s: float
+    current_loop: CurrentLoopSettings
+    speed_loop: SpeedLoopSettings | None
+    observer: ObserverSettings | None
+    bases: PerUnitBases
+    tolerances: Tolerances | None = None
+    gains: GainWish = "required"
+
+
+@dataclass(frozen=True, slots=True)
+class WaveformSettings:
+    """Phase currents of a machine whose back-EMF is not sinusoidal.
+
+    ``torque`` in N m and ``omega_m`` in rad/s are the operating point of the comparison, None for
+    the largest torque of the closed forms and the base speed. ``ripple`` is the permitted deviation
+    of the torque from its mean, relative; ``neutral`` in A and ``slew`` in A/s limit the neutral
+    current and the rate of change. ``form`` and ``error``, the largest error of a current over the
+    peak, are for the firmware.
+    """
+
+    torque: float | None = None
+    omega_m: float | None = None
+    ripple: float = 0.0
+    neutral: float | None = None
+    open_phase: OpenPhase | None = None
+    slew: float | None = None
+    form: WaveformForm = "cheapest"
+    error: float = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class LoadPoint:
+    """One operating point: torque in N m and mechanical speed in rad/s."""
+
+    torque: float
+    omega_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class LossSettings:
+    """Which alternatives are compared, and where: at points, and over a mission where there is
+    one.
+    """
+
+    points: tuple[LoadPoint, ...]
+    strategies: tuple[LossStrategy, ...] = ("id0", "mtpa")
+    modulations: tuple[ModulationName, ...] = ("spwm", "svpwm", "ddt-gdpwm")
+    mission: Mission | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ChoiceSettings:
+    """Which modulator and switching frequency are chosen from, where, and within which limits.
+
+    ``f_min`` and ``f_max`` in Hz bound the switching frequency, ``bands`` (low, high) in Hz are
+    left out of that range. ``omega_m`` in rad/s (mechanical) is the largest speed. ``ripple_max``
+    in A (r.m.s. of the phase-current ripple) and ``junction_max`` in degC are limits, None where
+    there is none beside the device's; at least ``carrier_ratio`` carrier periods make an electrical
+    one. ``ripple_resistance`` is the winding's resistance at the switching frequency over that of
+    the fundamental. The grid has ``torques`` by ``speeds`` points; a rule asks at most
+    ``questions`` and starts from ``frequencies`` per modulator.
+    """
+
+    f_min: float
+    f_max: float
+    omega_m: float
+    strategy: Strategy = "mtpa"
+    modulations: tuple[ModulationName, ...] = get_args(ModulationName)
+    bands: tuple[tuple[float, float], ...] = ()
+    ripple_max: float | None = None
+    junction_max: float | None = None
+    carrier_ratio: float = 20.0
+    ripple_resistance: float = 1.0
+    torques: int = 20
+    speeds: int = 24
+    frequencies: int = 8
+    questions: int = 2
+
+
+@dataclass(frozen=True, slots=True)
+class ExportSettings:
+    """The header: ``prefix`` is a checked C identifier, ``vectors`` the least number of test
+    vectors.
+
+    ``control`` are the number formats in which the control functions are emitted,
+    each in a header of its own.
+    """
+
+    prefix: str
+    vectors: int = 256
+    control: tuple[NumberFormat, ...] = ()

@@ -1,0 +1,1 @@
+"""Switching devices: their data, their files and their checks."""

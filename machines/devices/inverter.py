@@ -1,0 +1,49 @@
+"""The inverter and its devices: what is bolted to the heat sink, in SI units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from dqforge.machines.devices.switch import SwitchDevice
+
+if TYPE_CHECKING:
+    from dqforge.machines.devices.device import DeviceModel
+
+
+Topology = Literal["three-wire", "four-leg", "split-capacitor", "diode-neutral", "six-leg"]
+
+
+@dataclass(frozen=True, slots=True)
+class Inverter:
+    """A two-level voltage-source inverter.
+
+    Parameters
+    ----------
+    v_dc:
+        DC-link voltage in V.
+    f_sw:
+        Switching (carrier) frequency in Hz.
+    device:
+        The switch position, six of which make the bridge; None when no loss data are given.
+    coolant_temperature:
+        Temperature in degC that `SwitchDevice.thermal_resistance` refers to.
+    dead_time:
+        Dead time in s.
+    i_max:
+        Largest permitted current in A (peak), or None when only the machine limits it.
+    device_model:
+        The tables that `device` was made from, where the design names some.
+    capacitor_esr:
+        Series resistance of the DC-link capacitor in Ohm at the carrier frequency.
+    """
+
+    v_dc: float
+    f_sw: float
+    device: SwitchDevice | None = None
+    coolant_temperature: float = 25.0
+    dead_time: float = 0.0
+    i_max: float | None = None
+    topology: Topology = "three-wire"
+    device_model: DeviceModel | None = None
+    capacitor_esr: float = 0.0

@@ -1,0 +1,1 @@
+"""Machines in rotor coordinates, linear and saturated."""

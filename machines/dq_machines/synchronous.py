@@ -1,0 +1,265 @@
+"""Synchronous machines in rotor (dq) coordinates: flux linkage, torque, voltage and copper loss.
+
+All dq quantities are amplitude-invariant (peak of phase) and in SI units;
+the d axis lies along the magnet flux.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.arrays import FloatArray
+
+if TYPE_CHECKING:  # which works on the arrays that are named here
+    from dqforge.machines.dq_machines.current_region import CurrentRegion
+
+
+def torque_from_flux(
+    pole_pairs: int, psi_d: FloatArray, psi_q: FloatArray, i_d: FloatArray, i_q: FloatArray
+) -> FloatArray:
+    """Air-gap torque T = 3/2 p (psi_d i_q - psi_q i_d) in N m, any broadcastable shapes."""
+    return 1.5 * pole_pairs * (psi_d * i_q - psi_q * i_d)
+
+
+def copper_loss(r_s: float, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+    """Copper loss 3/2 R |i|^2 in W for peak dq currents in A, any broadcastable shapes.
+
+    Paper 000 (12) prints R |i|^2, which holds for another scaling of the currents.
+    """
+    return 1.5 * r_s * (i_d * i_d + i_q * i_q)
+
+
+@dataclass(frozen=True, slots=True)
+class FluxJet:
+    """Flux linkages with their first and second derivatives by the currents, all of one shape.
+
+    ``psi_d``, ``psi_q`` in Wb; ``l_dd`` = d psi_d/d i_d, ``l_dq`` = d psi_d/d i_q, ``l_qd`` = d
+    psi_q/d i_d, ``l_qq`` = d psi_q/d i_q in H (incremental inductances); ``d_dd`` = d2 psi_d/d
+    i_d^2, ``d_dq`` the mixed one, ``d_qq``, and ``q_dd``, ``q_dq``, ``q_qq`` likewise for psi_q, in
+    H/A.
+    """
+
+    psi_d: FloatArray
+    psi_q: FloatArray
+    l_dd: FloatArray
+    l_dq: FloatArray
+    l_qd: FloatArray
+    l_qq: FloatArray
+    d_dd: FloatArray
+    d_dq: FloatArray
+    d_qq: FloatArray
+    q_dd: FloatArray
+    q_dq: FloatArray
+    q_qq: FloatArray
+
+
+class Machine(Protocol):
+    """What every synchronous machine model offers, whatever its flux linkage.
+
+    The model is symmetric in the q axis: psi_d is even and psi_q odd in i_q. ``psi_pm``, ``l_d``
+    and ``l_q`` are the open-circuit flux linkage and the incremental inductances at zero current;
+    they say it all for `LinearMachine` only.
+    """
+
+    @property
+    def pole_pairs(self) -> int:
+        """Number of pole pairs p."""
+        ...
+
+    @property
+    def r_s(self) -> float:
+        """Phase resistance in Ohm."""
+        ...
+
+    @property
+    def i_max(self) -> float:
+        """Largest permitted current in A, peak of phase."""
+        ...
+
+    @property
+    def inertia(self) -> float | None:
+        """Moment of inertia in kg m^2, or None."""
+        ...
+
+    @property
+    def friction(self) -> float:
+        """Viscous friction in N m s/rad."""
+        ...
+
+    @property
+    def omega_m_max(self) -> float | None:
+        """Largest mechanical speed in rad/s, or None."""
+        ...
+
+    @property
+    def psi_pm(self) -> float:
+        """Open-circuit flux linkage in Wb, peak of phase."""
+        ...
+
+    @property
+    def l_d(self) -> float:
+        """Incremental d inductance at zero current, in H."""
+        ...
+
+    @property
+    def l_q(self) -> float:
+        """Incremental q inductance at zero current, in H."""
+        ...
+
+    def flux(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Flux linkages (psi_d, psi_q) in Wb at currents in A, any shape."""
+        ...
+
+    def jet(self, i_d: FloatArray, i_q: FloatArray) -> FluxJet:
+        """Flux linkages with first and second derivatives at currents in A, arrays of shape
+        (N,).
+        """
+        ...
+
+    def known(self, i_d: FloatArray, i_q: FloatArray) -> NDArray[np.bool_]:
+        """Whether the model has data at currents in A, any one shape.
+
+        Elsewhere it is extrapolated.
+        """
+        ...
+
+    @property
+    def region(self) -> CurrentRegion | None:
+        """Currents that operating points may not leave, because the model has no data there; None:
+        all may be used.
+        """
+        ...
+
+    @property
+    def saliency(self) -> float:
+        """Inductance difference l_q - l_d in H."""
+        ...
+
+    @property
+    def torque_per_ampere(self) -> float:
+        """Torque per ampere of i_q at zero current, 3/2 p psi_pm, in N m/A (peak)."""
+        ...
+
+    def torque(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Torque in N m at currents in A, any broadcastable shapes."""
+        ...
+
+    def voltage(
+        self, i_d: FloatArray, i_q: FloatArray, omega_e: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Steady-state voltages (v_d, v_q) in V at currents in A and electrical speed in rad/s."""
+        ...
+
+
+class MachineFormulas:
+    """What follows from flux linkage, resistance and pole pairs alike in every machine model;
+    a base for models.
+    """
+
+    __slots__ = ()
+
+    def known(self, i_d: FloatArray, i_q: FloatArray) -> NDArray[np.bool_]:
+        """Whether the model has data at currents in A, any one shape: a formula holds
+        everywhere.
+        """
+        return np.ones(np.broadcast_shapes(np.shape(i_d), np.shape(i_q)), dtype=np.bool_)
+
+    @property
+    def region(self) -> CurrentRegion | None:
+        """Currents that operating points may not leave: a formula has no such limit."""
+        return None
+
+    @property
+    def saliency(self: Machine) -> float:
+        """Inductance difference l_q - l_d in H; positive for the usual interior-magnet machine."""
+        return self.l_q - self.l_d
+
+    @property
+    def torque_per_ampere(self: Machine) -> float:
+        """Torque per ampere of i_q at zero current, 3/2 p psi_pm, in N m/A (peak)."""
+        return 1.5 * self.pole_pairs * self.psi_pm
+
+    def torque(self: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Torque in N m at currents in A, any broadcastable shapes."""
+        psi_d, psi_q = self.flux(i_d, i_q)
+        return torque_from_flux(self.pole_pairs, psi_d, psi_q, i_d, i_q)
+
+    def voltage(
+        self: Machine, i_d: FloatArray, i_q: FloatArray, omega_e: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Steady-state voltages (v_d, v_q) in V at currents in A and electrical speed
+        in rad/s (paper 000, (1)).
+        """
+        psi_d, psi_q = self.flux(i_d, i_q)
+        return self.r_s * i_d - omega_e * psi_q, self.r_s * i_q + omega_e * psi_d
+
+
+@dataclass(frozen=True, slots=True)
+class LinearMachine(MachineFormulas):
+    """A permanent-magnet or reluctance machine with constant inductances.
+
+    Parameters
+    ----------
+    pole_pairs:
+        Number of pole pairs p.
+    r_s:
+        Phase resistance in Ohm.
+    l_d, l_q:
+        Phase (synchronous) inductances in H.
+    psi_pm:
+        Magnet flux linkage in Wb, peak of phase; 0 for a reluctance machine.
+    i_max:
+        Largest permitted current in A, peak of phase.
+    inertia:
+        Moment of inertia in kg m^2, or None if unknown.
+    friction:
+        Viscous friction in N m s/rad.
+    omega_m_max:
+        Largest mechanical speed in rad/s, or None if unknown.
+    """
+
+    pole_pairs: int
+    r_s: float
+    l_d: float
+    l_q: float
+    psi_pm: float
+    i_max: float
+    inertia: float | None = None
+    friction: float = 0.0
+    omega_m_max: float | None = None
+
+    def flux(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Flux linkages (psi_d, psi_q) in Wb at currents in A, any shape."""
+        return self.psi_pm + self.l_d * i_d, self.l_q * i_q
+
+    def jet(self, i_d: FloatArray, i_q: FloatArray) -> FluxJet:
+        """Flux linkages with first and second derivatives at currents in A, arrays of shape
+        (N,).
+        """
+        zero = np.zeros_like(i_d)
+        psi_d, psi_q = self.flux(i_d, i_q)
+        l_d, l_q = zero + self.l_d, zero + self.l_q
+        return FluxJet(psi_d, psi_q, l_d, zero, zero, l_q, zero, zero, zero, zero, zero, zero)
+
+
+def linearised(machine: Machine) -> LinearMachine:
+    """The machine with the constants that it has at zero current; a `LinearMachine` is returned as
+    it is.
+    """
+    if isinstance(machine, LinearMachine):
+        return machine
+    return LinearMachine(
+        pole_pairs=machine.pole_pairs,
+        r_s=machine.r_s,
+        l_d=machine.l_d,
+        l_q=machine.l_q,
+        psi_pm=machine.psi_pm,
+        i_max=machine.i_max,
+        inertia=machine.inertia,
+        friction=machine.friction,
+        omega_m_max=machine.omega_m_max,
+    )

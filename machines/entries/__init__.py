@@ -1,0 +1,1 @@
+"""Single entries of a design file: quantities, names, deviations."""

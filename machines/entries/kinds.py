@@ -1,0 +1,270 @@
+"""What single entries of a design file may be: quantities with plausible ranges, names, counts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    WithJsonSchema,
+    WrapValidator,
+)
+
+from dqforge.machines.entries.c_names import check_prefix
+from dqforge.machines.entries.rules import (
+    CountRule,
+    Quantity,
+    QuantityRule,
+    auto_or,
+    byte_count,
+    not_truth,
+    number_formats,
+    plain_text,
+)
+from dqforge.machines.entries.two_sided import Between
+from dqforge.machines.names import NumberFormat, QFormats
+from dqforge.machines.places import KeyPath
+
+_PHASE = ("phase", "line-to-line")
+
+
+_PEAK = ("peak", "rms")
+
+
+_LINE_OR_WINDING = (*_PEAK, "line peak", "line rms", "winding peak", "winding rms")
+
+
+_T = TypeVar("_T")
+
+
+Listing = Annotated[tuple[_T, ...], Field(strict=False)]  # YAML has lists, the models hold tuples
+
+
+Version = Annotated[Literal[1], BeforeValidator(not_truth)]
+
+
+Name = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text, limit=80))]
+
+
+About = Annotated[str, AfterValidator(partial(plain_text, limit=2000))]
+
+
+Prefix = Annotated[str, AfterValidator(check_prefix)]
+
+
+FileName = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text, limit=200))]
+
+
+ColumnName = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text, limit=80))]
+
+
+ByteCount = Annotated[int, BeforeValidator(byte_count)]
+
+
+Bits = Annotated[int, Field(ge=0, le=31)]
+
+
+if TYPE_CHECKING:
+    GainFormats = QFormats
+else:  # not a union, whose complaints would name the alternatives inside the path
+    GainFormats = Annotated[
+        tuple[Bits, Bits],
+        Field(strict=False),
+        WrapValidator(auto_or),
+        WithJsonSchema(
+            {
+                "anyOf": [
+                    {"const": "auto"},
+                    {
+                        "type": "array",
+                        "minItems": 2,
+                        "maxItems": 2,
+                        "items": {"type": "integer", "minimum": 0},
+                    },
+                ]
+            }
+        ),
+    ]
+
+
+ControlFormats = Annotated[
+    tuple[NumberFormat, ...], Field(strict=False, max_length=3), BeforeValidator(number_formats)
+]
+
+
+Resistance = Annotated[Quantity, QuantityRule("resistance", 1e-6, 1e3, _PHASE, "phase")]
+
+
+Inductance = Annotated[Quantity, QuantityRule("inductance", 1e-9, 10.0, _PHASE, "phase")]
+
+
+Flux = Annotated[
+    Quantity,
+    QuantityRule("flux", 1e-6, 20.0, ("peak", "rms", "power-invariant"), "peak", zero=True),
+]
+
+
+BackEmfConstant = Annotated[
+    Quantity,
+    QuantityRule(
+        "back-emf",
+        1e-6,
+        1e3,
+        ("phase peak", "phase rms", "line-to-line peak", "line-to-line rms"),
+        zero=True,
+    ),
+]
+
+
+TorqueConstant = Annotated[
+    Quantity, QuantityRule("torque-constant", 1e-6, 1e4, _LINE_OR_WINDING, zero=True)
+]
+
+
+PhaseCurrent = Annotated[Quantity, QuantityRule("current", 1e-3, 1e5, _PEAK, "peak")]
+
+
+MachineCurrent = Annotated[Quantity, QuantityRule("current", 1e-3, 1e5, _LINE_OR_WINDING, "peak")]
+
+
+Current = Annotated[Quantity, QuantityRule("current", 1e-3, 1e5)]
+
+
+Voltage = Annotated[Quantity, QuantityRule("voltage", 1.0, 2e4)]
+
+
+Drop = Annotated[Quantity, QuantityRule("voltage", 0.0, 10.0)]
+
+
+Speed = Annotated[Quantity, QuantityRule("speed", 0.1, 1e5)]
+
+
+PointSpeed = Annotated[Quantity, QuantityRule("speed", -1e5, 1e5)]
+
+
+Torque = Annotated[Quantity, QuantityRule("torque", 1e-6, 1e7)]
+
+
+PointTorque = Annotated[Quantity, QuantityRule("torque", -1e7, 1e7)]
+
+
+Power = Annotated[Quantity, QuantityRule("power", 1e-2, 1e8)]
+
+
+Frequency = Annotated[Quantity, QuantityRule("frequency", 0.1, 1e5)]
+
+
+Rate = Annotated[Quantity, QuantityRule("frequency", 100.0, 1e7)]
+
+
+DeadTime = Annotated[Quantity, QuantityRule("time", 0.0, 1e-4)]
+
+
+SampleInterval = Annotated[Quantity, QuantityRule("time", 1e-10, 1.0)]
+
+
+FilterTime = Annotated[Quantity, QuantityRule("time", 0.0, 10.0)]
+
+
+Inertia = Annotated[Quantity, QuantityRule("inertia", 1e-10, 1e5)]
+
+
+Friction = Annotated[Quantity, QuantityRule("friction", 0.0, 1e4)]
+
+
+Temperature = Annotated[Quantity, QuantityRule("temperature", -60.0, 200.0)]
+
+
+Coefficient = Annotated[Quantity, QuantityRule("temperature-coefficient", -0.02, 0.05)]
+
+
+OnResistance = Annotated[Quantity, QuantityRule("resistance", 1e-6, 100.0, zero=True)]
+
+
+Energy = Annotated[Quantity, QuantityRule("energy", 1e-10, 100.0, zero=True)]
+
+
+ThermalResistance = Annotated[Quantity, QuantityRule("thermal-resistance", 1e-4, 1e3)]
+
+
+Bandwidth = Annotated[Quantity, QuantityRule("bandwidth", 0.01, 1e7)]
+
+
+PhaseMargin = Annotated[Quantity, QuantityRule("angle", 0.0, 1.5707963267948966)]
+
+
+CurrentGain = Annotated[Quantity, QuantityRule("current-gain", 1e-9, 1e9)]
+
+
+CurrentIntegralGain = Annotated[Quantity, QuantityRule("current-integral-gain", 0.0, 1e12)]
+
+
+SpeedGain = Annotated[Quantity, QuantityRule("speed-gain", 1e-12, 1e9)]
+
+
+SpeedIntegralGain = Annotated[Quantity, QuantityRule("speed-integral-gain", 0.0, 1e12)]
+
+
+Ratio = Annotated[Quantity, QuantityRule("number", 1.0, 100.0)]
+
+
+ResistanceRatio = Annotated[Quantity, QuantityRule("number", 0.0, 1e4)]
+
+
+HarmonicShare = Annotated[Quantity, QuantityRule("number", 0.0, 10.0)]
+
+
+SmallShare = Annotated[Quantity, QuantityRule("number", 1e-6, 0.2)]
+
+
+MutualInductance = Annotated[Quantity, QuantityRule("inductance", -10.0, 10.0)]
+
+
+Angle = Annotated[Quantity, QuantityRule("angle", -6.2831853071795865, 6.2831853071795865)]
+
+
+SlewRate = Annotated[Quantity, QuantityRule("current-slew", 1.0, 1e12)]
+
+
+Share = Annotated[Quantity, QuantityRule("number", 0.0, 0.9)]
+
+
+Nonnegative = Annotated[float, Field(ge=0.0, le=1e9, strict=False), BeforeValidator(not_truth)]
+
+
+Positive = Annotated[float, Field(gt=0.0, le=1e9, strict=False), BeforeValidator(not_truth)]
+
+
+PolePairs = Annotated[Quantity, CountRule(1, 200, 4)]
+
+
+Poles = Annotated[Quantity, CountRule(2, 400, 8)]
+
+
+class Section(BaseModel):
+    """A part of the design file: immutable, without unknown keys and without silent conversions."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, arbitrary_types_allowed=True
+    )
+
+
+def quantities(section: Section, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Quantity]]:
+    """All entries of a section with their paths, in the order of the schema."""
+    for name in type(section).model_fields:
+        value = getattr(section, name)
+        parts = enumerate(value) if isinstance(value, tuple) else [(None, value)]
+        for index, part in parts:
+            inner = (*path, name) if index is None else (*path, name, index)
+            if isinstance(part, Quantity):
+                yield inner, part
+            elif isinstance(part, Between):
+                yield from (((*inner, "from"), part.low), ((*inner, "to"), part.high))
+            elif isinstance(part, Section):
+                yield from quantities(part, inner)

@@ -1,0 +1,424 @@
+"""Entries of a design file: how a key's value is written, what it may be,
+and what is said when it is not.
+
+An entry is a number, a text with a unit, or a mapping with the keys ``value``, ``kind`` (where
+conventions differ), ``source``, ``inferred`` and ``note``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, get_args
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from dqforge.machines.errors import InputError
+from dqforge.machines.names import NumberFormat
+from dqforge.machines.units.quantities import format_quantity, parse_quantity, read_quantity
+from dqforge.machines.units.registry import DIMENSIONS
+from dqforge.machines.wording import close_matches, shown
+
+_ORIGIN_KEYS = ("source", "inferred", "note")
+
+
+# Units in which a forgotten unit was probably meant, tried in this order.
+_USUAL_UNITS = {
+    "resistance": ("mOhm", "uOhm"),
+    "inductance": ("uH", "mH"),
+    "flux": ("mWb",),
+    "back-emf": ("V/krpm",),
+    "time": ("us", "ns"),
+    "speed": ("rpm",),
+    "frequency": ("kHz",),
+    "energy": ("mJ", "uJ"),
+    "inertia": ("kg cm^2", "g cm^2"),
+    "angle": ("deg",),
+    "temperature-coefficient": ("%/K",),
+    "power": ("kW",),
+}
+
+
+class EntryError(ValueError):
+    """An entry is wrong.
+
+    ``key`` is the part of its mapping that is at fault, or None for all of it.
+    """
+
+    def __init__(self, message: str, key: str | None = None, *, at_key: bool = False) -> None:
+        self.message = message
+        self.key = key
+        self.at_key = at_key
+        super().__init__(message)
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """An entry as it was read: `si` in `unit`, the `text` of the file, and where it comes from.
+
+    `kind` is the convention (``line-to-line``), `kind_given` whether the file names it, `inverted`
+    whether the file has the reciprocal. `dimension` is the key of its dimension, `bare` says that
+    the file has no unit, and `remark` what a unit was taken for that leaves it open.
+    """
+
+    si: float
+    unit: str
+    text: str
+    kind: str | None = None
+    kind_given: bool = False
+    inverted: bool = False
+    source: str = ""
+    inferred: bool = False
+    note: str = ""
+    dimension: str = ""
+    bare: bool = False
+    remark: str = ""
+
+
+class Rule(ABC):
+    """How one kind of entry is read; usable as annotation of a pydantic field."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def read(self, raw: object) -> Quantity:
+        """Entry for a value from the file; raises `EntryError` when it is wrong."""
+
+    @abstractmethod
+    def json_schema(self) -> dict[str, Any]:
+        """JSON Schema of the entry."""
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        return self.json_schema()
+
+
+@dataclass(frozen=True, slots=True)
+class QuantityRule(Rule):
+    """What one key accepts.
+
+    Parameters
+    ----------
+    dimension:
+        Key of `dqforge.machines.units.registry.DIMENSIONS`.
+    low, high:
+        Plausible values in the dimension's unit. What lies outside is refused, because it is nearly
+        always a forgotten unit.
+    kinds:
+        Conventions to choose from.
+    default_kind:
+        The convention if none is named; None when one must be.
+    zero:
+        Whether zero is accepted although `low` is greater.
+    """
+
+    dimension: str
+    low: float
+    high: float
+    kinds: tuple[str, ...] = ()
+    default_kind: str | None = None
+    zero: bool = False
+
+    def read(self, raw: object) -> Quantity:
+        """Entry for a value from the file.
+
+        Raises
+        ------
+        EntryError
+            The value is not a quantity of this dimension, not plausible,
+            or its mapping has unknown keys.
+        """
+        entry = raw if isinstance(raw, dict) else {"value": raw}
+        self._check_keys(entry)
+        value = entry["value"]
+        wanted = DIMENSIONS[self.dimension]
+        if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+            got = (
+                "a list"
+                if isinstance(value, list)
+                else "a mapping"
+                if isinstance(value, dict)
+                else spoken(value)
+            )
+            raise EntryError(
+                f"expected {wanted.name} such as '{wanted.example}', got {got}", "value"
+            )
+        try:
+            reading = read_quantity(value, self.dimension)
+        except InputError as error:
+            raise EntryError(error.message, "value") from None
+        self._check_plausible(reading.si, reading.text, bare=reading.bare)
+        kind = self._kind(entry)
+        source, inferred, note = _origin(entry)
+        return Quantity(
+            reading.si,
+            wanted.unit,
+            reading.text,
+            kind,
+            "kind" in entry,
+            reading.inverted,
+            source,
+            inferred,
+            note,
+            self.dimension,
+            reading.bare,
+            reading.remark,
+        )
+
+    def _check_keys(self, entry: dict[str, object]) -> None:
+        allowed = ("value", *(("kind",) if self.kinds else ()), *_ORIGIN_KEYS)
+        for key in entry:
+            if key not in allowed:
+                raise EntryError(unknown_key(key, allowed), key, at_key=True)
+        if "value" not in entry:
+            example = DIMENSIONS[self.dimension].example
+            raise EntryError(f"the key 'value' is missing; write value: {example}")
+
+    def _check_plausible(self, si: float, text: str, *, bare: bool) -> None:
+        unit = DIMENSIONS[self.dimension].unit
+        if self.low <= si <= self.high or (self.zero and si == 0.0):
+            return
+        if si <= 0.0 <= self.low and not (self.zero and si == 0.0):
+            least = "zero or positive" if self.zero or self.low == 0.0 else "positive"
+            raise EntryError(
+                f"{shown(text)} must be {least}; write e.g. '{DIMENSIONS[self.dimension].example}'",
+                "value",
+            )
+        limits = f"{format_quantity(self.low, unit)} to {format_quantity(self.high, unit)}"
+        if not bare or not unit:
+            raise EntryError(
+                f"{shown(text)} is outside {limits}; check the number and its unit", "value"
+            )
+        advice = self._advice(text)
+        raise EntryError(
+            f"{text} {unit} is outside {limits}: a bare number is in {unit}, did you forget the "
+            f"unit? {advice}",
+            "value",
+        )
+
+    def _advice(self, text: str) -> str:
+        for unit in _USUAL_UNITS.get(self.dimension, ()):
+            if self.low <= parse_quantity(f"{text} {unit}", self.dimension) <= self.high:
+                return f"write e.g. '{text} {unit}'"
+        return f"write e.g. '{DIMENSIONS[self.dimension].example}'"
+
+    def _kind(self, entry: dict[str, object]) -> str | None:
+        if not self.kinds:
+            return None
+        if "kind" not in entry:
+            if self.default_kind is None:
+                value = entry["value"]
+                choices = ", ".join(self.kinds)
+                raise EntryError(
+                    f"the kind is missing (data sheets differ); write {{value: {value}, kind: "
+                    f"{self.kinds[0]}}} with one of {choices}"
+                )
+            return self.default_kind
+        kind = entry["kind"]
+        if not isinstance(kind, str) or kind not in self.kinds:
+            raise EntryError(not_one_of(kind, self.kinds), "kind")
+        return kind
+
+    def json_schema(self) -> dict[str, Any]:
+        """JSON Schema of an entry: number, text or mapping."""
+        wanted = DIMENSIONS[self.dimension]
+        properties: dict[str, Any] = {
+            "value": {
+                "type": ["number", "string"],
+                "description": f"{wanted.name}, such as '{wanted.example}'",
+            }
+        }
+        required = ["value"]
+        if self.kinds:
+            properties["kind"] = {"enum": list(self.kinds)}
+            if self.default_kind is not None:
+                properties["kind"]["default"] = self.default_kind
+            else:
+                required.append("kind")
+        choices: list[dict[str, Any]] = [_mapping_schema(properties, required)]
+        if "kind" not in required:
+            choices = [{"type": "number"}, {"type": "string"}, *choices]
+        return {"anyOf": choices, "examples": [wanted.example]} if len(choices) > 1 else choices[0]
+
+
+@dataclass(frozen=True, slots=True)
+class CountRule(Rule):
+    """A whole number of things, which may carry its origin like a quantity."""
+
+    low: int
+    high: int
+    example: int
+
+    def read(self, raw: object) -> Quantity:
+        """Entry for a value from the file.
+
+        Raises `EntryError` when it is not a whole number in the range.
+        """
+        entry = raw if isinstance(raw, dict) else {"value": raw}
+        for key in entry:
+            if key not in ("value", *_ORIGIN_KEYS):
+                raise EntryError(unknown_key(key, ("value", *_ORIGIN_KEYS)), key, at_key=True)
+        value = entry.get("value")
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise EntryError(
+                f"expected a whole number such as {self.example}, got {spoken(value)}", "value"
+            )
+        if not self.low <= value <= self.high:
+            raise EntryError(
+                f"{value} is outside {self.low} to {self.high}; write e.g. {self.example}", "value"
+            )
+        source, inferred, note = _origin(entry)
+        return Quantity(float(value), "", str(value), source=source, inferred=inferred, note=note)
+
+    def json_schema(self) -> dict[str, Any]:
+        """JSON Schema of an entry: whole number or mapping."""
+        number = {"type": "integer", "minimum": self.low, "maximum": self.high}
+        return {"anyOf": [number, _mapping_schema({"value": number}, ["value"])]}
+
+
+def _mapping_schema(properties: dict[str, Any], required: list[str]) -> dict[str, Any]:
+    origin = {
+        "source": {"type": "string", "description": "where the value comes from"},
+        "inferred": {
+            "type": "boolean",
+            "default": False,
+            "description": "deduced, not stated by the source",
+        },
+        "note": {"type": "string", "description": "how it was deduced or measured"},
+    }
+    return {
+        "type": "object",
+        "properties": properties | origin,
+        "required": required,
+        "additionalProperties": False,
+    }
+
+
+def _origin(entry: dict[str, object]) -> tuple[str, bool, str]:
+    """Source, inferred and note of an entry's mapping."""
+    inferred = entry.get("inferred", False)
+    if not isinstance(inferred, bool):
+        raise EntryError(f"expected true or false, got {spoken(inferred)}", "inferred")
+    texts = []
+    for key in ("source", "note"):
+        text = entry.get(key, "")
+        if not isinstance(text, str):
+            raise EntryError(f"expected a text, got {spoken(text)}; put it in quotes", key)
+        try:
+            # Addresses of web pages contain "//", so it is allowed where nothing becomes code.
+            texts.append(plain_text(text, limit=500, slashes=True))
+        except EntryError as error:
+            raise EntryError(error.message, key) from None
+    return texts[0], inferred, texts[1]
+
+
+def plain_text(text: str, *, limit: int, slashes: bool = False) -> str:
+    """Text that cannot end or start a comment in C; line breaks become spaces.
+
+    Raises
+    ------
+    EntryError
+        The text is too long or holds a character sequence that means something to a C compiler.
+    """
+    joined = " ".join(text.split())
+    if len(joined) > limit:
+        raise EntryError(f"the text has {len(joined)} characters; write at most {limit}")
+    forbidden = ("*/", "/*", "??") + (() if slashes else ("//",))
+    for sequence in forbidden:
+        if sequence in joined:
+            raise EntryError(
+                f"the text contains {sequence!r}, which C reads as code; write it without"
+            )
+    if joined.endswith("\\"):
+        raise EntryError(
+            "the text ends with a backslash, which continues a line in C; write it without"
+        )
+    for character in joined:
+        if not character.isprintable():
+            raise EntryError(
+                f"the text contains the invisible character U+{ord(character):04X}; remove it"
+            )
+    return joined
+
+
+def not_truth(value: object) -> object:
+    """Return the value unless it is true or false, which Python takes for 1 and 0."""
+    if isinstance(value, bool):
+        raise EntryError(f"expected a number, got {spoken(value)}")
+    return value
+
+
+def byte_count(value: object) -> object:
+    """A number of bytes from a text such as "256 B" or "2 KiB"; other values as they are."""
+    match = (
+        re.fullmatch(r"\s*(\d{1,6})\s*(B|bytes?|KiB|kB)\s*", value)
+        if isinstance(value, str)
+        else None
+    )
+    if match is None:
+        return not_truth(value)
+    factor = {"K": 1024, "k": 1000}.get(match[2][0], 1)
+    return factor * int(match[1])
+
+
+def number_formats(value: object) -> object:
+    """A list of one entry for the name of a number format; other values as they are."""
+    if not isinstance(value, str):
+        return value
+    if value not in get_args(NumberFormat):
+        raise EntryError(not_one_of(value, get_args(NumberFormat)))
+    return [value]
+
+
+def auto_or(value: object, otherwise: Callable[[object], object]) -> object:
+    """The word auto as it is; other values as the schema has them."""
+    return value if value == "auto" else otherwise(value)
+
+
+def spoken(value: object) -> str:
+    """Value from a YAML file as it is named in a message."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (list, dict)):
+        return "a list" if isinstance(value, list) else "a mapping"
+    if isinstance(value, float) and math.isfinite(value):
+        return f"{value:.12g}"
+    return f"the text {shown(value)}" if isinstance(value, str) else shown(value)[1:-1]
+
+
+def unknown_key(key: str, allowed: tuple[str, ...], synonyms: dict[str, str] | None = None) -> str:
+    """Message on a key that the section does not know, with the key that was probably meant."""
+    meant = (synonyms or {}).get(key.casefold())
+    matches = [meant] if meant in allowed else close_matches(key.replace("-", "_"), allowed)
+    hint = (
+        f"did you mean {' or '.join(repr(m) for m in matches)}?"
+        if matches
+        else f"allowed: {', '.join(allowed)}"
+    )
+    return f"unknown key {shown(key)}; {hint}"
+
+
+def not_one_of(value: object, choices: tuple[object, ...]) -> str:
+    """Message on a value that is none of the choices, with the one that was probably meant."""
+    names = [str(choice) for choice in choices]
+    matches = close_matches(value, names, limit=1) if isinstance(value, str) else []
+    hint = f"; did you mean '{matches[0]}'?" if matches else ""
+    expected = names[0] if len(names) == 1 else f"one of {', '.join(names)}"
+    return f"expected {expected}, got {spoken(value)}{hint}"
+
+
+def si_of(quantity: Quantity | None) -> float | None:
+    """SI value of an optional entry."""
+    return None if quantity is None else quantity.si

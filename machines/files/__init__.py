@@ -1,0 +1,1 @@
+"""Files that a user names: text tables, arrays, YAML and XML with positions."""

@@ -1,0 +1,94 @@
+"""Files that a user names, opened once and the same way everywhere: regular files only,
+up to a stated size.
+
+A device or a named pipe has no end and a loop of links no content;
+each is refused in one line instead of waited for.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+from dqforge.machines.errors import InputError
+
+MEGABYTE = 1_000_000
+
+
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISSOCK, "a socket"),
+)
+
+
+def read_regular_file(place: str | Path, most_bytes: int, shown: str | None = None) -> bytes:
+    """Content of a regular file of at most ``most_bytes`` bytes; links are followed.
+
+    Parameters
+    ----------
+    place:
+        Where the file lies.
+    most_bytes:
+        The largest size; a larger file is refused before it is read, never cut.
+    shown:
+        What the message calls the file; its path otherwise.
+
+    Raises
+    ------
+    InputError
+        There is no such file, it is no regular file, too large, may not be read,
+        or its links lead in a circle.
+    """
+    name = str(place) if shown is None else shown
+    try:
+        # Without O_NONBLOCK the opening of a named pipe waits for its writer.
+        descriptor = os.open(
+            place, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        )
+    except (OSError, ValueError) as error:
+        raise InputError(_reason(error), source=name) from None
+    try:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode):
+            kind = next(
+                (word for is_kind, word in _KINDS if is_kind(found.st_mode)), "no regular file"
+            )
+            raise InputError(f"this is {kind}; name a regular file", source=name)
+        limit = f"at most {most_bytes / MEGABYTE:.4g} MB can be read"
+        if found.st_size > most_bytes:
+            raise InputError(
+                f"the file has {found.st_size / MEGABYTE:.4g} MB, {limit}", source=name
+            )
+        with os.fdopen(descriptor, "rb", closefd=False) as file:
+            content = file.read(most_bytes + 1)
+    except OSError as error:
+        raise InputError(_reason(error), source=name) from None
+    finally:
+        os.close(descriptor)
+    if (
+        len(content) > most_bytes
+    ):  # it grew while it was read, or belongs to /proc and states no size
+        raise InputError(
+            f"the file has more than {most_bytes / MEGABYTE:.4g} MB, {limit}", source=name
+        )
+    return content
+
+
+def _reason(error: OSError | ValueError) -> str:
+    """Why a file cannot be opened, and what to do."""
+    if not isinstance(error, OSError):
+        return "the file cannot be read: this is no file name; check it"
+    if error.errno == errno.ELOOP:
+        return "its links lead in a circle; name the file itself"
+    if error.errno in (errno.ENOENT, errno.ENOTDIR):
+        return "there is no such file; check the name"
+    if error.errno == errno.EISDIR:
+        return "this is a folder; name a regular file"
+    if error.errno == errno.EACCES:
+        return "the file may not be read; check its permissions"
+    return f"the file cannot be read: {error.strerror}"

@@ -1,0 +1,119 @@
+"""XML of others: elements with their lines, and nothing that a document type could bring along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from xml.parsers import expat
+
+from dqforge.machines.errors import InputError
+
+_MOST_ELEMENTS = 50_000
+
+
+_MOST_DEPTH = 32
+
+
+@dataclass(slots=True)
+class Element:
+    """An element: its name without namespace, its attributes, text, children,
+    line and path of names.
+    """
+
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    path: str
+    text: str = ""
+    children: list[Element] = field(default_factory=list)
+
+    def children_named(self, tag: str) -> list[Element]:
+        """Children of a name, in their order."""
+        return [child for child in self.children if child.tag == tag]
+
+
+class _Tree:
+    """The elements of a file, as the parser meets them."""
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+        self.parser = expat.ParserCreate()
+        self.parser.buffer_text = True
+        self.parser.StartElementHandler = self.start
+        self.parser.EndElementHandler = self.end
+        self.parser.CharacterDataHandler = self.characters
+        # Entities and files of others come with a document type only.
+        self.parser.StartDoctypeDeclHandler = self.refuse
+        self.stack: list[Element] = []
+        self.root: Element | None = None
+        self.count = 0
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        """Take the begin of an element."""
+        self.count += 1
+        name, line = tag.rpartition(":")[2], self.parser.CurrentLineNumber
+        if self.count > _MOST_ELEMENTS or len(self.stack) >= _MOST_DEPTH:
+            message = (
+                f"more than {_MOST_ELEMENTS} elements or {_MOST_DEPTH} levels; export the device "
+                "again"
+            )
+            raise InputError(message, source=self.source, line=line)
+        parent = self.stack[-1] if self.stack else None
+        element = Element(
+            name, attributes, line, name if parent is None else f"{parent.path}/{name}"
+        )
+        if parent is None:
+            self.root = element
+        else:
+            parent.children.append(element)
+        self.stack.append(element)
+
+    def end(self, _tag: str) -> None:
+        """Take the end of an element."""
+        self.stack.pop()
+
+    def characters(self, text: str) -> None:
+        """Take text."""
+        self.stack[-1].text += text
+
+    def refuse(self, *_: object) -> None:
+        """Refuse a document type."""
+        message = "a document type (<!DOCTYPE ...>) is not read; remove it"
+        raise InputError(message, source=self.source, line=self.parser.CurrentLineNumber)
+
+
+def parsed(content: bytes, source: str) -> Element:
+    """Root of an XML file.
+
+    Parameters
+    ----------
+    content:
+        Bytes of the file; the parser of the standard library, without document types,
+        entities or other files.
+    source:
+        Its name, for messages.
+
+    Raises
+    ------
+    InputError
+        The file is not XML, has a document type, or is too deep or too large; with the line.
+    """
+    tree = _Tree(source)
+    try:
+        tree.parser.Parse(content, True)
+    except expat.ExpatError as error:
+        reason = expat.ErrorString(error.code)
+        message = f"not XML: {reason}; export the device again"
+        raise InputError(
+            message, source=source, line=error.lineno, column=error.offset + 1
+        ) from None
+    except (LookupError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            "not XML: its encoding is not known; save it as UTF-8", source=source, line=1
+        ) from None
+    if tree.root is None:
+        raise InputError(
+            "not XML: there are no elements; export the device again", source=source, line=1
+        )
+    return tree.root

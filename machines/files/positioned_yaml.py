@@ -1,0 +1,400 @@
+"""YAML input with positions: what is read safely, and where every key and value stands.
+
+The text is read event by event, so a hostile file meets the limits before anything is built from
+it. Plain scalars follow the YAML 1.2 core schema (no sexagesimal numbers, no octal, no dates, and
+``no`` is a text, not a truth value).
+"""
+
+from __future__ import annotations
+
+import codecs
+import math
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NoReturn
+
+import yaml
+
+from dqforge.machines.errors import InputError
+from dqforge.machines.files.input_files import read_regular_file
+from dqforge.machines.places import KeyPath, Position, dotted, nearest
+from dqforge.machines.wording import close_matches, shown
+
+MAX_BYTES = 1 << 20
+
+
+MAX_DEPTH = 32
+
+
+MAX_NODES = 20_000
+
+
+MAX_DIGITS = 40
+
+
+YamlValue = bool | int | float | str | list["YamlValue"] | dict[str, "YamlValue"] | None
+
+
+_INT = re.compile(r"[-+]?[0-9]+")
+
+
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+
+
+_WORDS = {
+    "": None,
+    "~": None,
+    "null": None,
+    "Null": None,
+    "NULL": None,
+    "true": True,
+    "True": True,
+    "TRUE": True,
+    "false": False,
+    "False": False,
+    "FALSE": False,
+}
+
+
+_NOT_TEXT = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+_LINE_END = re.compile(r"\r\n|\r|\n")
+
+
+# What the YAML library says, and what it means to somebody who edits a design file.
+_PLAIN_ENGLISH = (
+    ("found character '\\t'", "a tab is used for indentation; write spaces"),
+    (
+        "mapping values are not allowed",
+        (
+            "a ':' where none can stand; check the indentation, the space behind each ':', or use "
+            "quotes"
+        ),
+    ),
+    (
+        "could not find expected ':'",
+        "this line has no 'key: value'; write a colon and a space behind the key",
+    ),
+    (
+        "expected '<document start>'",
+        "this line does not continue the mapping above; line up the keys",
+    ),
+    (
+        "expected <block end>",
+        "this line does not line up with its neighbours; indent the keys of a section equally",
+    ),
+    ("expected ',' or '}'", "a '{' is not closed; separate the entries by commas and end with '}'"),
+    ("expected ',' or ']'", "a '[' is not closed; separate the entries by commas and end with ']'"),
+    ("found unexpected end of stream", "a quoted text is not closed; write the missing quote"),
+    ("found unexpected document separator", "a quoted text is not closed; write the missing quote"),
+    (
+        "expected the node content",
+        "a bracket, comma or mark stands where a value must; write the value, or use quotes",
+    ),
+    (
+        "expected alphabetic or numeric",
+        "'&' and '*' start references, which are not read; put the text in quotes",
+    ),
+    ("cannot start any token", "this character must stand in quotes at the start of a value"),
+    (
+        "unknown escape character",
+        "a backslash in double quotes starts an escape; use single quotes",
+    ),
+    (
+        "sequence entries are not allowed",
+        "a list entry '-' is not allowed here; put it on its own indented line",
+    ),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class YamlDocument:
+    """The content of one file and the position of each of its parts.
+
+    ``keys`` and ``values`` map the path of a part, such as ``("machine", "poles")``, to where its
+    key and its value begin. List entries have the position of their value in both.
+    """
+
+    source: str
+    data: dict[str, YamlValue]
+    keys: dict[KeyPath, Position]
+    values: dict[KeyPath, Position]
+
+    def position(self, path: KeyPath, *, key: bool = False) -> Position:
+        """Where a part begins, or the nearest enclosing part that is in the file."""
+        return nearest(self.keys, self.values, path, key=key)
+
+    def error(self, message: str, path: KeyPath, *, key: bool = False) -> InputError:
+        """Build an error that points to a part of this file."""
+        line, column = self.position(path, key=key)
+        return InputError(message, source=self.source, line=line, column=column)
+
+    @contextmanager
+    def at(self, path: KeyPath, *, key: bool = False) -> Iterator[None]:
+        """Give a position to each `InputError` without one that the block raises."""
+        try:
+            yield
+        except InputError as error:
+            if error.line is not None:
+                raise
+            raise self.error(f"{dotted(path)}: {error.message}", path, key=key) from None
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """Content of a design file.
+
+    Raises
+    ------
+    InputError
+        There is no such file, it is no regular file, it cannot be read, or it is larger than 1 MiB.
+    """
+    try:
+        return read_regular_file(path, MAX_BYTES)
+    except InputError as error:
+        raise InputError(_advice(Path(path), error), source=str(path)) from None
+
+
+def _advice(path: Path, error: InputError) -> str:
+    """What to say of a design file that cannot be read."""
+    if error.message.startswith("there is no such file"):
+        return f"no such file{_similar_files(path)}"
+    if error.message.startswith("this is a folder"):
+        return "this is a folder; name the design file in it"
+    if "can be read" in error.message:
+        return f"{error.message}; a design file has a few kilobytes"
+    return error.message
+
+
+def _similar_files(path: Path) -> str:
+    try:
+        names = [entry.name for entry in path.parent.iterdir() if entry.suffix in (".yaml", ".yml")]
+    except OSError:
+        return "; its folder does not exist either"
+    matches = close_matches(path.name, names)
+    return f"; did you mean {' or '.join(matches)}?" if matches else ""
+
+
+def parse_yaml(content: bytes, source: str) -> YamlDocument:
+    """Read a YAML file that holds one mapping.
+
+    Parameters
+    ----------
+    content:
+        The file's bytes, UTF-8 with or without byte order mark.
+    source:
+        File name for messages.
+
+    Raises
+    ------
+    InputError
+        With a position: not UTF-8, control characters, not YAML, several documents, anchors, tags,
+        duplicate keys, too large or too deep, empty, or not a mapping.
+    """
+    text = _decode(content, source)
+    builder = _Builder(source)
+    try:
+        for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            builder.feed(event)
+    except yaml.MarkedYAMLError as error:
+        raise _translated(error, source) from None
+    except yaml.YAMLError as error:
+        raise InputError(f"not YAML: {shown(error)}", source=source) from None
+    return builder.document()
+
+
+def _decode(content: bytes, source: str) -> str:
+    if len(content) > MAX_BYTES:
+        raise InputError(
+            f"the file is larger than {MAX_BYTES} bytes; a design file has a few kilobytes",
+            source=source,
+        )
+    content = content.removeprefix(codecs.BOM_UTF8)
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line, column = _position_of(content[: error.start].decode("utf-8"))
+        message = (
+            f"the byte 0x{content[error.start]:02X} is not UTF-8; save the file with the encoding "
+            "UTF-8"
+        )
+        raise InputError(message, source=source, line=line, column=column) from None
+    match = _NOT_TEXT.search(text)
+    if match is not None:
+        line, column = _position_of(text[: match.start()])
+        message = f"the character U+{ord(match.group()):04X} is not text; remove it"
+        raise InputError(message, source=source, line=line, column=column)
+    return text
+
+
+def _position_of(before: str) -> Position:
+    lines = _LINE_END.split(before)
+    return Position(len(lines), len(lines[-1]) + 1)
+
+
+def _translated(error: yaml.MarkedYAMLError, source: str) -> InputError:
+    problem = error.problem or "not YAML"
+    message = next((text for start, text in _PLAIN_ENGLISH if start in problem), None)
+    mark = error.problem_mark or error.context_mark
+    if message is None:
+        message = f"not YAML: {shown(problem)[1:-1]}"
+    elif "not closed" in message or "'key: value'" in message:
+        # The library reports where it gave up; the user wants to see where the trouble began.
+        mark = error.context_mark or mark
+    if mark is None:
+        return InputError(message, source=source)
+    return InputError(message, source=source, line=mark.line + 1, column=mark.column + 1)
+
+
+@dataclass(slots=True)
+class _Frame:
+    """One list or mapping under construction; `key` is the mapping key that waits for its value."""
+
+    node: list[YamlValue] | dict[str, YamlValue]
+    path: KeyPath
+    key: str | None = None
+
+
+@dataclass(slots=True)
+class _Builder:
+    """Turns the stream of events into plain values, iteratively."""
+
+    source: str
+    keys: dict[KeyPath, Position] = field(default_factory=dict)
+    values: dict[KeyPath, Position] = field(default_factory=dict)
+    stack: list[_Frame] = field(default_factory=list)
+    root: list[YamlValue] = field(default_factory=list)
+    nodes: int = 0
+    documents: int = 0
+
+    def feed(self, event: yaml.Event) -> None:
+        """Take the next event.
+
+        Raises
+        ------
+        InputError
+            The event breaks one of the limits.
+        """
+        if isinstance(event, yaml.DocumentStartEvent):
+            self.documents += 1
+            if self.documents > 1:
+                self.fail("a second document ('---') begins here; write one design per file", event)
+        elif isinstance(event, yaml.NodeEvent):
+            self._node(event)
+        elif isinstance(event, (yaml.SequenceEndEvent, yaml.MappingEndEvent)):
+            self.stack.pop()
+
+    def fail(self, message: str, event: yaml.Event) -> NoReturn:
+        """Raise an error at the position of an event."""
+        line, column = _begin(event)
+        raise InputError(message, source=self.source, line=line, column=column)
+
+    def _node(self, event: yaml.NodeEvent) -> None:
+        self.nodes += 1
+        if self.nodes > MAX_NODES:
+            self.fail(
+                f"more than {MAX_NODES} keys and values; a design file has about a hundred", event
+            )
+        if len(self.stack) >= MAX_DEPTH and isinstance(
+            event, (yaml.SequenceStartEvent, yaml.MappingStartEvent)
+        ):
+            self.fail(f"nested deeper than {MAX_DEPTH} levels; a design file needs four", event)
+        if isinstance(event, yaml.AliasEvent):
+            self.fail("references ('*name') are not read; write the value itself", event)
+        if event.anchor is not None:
+            self.fail("anchors ('&name') are not read; remove it", event)
+        if getattr(event, "tag", None) is not None:
+            self.fail(
+                f"tags such as {shown(getattr(event, 'tag', ''))} are not read; remove it", event
+            )
+        frame = self.stack[-1] if self.stack else None
+        if frame is not None and isinstance(frame.node, dict) and frame.key is None:
+            self._key(event, frame)
+        else:
+            self._value(event, frame)
+
+    def _key(self, event: yaml.NodeEvent, frame: _Frame) -> None:
+        if not isinstance(event, yaml.ScalarEvent):
+            self.fail("a key must be a plain word, not a list or a mapping", event)
+        key = event.value
+        path = (*frame.path, key)
+        if key == "<<" and event.style is None:
+            self.fail("merge keys ('<<') are not read; write the keys themselves", event)
+        if path in self.keys:
+            first = self.keys[path]
+            self.fail(
+                f"the key {shown(key)} is given twice, first in line {first.line}, column "
+                f"{first.column}; remove one of them",
+                event,
+            )
+        self.keys[path] = _begin(event)
+        frame.key = key
+
+    def _value(self, event: yaml.NodeEvent, frame: _Frame | None) -> None:
+        value: YamlValue
+        if isinstance(event, yaml.ScalarEvent):
+            value = self._scalar(event)
+        else:
+            value = {} if isinstance(event, yaml.MappingStartEvent) else []
+        path: KeyPath = ()
+        if frame is None:
+            self.root.append(value)
+        elif isinstance(frame.node, dict):
+            key = frame.key or ""
+            path, frame.node[key], frame.key = (*frame.path, key), value, None
+        else:
+            path = (*frame.path, len(frame.node))
+            self.keys[path] = _begin(event)
+            frame.node.append(value)
+        self.values[path] = _begin(event)
+        if isinstance(value, (list, dict)):
+            self.stack.append(_Frame(value, path))
+
+    def _scalar(self, event: yaml.ScalarEvent) -> bool | int | float | str | None:
+        text = event.value
+        if event.style is not None:
+            return text
+        if text in _WORDS:
+            return _WORDS[text]
+        number = _INT.fullmatch(text) or _FLOAT.fullmatch(text)
+        if number is None:
+            return text
+        if len(text) > MAX_DIGITS:
+            self.fail(
+                f"the number {shown(text)} has more than {MAX_DIGITS} digits; write it shorter",
+                event,
+            )
+        if _INT.fullmatch(text):
+            return int(text)
+        if not math.isfinite(float(text)):
+            self.fail(f"the number {shown(text)} is too large; write a smaller one", event)
+        return float(text)
+
+    def document(self) -> YamlDocument:
+        """The finished document; raises `InputError` when it is empty or not a mapping."""
+        if not self.root or self.root[0] is None:
+            raise InputError(
+                "the file is empty; 'dqforge new' writes one to start from",
+                source=self.source,
+                line=1,
+                column=1,
+            )
+        data = self.root[0]
+        if not isinstance(data, dict):
+            kind = "a list" if isinstance(data, list) else f"the text {shown(data)}"
+            line, column = self.values[()]
+            message = (
+                f"the file holds {kind}; a design file begins with keys such as 'dqforge: 1' and "
+                "'name: ...'"
+            )
+            raise InputError(message, source=self.source, line=line, column=column)
+        return YamlDocument(self.source, data, self.keys, self.values)
+
+
+def _begin(event: yaml.Event) -> Position:
+    # Events of the pure Python loader always carry marks; the annotation allows for hand-made ones.
+    mark = event.start_mark
+    return Position(1, 1) if mark is None else Position(mark.line + 1, mark.column + 1)

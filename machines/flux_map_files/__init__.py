@@ -1,0 +1,1 @@
+"""Layouts of flux-map files, and what their arrays mean."""

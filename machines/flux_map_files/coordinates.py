@@ -1,0 +1,308 @@
+"""From the chosen arrays of a flux-map file to points: axes are spread, polar currents and
+inductances converted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.errors import InputError
+from dqforge.machines.files.named_arrays import MOST_POINTS, NamedArray
+from dqforge.machines.flux_map_files.names import FLUXES, KINDS, THIRD, advice
+from dqforge.machines.flux_map_files.units import EXPECTED, claimed, factor, is_unit, split_name
+
+Parts = dict[str, FloatArray]
+
+
+_KELVIN = 273.15
+
+
+_GIVEN_BY = {"i": "current_unit", "psi": "flux_unit"}
+
+
+def claims(chosen: Mapping[str, NamedArray], source: str) -> Literal["", "peak", "rms"]:
+    """What the names and units say of currents and flux linkages: 'peak', 'rms' or nothing;
+    they must agree.
+    """
+    found = {
+        claim: array.path
+        for quantity, array in chosen.items()
+        if KINDS[quantity] in ("i", "psi") and (claim := claimed(array.name, array.unit))
+    }
+    if len(found) > 1:
+        message = f"{found['peak']} is a peak value by its name and {found['rms']} an r.m.s. value"
+        raise InputError(f"{message}; convert one of them in the file", source=source)
+    return next(iter(found), "")
+
+
+def in_si(
+    quantity: str, chosen: Mapping[str, NamedArray], given: Mapping[str, str], source: str
+) -> FloatArray:
+    """Values of a quantity in SI (temperatures in degC) in the shape of the file,
+    dimensions of length 1 dropped.
+    """
+    array, kind, axis = chosen[quantity], KINDS[quantity], quantity.rpartition("_")[2]
+    values = array.values
+    if not array.numeric:
+        message = f"{array.path} holds {array.held}, not numbers"
+        raise InputError(
+            f"{message}; save it as a plain array or write {advice([quantity])}", source=source
+        )
+    if values.size > MOST_POINTS:
+        message = f"{array.path} has {values.size} points, more than {MOST_POINTS}"
+        raise InputError(f"{message}; save a coarser map", source=source)
+    if np.iscomplexobj(values):
+        other = chosen.get(f"{kind}_{'q' if axis == 'd' else 'd'}")
+        if other is array:
+            values = values.real if axis == "d" else values.imag
+        elif np.any(values.imag):
+            message = f"{array.path} is complex; save its real part"
+            said = f"columns: {{{kind}_d: {array.name}, {kind}_q: {array.name}}}"
+            raise InputError(f"{message}, or write {said} if it is d + j q", source=source)
+    plain = np.squeeze(np.asarray(values.real, dtype=np.float64))
+    unit, scale = _unit(array, kind, given.get(kind, ""), source)
+    if kind == "temperature" and unit.casefold() in ("k", "kelvin"):
+        return plain - _KELVIN
+    return plain * scale
+
+
+def _unit(array: NamedArray, kind: str, given: str, source: str) -> tuple[str, float]:
+    """Unit and factor to SI, by the name of an array, its declared unit and the given one,
+    which must agree.
+    """
+    in_name = split_name(array.name)[1]
+    said = {
+        "its name": in_name if is_unit(kind, in_name) else "",
+        "the file": array.unit,
+        _GIVEN_BY.get(kind, ""): given,
+    }
+    factors: dict[float, tuple[str, str]] = {}
+    for who, unit in said.items():
+        if unit and not is_unit(kind, unit):
+            message = f"{array.path} has the unit {unit!r} by {who}"
+            raise InputError(
+                f"{message}, which is not known; write {EXPECTED[kind]}", source=source
+            )
+        if unit:
+            factors.setdefault(factor(kind, unit), (unit, who))
+    if len(factors) > 1:
+        contradiction = " but in ".join(f"{unit} by {who}" for unit, who in factors.values())
+        raise InputError(f"{array.path} is in {contradiction}; correct one of them", source=source)
+    for scale, (unit, _) in factors.items():
+        return unit, scale
+    return "", 1.0
+
+
+def spread(parts: Parts, source: str) -> Parts:
+    """All quantities as points of one shape (K,), axes spread over their grid;
+    a torque that does not fit is left out.
+
+    The flux linkages may have a third dimension, that of the angle,
+    temperature or speed among ``parts``.
+    """
+    parts = _apparent(parts, source)
+    if parts["psi_d"].ndim == 3:
+        parts = _third_dimension(parts, source)
+    shape = parts["psi_d"].shape
+    currents = ("i", "beta") if "i" in parts else ("i_d", "i_q")
+    one, other = (parts[name] for name in currents)
+    core = {name: parts[name] for name in (*currents, *FLUXES)}
+    if parts["psi_q"].shape != shape or parts["psi_d"].ndim > 2 or parts["psi_d"].size == 0:
+        raise _misfit(core, source)
+    if one.shape == other.shape == shape:
+        axes: tuple[FloatArray, FloatArray] | None = (one, other)
+    else:
+        axes = _rows_and_columns(one, other, parts["psi_d"], parts["psi_q"], polar="i" in parts)
+    if axes is None:
+        raise _misfit(core, source)
+    full = dict(zip(currents, (np.broadcast_to(axis, shape) for axis in axes), strict=True))
+    kept = {
+        name: part for name, part in parts.items() if part.shape == shape and name not in currents
+    }
+    return {name: np.ascontiguousarray(part.ravel()) for name, part in {**full, **kept}.items()}
+
+
+def _misfit(core: Mapping[str, FloatArray], source: str) -> InputError:
+    shapes = ", ".join(f"{quantity} {values.shape}" for quantity, values in core.items())
+    third = any(part.ndim == 3 for part in core.values())
+    more = (
+        f"; of a third dimension say what it is: columns: {{{THIRD[0]}: NAME}}, or "
+        f"{', '.join(THIRD[1:])}"
+    )
+    message = (
+        "save axes of M and N points with flux linkages of shape (M, N), or four arrays of one "
+        "shape"
+    )
+    return InputError(
+        f"the shapes do not fit together: {shapes}; {message}{more if third else ''}", source=source
+    )
+
+
+def _apparent(parts: Parts, source: str) -> Parts:
+    """Flux linkages from the apparent inductances l_d, l_q and psi_m, where a file holds those."""
+    if "l_d" not in parts:
+        return parts
+    if "i" in parts:
+        raise InputError(
+            "inductances over amplitude and angle cannot be read; save i_d and i_q", source=source
+        )
+    shape = parts["l_d"].shape
+    axes: tuple[FloatArray, FloatArray] | None = (parts["i_d"], parts["i_q"])
+    if parts["i_d"].shape != shape or parts["i_q"].shape != shape:
+        axes = _rows_and_columns(parts["i_d"], parts["i_q"], parts["l_d"], parts["l_q"], polar=True)
+    if axes is None or parts["l_q"].shape != shape:
+        raise _misfit({name: parts[name] for name in ("i_d", "i_q", "l_d", "l_q", "psi_m")}, source)
+    i_d, i_q = (np.broadcast_to(axis, shape) for axis in axes)
+    magnets = parts["psi_m"]
+    if magnets.shape not in ((), shape):
+        # Of the d flux linkage at i_d = 0, which is a function of i_q.
+        along_q = magnets if axes[1].shape != (shape[0], 1) else magnets[:, np.newaxis]
+        if along_q.size != max(axes[1].shape):
+            raise _misfit(
+                {name: parts[name] for name in ("i_d", "i_q", "l_d", "l_q", "psi_m")}, source
+            )
+        magnets = along_q
+    # At zero current the quotients that the inductances are may be undefined; their products are 0.
+    psi_d = magnets + np.where(i_d == 0.0, 0.0, parts["l_d"] * i_d)
+    psi_q = np.where(i_q == 0.0, 0.0, parts["l_q"] * i_q)
+    return {**parts, "i_d": i_d, "i_q": i_q, "psi_d": psi_d, "psi_q": psi_q}
+
+
+def _third_dimension(parts: Parts, source: str) -> Parts:
+    """Parts as points, where the flux linkages have a third dimension whose axis is known."""
+    shape = parts["psi_d"].shape
+    third = [name for name in THIRD if name in parts]
+    currents = ("i", "beta") if "i" in parts else ("i_d", "i_q")
+    core = {name: parts[name] for name in (*currents, *FLUXES, *third)}
+    if parts["psi_q"].shape != shape or len(third) != 1:
+        raise _misfit(core, source)
+    over = parts[third[0]]
+    if over.shape == shape and all(parts[name].shape == shape for name in currents):
+        return {name: part.ravel() for name, part in parts.items() if part.shape == shape}
+    for place in (2, 1, 0):
+        if over.shape not in ((shape[place],), shape):
+            continue
+        moved = {
+            name: np.moveaxis(part, place, 2) for name, part in parts.items() if part.shape == shape
+        }
+        flat = {name: np.mean(moved[name], axis=2) for name in FLUXES}
+        one, other = (parts[name] for name in currents)
+        axes: tuple[FloatArray, FloatArray] | None = (one, other)
+        if not one.shape == other.shape == flat["psi_d"].shape:
+            axes = _rows_and_columns(one, other, flat["psi_d"], flat["psi_q"], polar="i" in parts)
+        if axes is None:
+            continue
+        size = moved["psi_d"].shape
+        full = {
+            name: np.broadcast_to(np.broadcast_to(axis, size[:2])[:, :, np.newaxis], size)
+            for name, axis in zip(currents, axes, strict=True)
+        }
+        full |= {
+            third[0]: moved.get(third[0], np.broadcast_to(over, size) if over.ndim == 1 else over)
+        }
+        return {name: part.ravel() for name, part in {**moved, **full}.items()}
+    raise _misfit(core, source)
+
+
+def _rows_and_columns(
+    i_d: FloatArray, i_q: FloatArray, psi_d: FloatArray, psi_q: FloatArray, *, polar: bool = False
+) -> tuple[FloatArray, FloatArray] | None:
+    """Currents that broadcast to a grid of flux linkages, where at least one current is an axis.
+
+    None if none does.
+    """
+    if psi_d.ndim != 2:
+        return None
+    if psi_d.shape in (i_d.shape, i_q.shape):
+        mesh, axis = (i_d, i_q) if i_d.shape == psi_d.shape else (i_q, i_d)
+        changes = [float(np.nansum(np.abs(np.diff(mesh, axis=k)))) for k in (0, 1)]
+        along = int(changes[0] > changes[1])
+        if axis.shape != (psi_d.shape[along],):
+            return None
+        across = axis if along else axis[:, np.newaxis]
+        return (mesh, across) if mesh is i_d else (across, mesh)
+    fits, turned = psi_d.shape == i_d.shape + i_q.shape, psi_d.shape == i_q.shape + i_d.shape
+    if turned and not (fits and (polar or _rows_are_d(i_d, i_q, psi_d, psi_q))):
+        return i_d, i_q[:, np.newaxis]
+    return (i_d[:, np.newaxis], i_q) if fits else None
+
+
+def _rows_are_d(i_d: FloatArray, i_q: FloatArray, psi_d: FloatArray, psi_q: FloatArray) -> bool:
+    """Whether the rows of a square grid belong to i_d, which its shape cannot tell.
+
+    The incremental inductances of a passive winding are positive definite, so that the flux
+    linkages turn in the same sense as the currents do; a transposed grid turns the other way. Axes
+    that are permuted, reversed or scaled in both the currents and the flux linkages do not change
+    the sense. What has no sense at all has rows of i_d.
+    """
+    step_d, step_q = np.sign(np.diff(i_d)), np.sign(np.diff(i_q))
+    area = turning(psi_d, psi_q)
+    as_rows, as_columns = (
+        np.nansum(area * np.outer(*steps)) for steps in ((step_d, step_q), (step_q, step_d))
+    )
+    return not bool(as_rows < -as_columns)
+
+
+def turning(psi_d: FloatArray, psi_q: FloatArray) -> FloatArray:
+    """Area that each cell of a grid (M, N) spans in the plane of the flux linkages, signed,
+    shape (M - 1, N - 1).
+
+    It is positive where the rows go along i_d and both currents rise.
+    """
+    (d_down, d_right), (q_down, q_right) = (
+        (psi[1:, :-1] - psi[:-1, :-1], psi[:-1, 1:] - psi[:-1, :-1]) for psi in (psi_d, psi_q)
+    )
+    return np.asarray(d_down * q_right - d_right * q_down)
+
+
+def _conventions(size: FloatArray, angle: FloatArray) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Currents (i_d, i_q) by each meaning that tools give the angle of the current."""
+    along, across = size * np.cos(angle), size * np.sin(angle)
+    return {
+        "counted from the d axis": (along, across),
+        "an advance from the q axis (i_d = -I sin, i_q = I cos)": (-across, along),
+        "negative for negative i_d (i_d = I sin, i_q = I cos)": (across, along),
+    }
+
+
+def cartesian(parts: Parts, source: str) -> tuple[Parts, tuple[str, ...]]:
+    """Points with i_d and i_q, from the amplitude and the angle of the current,
+    and what the angle was found to mean.
+
+    Of the three conventions in use only one gives flux linkages that grow with their currents: the
+    others turn the current by 90 degrees or mirror it.
+    """
+    if "i" not in parts:
+        return parts, ()
+    fluxes = np.stack([parts["psi_d"], parts["psi_q"]], axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        every = _conventions(parts["i"], parts["beta"])
+        passed = {
+            name: part for name, part in every.items() if _passive(np.stack(part, axis=1), fluxes)
+        }
+    if len(passed) != 1:
+        message = "what the angle of the current counts from cannot be told from the flux linkages"
+        raise InputError(
+            f"{message}; save i_d and i_q instead of amplitude and angle", source=source
+        )
+    ((name, (i_d, i_q)),) = passed.items()
+    rest = {key: part for key, part in parts.items() if key not in ("i", "beta")}
+    return {"i_d": i_d, "i_q": i_q, **rest}, (
+        f"the angle of the current is {name}: the flux linkages tell",
+    )
+
+
+def _passive(currents: FloatArray, fluxes: FloatArray) -> bool:
+    """Whether flux linkages (K, 2) grow with the currents (K, 2) of their own axis,
+    by the mean inductances.
+    """
+    known = np.all(np.isfinite(currents) & np.isfinite(fluxes), axis=1)
+    if np.count_nonzero(known) < 3:
+        return False
+    terms = np.column_stack([np.ones(np.count_nonzero(known)), currents[known]])
+    (l_dd, l_qd), (l_dq, l_qq) = np.linalg.lstsq(terms, fluxes[known], rcond=None)[0][1:]
+    return bool(l_dd > 0.0 and l_qq > 0.0 and abs(l_dq * l_qd) < l_dd * l_qq)

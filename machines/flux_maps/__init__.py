@@ -1,0 +1,1 @@
+"""From points to a flux map: checks, smoothing, symmetry and evidence."""

@@ -1,0 +1,1 @@
+"""Losses of machine and bridge, and the temperatures that they cause."""

@@ -1,0 +1,1 @@
+"""Modulators: zero sequence, clamping, ripple, dead time and range."""

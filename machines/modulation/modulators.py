@@ -1,0 +1,349 @@
+"""Carrier-based modulators: common-mode voltage, duty cycles, clamped phases and
+the waveforms of a period.
+
+Phase references are measured from the machine's star point; adding the zero-sequence voltage V0
+refers them to the negative rail, and division by v_dc makes the duty cycles of the upper switches,
+u_x = (V_x + V0) / v_dc (paper 000, (13)). Phase quantities have a last axis of 3 (a, b, c); the
+axis of angles, where there is one, comes just before it.
+
+References
+----------
+A. M. Hava, R. J. Kerkman, T. A. Lipo, "Simple analytical and graphical methods for carrier-based
+PWM-VSI drives", IEEE Transactions on Power Electronics 14(1), 1999, doi:10.1109/63.737592 (linear
+limits, modulation index, waveforms). T. D. Nguyen et al., "A direct digital technique
+implementation of general discontinuous pulse width modulation strategy", IEEE Transactions on
+Industrial Electronics 58(9), 2011, doi:10.1109/TIE.2010.2102311 (DDT-GDPWM).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dqforge.machines.arrays import BoolArray, FloatArray
+from dqforge.machines.modulation.clamping import DISCONTINUOUS, resting_phase, sector_rule
+from dqforge.machines.names import ModulationName
+
+__all__ = [
+    "LINEAR_LIMITS",
+    "MODULATORS",
+    "SIX_STEP_AMPLITUDE",
+    "BoolArray",
+    "Modulation",
+    "PhaseWaveforms",
+    "clamped_phases",
+    "in_linear_range",
+    "inverse_park",
+    "linear_limit",
+    "modulate",
+    "modulation_index",
+    "period_waveforms",
+    "sector_waveforms",
+    "zero_sequence",
+]
+
+
+MODULATORS: tuple[ModulationName, ...] = get_args(ModulationName)
+
+"""Names of all modulators, continuous ones first."""
+
+
+LINEAR_LIMITS: dict[ModulationName, float] = {
+    **dict.fromkeys(MODULATORS, 1.0 / math.sqrt(3.0)),
+    "spwm": 0.5,
+    "thipwm4": 6.0 * math.sqrt(3.0 / 343.0),
+}
+
+"""Largest phase-voltage amplitude (peak) without overmodulation, as a fraction of v_dc (Hava 1999).
+
+With a quarter of third harmonic the phase peaks where cos^2 = 7/12, at 7/6 sqrt(7/12) = 0.891 of
+the amplitude, so that 0.5 / 0.891 = 6 sqrt(3/343) = 0.561 is left; with a sixth at sqrt 3 / 2.
+"""
+
+
+SIX_STEP_AMPLITUDE = 2.0 / math.pi
+
+"""Fundamental phase-voltage amplitude of six-step operation, as a fraction of v_dc."""
+
+
+# A reference that was computed to lie on the limit exceeds it by a few roundings at most.
+_LIMIT_ROUNDING = 1e-12
+
+
+_PHASE_SHIFT = np.array([0.0, 2.0, -2.0]) * (math.pi / 3.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Modulation:
+    """What a modulator makes of phase references.
+
+    Parameters
+    ----------
+    zero_sequence:
+        Zero-sequence voltage V0 in V between star point and negative rail, shape (...).
+    duty:
+        Duty cycles of the upper switches, shape (..., 3). Not clipped: outside [0, 1] the reference
+        is beyond the linear range.
+    clamped:
+        True where the phase does not switch, shape (..., 3).
+    """
+
+    zero_sequence: FloatArray
+    duty: FloatArray
+    clamped: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseWaveforms:
+    """Phase quantities at n angles, for any number of operating points.
+
+    Parameters
+    ----------
+    theta_e:
+        Electrical angle of the d axis from phase a in rad, shape (..., n).
+    weight:
+        Weights of the angles in an average, shape (..., n), sum 1 over the last axis.
+    voltage:
+        Phase voltage references in V from the star point, shape (..., n, 3).
+    current:
+        Phase currents in A, shape (..., n, 3).
+    modulation:
+        Zero sequence (..., n), duty cycles and clamped phases (..., n, 3).
+    """
+
+    theta_e: FloatArray
+    weight: FloatArray
+    voltage: FloatArray
+    current: FloatArray
+    modulation: Modulation
+
+    def phase_sum(self, values: FloatArray) -> FloatArray:
+        """Average over the angles of the sum over the phases of `values`, shape (..., n, 3).
+
+        Result shape (...).
+        """
+        return np.asarray(np.sum(self.weight * np.sum(values, axis=-1), axis=-1), dtype=np.float64)
+
+
+def linear_limit(name: ModulationName, v_dc: float) -> float:
+    """Largest phase-voltage amplitude in V (peak) that modulator `name` makes without
+    overmodulation from v_dc in V.
+
+    Half of v_dc for SPWM, 0.561 v_dc for THIPWM4, v_dc / sqrt 3 for all others (Hava 1999).
+    """
+    return LINEAR_LIMITS[name] * v_dc
+
+
+def modulation_index(amplitude: FloatArray, v_dc: float) -> FloatArray:
+    """Phase-voltage amplitude (V, peak, any shape) relative to six-step operation,
+    2 v_dc / pi (Hava 1999).
+
+    The linear range ends at pi/4 = 0.785 for SPWM, at 0.881 for THIPWM4 and at pi / (2
+    sqrt 3) = 0.907 for all others.
+    """
+    return amplitude / (SIX_STEP_AMPLITUDE * v_dc)
+
+
+def in_linear_range(name: ModulationName, amplitude: FloatArray | float, v_dc: float) -> BoolArray:
+    """Tell where the phase-voltage amplitude (V, peak, any shape) is within the linear range.
+
+    False for NaN.
+    """
+    return np.asarray(amplitude <= linear_limit(name, v_dc) * (1.0 + _LIMIT_ROUNDING))
+
+
+def inverse_park(x_d: FloatArray, x_q: FloatArray, theta_e: FloatArray) -> FloatArray:
+    """Phase values (..., 3) of amplitude-invariant dq values (...) at the electrical
+    angle theta_e in rad (...).
+    """
+    angle = np.asarray(theta_e)[..., None] - _PHASE_SHIFT
+    phases = np.asarray(x_d)[..., None] * np.cos(angle) - np.asarray(x_q)[..., None] * np.sin(angle)
+    return np.asarray(phases, dtype=np.float64)
+
+
+def _third_harmonic(share: float) -> Callable[[FloatArray, FloatArray, float], FloatArray]:
+    """Zero sequence v_dc/2 - share V cos(3 alpha), from cos(3 alpha) V^3 = 4 v_a v_b
+    v_c of balanced references.
+    """
+
+    def zero_sequence(voltage: FloatArray, _current: FloatArray, v_dc: float) -> FloatArray:
+        square = 2.0 / 3.0 * np.sum(voltage**2, axis=-1)
+        some = square > 0.0
+        third = np.where(some, 4.0 * np.prod(voltage, axis=-1) / np.where(some, square, 1.0), 0.0)
+        return np.asarray(0.5 * v_dc - share * third, dtype=np.float64)
+
+    return zero_sequence
+
+
+def _spwm(voltage: FloatArray, _current: FloatArray, v_dc: float) -> FloatArray:
+    return np.full(voltage.shape[:-1], 0.5 * v_dc, dtype=np.float64)
+
+
+def _svpwm(voltage: FloatArray, _current: FloatArray, v_dc: float) -> FloatArray:
+    return np.asarray(0.5 * (v_dc - np.max(voltage, axis=-1) - np.min(voltage, axis=-1)))
+
+
+_CONTINUOUS: dict[ModulationName, Callable[[FloatArray, FloatArray, float], FloatArray]] = {
+    "spwm": _spwm,
+    "thipwm6": _third_harmonic(1.0 / 6.0),
+    "thipwm4": _third_harmonic(1.0 / 4.0),
+    "svpwm": _svpwm,
+}
+
+
+def zero_sequence(
+    name: ModulationName, voltage: FloatArray, current: FloatArray, v_dc: float
+) -> FloatArray:
+    """Zero-sequence voltage V0 in V from the negative rail.
+
+    ::
+
+        SPWM           V0 = v_dc / 2
+        THIPWM6        V0 = v_dc / 2 - V cos(3 alpha) / 6       alpha the angle of the voltage vector from phase a
+        THIPWM4        V0 = v_dc / 2 - V cos(3 alpha) / 4
+        SVPWM          V0 = (v_dc - V_max - V_min) / 2
+        discontinuous  V0 = v_dc - V_max   where the highest phase rests,   -V_min   where the lowest does
+        DDT-GDPWM      the highest if |I_max| >= |I_min|
+
+    where I_max and I_min are the currents of the phases with the highest and the lowest reference,
+    and `dqforge.machines.modulation.clamping` says which rests with the others. Paper 000 (14)
+    prints -V_max in the last case, which would clamp no phase.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    voltage:
+        Phase references in V from the star point, shape (..., 3).
+    current:
+        Phase currents in A, shape (..., 3); only GDPWM and DDT-GDPWM look at them.
+    v_dc:
+        DC-link voltage in V.
+
+    Returns
+    -------
+    FloatArray, shape (...)
+    """
+    voltage, current = np.broadcast_arrays(voltage, current)
+    if name not in DISCONTINUOUS:
+        return _CONTINUOUS[name](voltage, current, v_dc)
+    _, upper = resting_phase(name, voltage, current)
+    return np.asarray(
+        np.where(upper, v_dc - np.max(voltage, axis=-1), -np.min(voltage, axis=-1)),
+        dtype=np.float64,
+    )
+
+
+def clamped_phases(name: ModulationName, voltage: FloatArray, current: FloatArray) -> BoolArray:
+    """Mark the phase that does not switch, shape (..., 3): exactly one with discontinuous
+    modulators, else none.
+    """
+    voltage, current = np.broadcast_arrays(voltage, current)
+    if name not in DISCONTINUOUS:
+        return np.zeros(voltage.shape, dtype=np.bool_)
+    phase, _ = resting_phase(name, voltage, current)
+    return np.asarray(phase[..., None] == np.arange(3))
+
+
+def modulate(
+    name: ModulationName, voltage: FloatArray, current: FloatArray, v_dc: float
+) -> Modulation:
+    """Zero sequence, duty cycles and clamped phases, parameters as in `zero_sequence` (paper 000,
+    (13) and (14)).
+
+    The duty cycle of a clamped phase is exactly 0 or 1. Nothing is clipped: test the amplitude of
+    the reference with `in_linear_range`.
+    """
+    v_zero = zero_sequence(name, voltage, current, v_dc)
+    clamped = clamped_phases(name, voltage, current)
+    duty = (voltage + v_zero[..., None]) / v_dc
+    return Modulation(
+        zero_sequence=v_zero, duty=np.where(clamped, np.rint(duty), duty), clamped=clamped
+    )
+
+
+def _waveforms(
+    name: ModulationName,
+    v_d: FloatArray,
+    v_q: FloatArray,
+    i_d: FloatArray,
+    i_q: FloatArray,
+    v_dc: float,
+    theta_e: FloatArray,
+    weight: FloatArray,
+) -> PhaseWaveforms:
+    voltage = inverse_park(v_d[..., None], v_q[..., None], theta_e)
+    current = inverse_park(i_d[..., None], i_q[..., None], theta_e)
+    return PhaseWaveforms(theta_e, weight, voltage, current, modulate(name, voltage, current, v_dc))
+
+
+def _operating_points(*values: ArrayLike) -> tuple[FloatArray, ...]:
+    return tuple(np.broadcast_arrays(*(np.asarray(value, dtype=np.float64) for value in values)))
+
+
+def period_waveforms(
+    name: ModulationName,
+    v_d: ArrayLike,
+    v_q: ArrayLike,
+    i_d: ArrayLike,
+    i_q: ArrayLike,
+    v_dc: float,
+    *,
+    angles: int = 1440,
+) -> PhaseWaveforms:
+    """Waveforms over one electrical period, for display and for harmonics.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    v_d, v_q, i_d, i_q:
+        Phase voltages in V and currents in A in rotor coordinates (peak),
+        broadcastable to the shape (...).
+    v_dc:
+        DC-link voltage in V.
+    angles:
+        Number n of angles. They are the midpoints of n equal intervals from theta_e = 0, all with
+        the weight 1/n. The average of a quantity that jumps where the clamped phase changes is in
+        error by at most about one jump in n; `sector_waveforms` has no such error.
+
+    Returns
+    -------
+    PhaseWaveforms
+        With n = `angles` for arrays of the shape (..., n) and (..., n, 3).
+    """
+    v_d, v_q, i_d, i_q = _operating_points(v_d, v_q, i_d, i_q)
+    theta_e = (np.arange(angles, dtype=np.float64) + 0.5) * (2.0 * math.pi / angles)
+    weight = np.full(angles, 1.0 / angles)
+    return _waveforms(name, v_d, v_q, i_d, i_q, v_dc, theta_e, weight)
+
+
+def sector_waveforms(
+    name: ModulationName,
+    v_d: ArrayLike,
+    v_q: ArrayLike,
+    i_d: ArrayLike,
+    i_q: ArrayLike,
+    v_dc: float,
+) -> PhaseWaveforms:
+    """Waveforms at the angles that average losses over a period to rounding,
+    parameters as in `period_waveforms`.
+
+    The 24 angles cover the 60 degrees in which phase a has the highest and phase c the lowest
+    reference, with Gauss rules between the angles where an integrand has a kink or a jump. Since
+    the phases repeat each other after 120 degrees, and every half wave the other with rails and
+    signs exchanged, `PhaseWaveforms.phase_sum` over this sector is the sum over the phases of the
+    average over the period, for any quantity that is the same in both half waves. DPWMMIN and
+    DPWMMAX treat the half waves differently: 48 angles cover 120 degrees there.
+
+    Without voltage the direction of the voltage vector is taken as that of the d axis.
+    """
+    v_d, v_q, i_d, i_q = _operating_points(v_d, v_q, i_d, i_q)
+    voltage_angle = np.arctan2(v_q, v_d)
+    alpha, weight = sector_rule(name, voltage_angle - np.arctan2(i_q, i_d))
+    return _waveforms(name, v_d, v_q, i_d, i_q, v_dc, alpha - voltage_angle[..., None], weight)

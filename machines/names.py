@@ -1,0 +1,92 @@
+"""The words that a design may use where it chooses among methods, and as
+which type they are kept.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+FORMAT_VERSION = 1
+
+
+Strategy = Literal["mtpa", "id0"]
+
+
+MachineModel = Literal["linear", "flux-map", "saturation", "waveform"]
+
+
+OpenPhase = Literal["a", "b", "c"]
+
+
+WaveformForm = Literal["cheapest", "table", "harmonics"]
+
+
+FluxAxes = Literal["magnet-d", "reluctance"]
+
+
+FluxScaling = Literal["peak", "rms", "power-invariant"]
+
+
+FluxTorque = Literal["air-gap", "shaft", "per-pole-pair", "ignore"]
+
+
+FluxFitName = Literal["interpolate", "smooth", "auto"]
+
+
+FluxSymmetry = Literal["average", "keep", "positive", "negative"]
+
+
+FitMethod = Literal["lagrange", "least-squares", "minimax"]
+
+
+FitForm = Literal["polynomial", "even-odd", "torque-exact", "closed-form"]
+
+
+NumberFormat = Literal["float32", "q15", "q31"]
+
+
+Core = Literal["cortex-m0plus", "cortex-m3", "cortex-m4", "cortex-m7", "cortex-m33"]
+
+
+BreakpointMode = Literal["shared", "own"]
+
+
+CurrentLoopMethod = Literal[
+    "bandwidth", "damping", "magnitude-optimum", "symmetrical-optimum", "optimised", "given"
+]
+
+
+SpeedLoopMethod = Literal["bandwidth", "damping", "symmetrical-optimum", "optimised", "given"]
+
+
+ObserverMethodName = Literal[
+    "reduced-order",
+    "extended-emf",
+    "flux",
+    "open-loop-flux",
+    "matsui-voltage",
+    "matsui-current",
+    "ekf",
+]
+
+
+ObserverTuningName = Literal["named", "optimised"]
+
+
+QFormats = tuple[int, int] | Literal["auto"]
+
+
+ModulationName = Literal[
+    "spwm",
+    "thipwm6",
+    "thipwm4",
+    "svpwm",
+    "dpwm0",
+    "dpwm1",
+    "dpwm2",
+    "dpwm3",
+    "dpwmmin",
+    "dpwmmax",
+    "gdpwm",
+    "ddt-gdpwm",
+]

@@ -1,0 +1,1 @@
+"""Machines in phase quantities, with any back-EMF, and their frames."""

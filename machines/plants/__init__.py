@@ -1,0 +1,1 @@
+"""Machines and drives over time."""

@@ -1,0 +1,367 @@
+"""PWM by current feedback: hysteresis, ramp comparison and predictive control of a
+machine's phase currents.
+
+The regulators of paper 001, section 6.2.4, simulated at constant speed as references for what a
+carrier-based modulator makes: the bridge is ideal, the currents are solved exactly between the
+switching instants (`dqforge.machines.plants.fed_machine`), and comparators act at the very instant
+at which their inputs cross. Nothing is random. Many operating points are stepped together, each
+with a clock of its own.
+
+References
+----------
+L. B. Bezerra, COPPE/UFRJ 2004 (paper 001), sections 6.2.4.1, 6.2.4.2 and 6.2.4.4.
+D. M. Brod, D. W. Novotny, "Current control of VSI-PWM inverters", IEEE Transactions on Industry
+Applications IA-21(3), 1985, pp. 562-570 (error of twice the band, slopes of ramp comparison).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dqforge.machines.arrays import BoolArray, FloatArray
+from dqforge.machines.errors import InputError
+from dqforge.machines.modulation.modulators import inverse_park
+from dqforge.machines.plants.current_trace import CurrentTrace
+from dqforge.machines.plants.fed_machine import I_D, I_Q, Z_D, Z_Q, BridgeDrive, Plant, build_plant
+from dqforge.machines.plants.switching_events import Controller, follow
+
+# All switching states of the bridge, (8, 3).
+BRIDGE_STATES: BoolArray = np.array(
+    [[bool(code >> leg & 1) for leg in range(3)] for code in range(8)]
+)
+
+
+# Voltage errors, in terms of the DC link, at which two switching states count as equally good.
+_EQUAL_STATES = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Hysteresis:
+    """Three independent comparators (paper 001, 6.2.4.1): a leg goes down at the error +band,
+    up at -band.
+
+    Parameters
+    ----------
+    band:
+        Half of the tolerance band h in A.
+    """
+
+    band: float
+
+
+@dataclass(frozen=True, slots=True)
+class RampComparison:
+    """PI regulators of the current error whose outputs meet a triangle (paper 001, 6.2.4.2).
+
+    ``v = kp e + ki integral(e dt)`` of both axes, turned back to phases; the upper switch is on
+    while v exceeds the triangle, which reaches from -v_dc/2 to v_dc/2. The triangle runs on its
+    own, asynchronous to the currents.
+
+    Parameters
+    ----------
+    kp, ki:
+        Gains in V/A and V/(A s); ki may be 0.
+    f_carrier:
+        Frequency of the triangle in Hz.
+    frame:
+        Coordinates in which the error is integrated: ``synchronous`` leaves no
+        error of the fundamental.
+    comparator_band:
+        Hysteresis of the comparators in V, from edge to edge. Without it a loop that is steeper
+        than the triangle chatters infinitely fast (`slope_ratio`).
+    """
+
+    kp: float
+    ki: float
+    f_carrier: float
+    frame: Literal["synchronous", "stationary"] = "synchronous"
+    comparator_band: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Predictive:
+    """The switching state with the least predicted current error, one sample ahead (paper 001,
+    6.2.4.4).
+
+    The model is exact, and the state chosen at a sample acts from there on. A computing time of one
+    sample would change nothing, since the switching state until then is known; errors of the model
+    would.
+
+    Parameters
+    ----------
+    t_s:
+        Sampling period in s.
+    """
+
+    t_s: float
+
+
+Scheme = Hysteresis | RampComparison | Predictive
+
+
+class _HysteresisController:
+    def __init__(self, scheme: Hysteresis) -> None:
+        self.interval = math.inf
+        self.scale = self._band = scheme.band
+
+    def margin(
+        self, plant: Plant, state: FloatArray, time: FloatArray, legs: BoolArray
+    ) -> FloatArray:
+        error = plant.phase_errors(state, plant.omega_e * time)
+        return np.where(legs, error, -error) - self._band
+
+    def decide(
+        self, _plant: Plant, _state: FloatArray, _time: FloatArray, legs: BoolArray
+    ) -> BoolArray:
+        return legs
+
+
+class _RampController:
+    def __init__(self, scheme: RampComparison, v_dc: float) -> None:
+        self.interval = 0.5 / scheme.f_carrier
+        self.scale = v_dc
+        self._scheme = scheme
+
+    def margin(
+        self, plant: Plant, state: FloatArray, time: FloatArray, legs: BoolArray
+    ) -> FloatArray:
+        scheme = self._scheme
+        v_d = scheme.kp * (plant.i_d - state[..., I_D]) + scheme.ki * state[..., Z_D]
+        v_q = scheme.kp * (plant.i_q - state[..., I_Q]) + scheme.ki * state[..., Z_Q]
+        turn = time * scheme.f_carrier
+        triangle = self.scale * (2.0 * np.abs(turn - np.floor(turn) - 0.5) - 0.5)
+        above = inverse_park(v_d, v_q, plant.omega_e * time) - triangle[..., None]
+        return np.where(legs, -above, above) - 0.5 * scheme.comparator_band
+
+    def decide(
+        self, _plant: Plant, _state: FloatArray, _time: FloatArray, legs: BoolArray
+    ) -> BoolArray:
+        return legs
+
+
+class _PredictiveController:
+    def __init__(self, scheme: Predictive) -> None:
+        self.interval = scheme.t_s
+        self.scale = 1.0
+        self._scheme = scheme
+
+    def margin(
+        self, _plant: Plant, _state: FloatArray, _time: FloatArray, legs: BoolArray
+    ) -> FloatArray:
+        return np.full(legs.shape, -1.0)
+
+    def decide(
+        self, plant: Plant, state: FloatArray, time: FloatArray, legs: BoolArray
+    ) -> BoolArray:
+        return best_states(plant, state, time, legs, self._scheme.t_s)
+
+
+def best_states(
+    plant: Plant, state: FloatArray, time: FloatArray, legs: BoolArray, t_s: float
+) -> BoolArray:
+    """Switching states (N, 3) with the least current error after the sampling period t_s in s.
+
+    Of equally good states (both zero vectors are) the one with the fewest commutations, then the
+    first of `BRIDGE_STATES`. The prediction is exact for the machine of the plant.
+
+    Parameters
+    ----------
+    plant:
+        The drive at N points.
+    state, time, legs:
+        State (N, 9), time in s from the angle 0 (N,), and the present switching state (N, 3).
+    t_s:
+        Sampling period in s.
+    """
+    tried = np.broadcast_to(BRIDGE_STATES[:, None, :], (8, *legs.shape))
+    ends = plant.advance(
+        plant.switched(np.broadcast_to(state, (8, *state.shape)), plant.omega_e * time, tried), t_s
+    )
+    error = np.hypot(ends[..., I_D] - plant.i_d, ends[..., I_Q] - plant.i_q)
+    machine = plant.drive.machine
+    close = _EQUAL_STATES * plant.drive.v_dc * t_s / min(machine.l_d, machine.l_q)
+    moves = np.sum(tried != legs, axis=-1)
+    chosen = np.argmin(np.where(error <= np.min(error, axis=0) + close, moves, 4), axis=0)
+    return np.asarray(BRIDGE_STATES[chosen])
+
+
+def slope_ratio(
+    drive: BridgeDrive, scheme: RampComparison, i_d: ArrayLike, i_q: ArrayLike, omega_m: ArrayLike
+) -> FloatArray:
+    """Steepest slope of the regulators' output over that of the triangle, shape (...).
+
+    Below 1 each leg switches exactly twice per carrier period, whatever the angle; above it
+    comparators may meet the triangle more than once (Brod and Novotny 1985). An upper bound, from
+    the largest phase voltage of the bridge, 2/3 v_dc, plus the amplitude of the phase voltage V
+    that the references need:
+
+        kp (2/3 v_dc + V) / L_min / (2 v_dc f_carrier),   L_min the smaller inductance
+
+    The integral part and the turning of the references, which are slow beside the carrier,
+    are left out.
+
+    Parameters
+    ----------
+    drive, scheme:
+        The drive and its regulators.
+    i_d, i_q, omega_m:
+        References in A (peak) and mechanical speed in rad/s, broadcastable to the shape (...).
+    """
+    d, q, omega = (np.asarray(value, dtype=np.float64) for value in (i_d, i_q, omega_m))
+    machine = drive.machine
+    voltage = np.hypot(*machine.voltage(d, q, machine.pole_pairs * omega))
+    slope = scheme.kp * (2.0 / 3.0 * drive.v_dc + voltage) / min(machine.l_d, machine.l_q)
+    return np.asarray(slope / (2.0 * drive.v_dc * scheme.f_carrier))
+
+
+def hysteresis_frequency(
+    v_dc: float, inductance: float, band: float, voltage: ArrayLike
+) -> FloatArray:
+    """Switching frequency in Hz of a hysteresis regulator whose star point is tied to
+    the middle of the DC link.
+
+    A phase then is a half bridge on an inductance: the error crosses the band 2 h with the
+    slopes (v_dc/2 -+ v) / L,
+
+        f = ((v_dc/2)^2 - v^2) / (2 v_dc h L),   average over a sinusoid v of amplitude V:  v^2 -> V^2 / 2
+
+    Parameters
+    ----------
+    v_dc, inductance, band:
+        DC-link voltage in V, inductance of the phase in H, half of the band h in A.
+    voltage:
+        Voltage v in V that the reference current needs, any shape;
+        its root mean square for the average.
+    """
+    v = np.asarray(voltage, dtype=np.float64)
+    return np.asarray((0.25 * v_dc**2 - v**2) / (2.0 * v_dc * band * inductance))
+
+
+def _positive(name: str, value: float, unit: str) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise InputError(f"{name}: expected a positive number in {unit}, got {value!r}")
+
+
+def _not_negative(name: str, value: float, unit: str) -> None:
+    if not (math.isfinite(value) and value >= 0.0):
+        raise InputError(f"{name}: expected 0 or a positive number in {unit}, got {value!r}")
+
+
+def _check_scheme(drive: BridgeDrive, scheme: Scheme) -> None:
+    if isinstance(scheme, Hysteresis):
+        _positive("band", scheme.band, "A")
+        return
+    if drive.neutral_inductance is not None:
+        raise InputError(
+            "neutral_inductance: only hysteresis regulates three currents; leave the star point "
+            "isolated"
+        )
+    if isinstance(scheme, RampComparison):
+        _positive("kp", scheme.kp, "V/A")
+        _positive("f_carrier", scheme.f_carrier, "Hz")
+        _not_negative("ki", scheme.ki, "V/(A s)")
+        _not_negative("comparator_band", scheme.comparator_band, "V")
+        return
+    _positive("t_s", scheme.t_s, "s")
+
+
+def _controller(scheme: Scheme, drive: BridgeDrive) -> Controller:
+    if isinstance(scheme, Hysteresis):
+        return _HysteresisController(scheme)
+    if isinstance(scheme, RampComparison):
+        return _RampController(scheme, drive.v_dc)
+    return _PredictiveController(scheme)
+
+
+def _points(*values: ArrayLike) -> list[FloatArray]:
+    arrays = np.broadcast_arrays(*(np.asarray(value, dtype=np.float64) for value in values))
+    return [np.array(array).ravel() for array in arrays]
+
+
+def simulate_currents(
+    drive: BridgeDrive,
+    scheme: Scheme,
+    i_d: ArrayLike,
+    i_q: ArrayLike,
+    omega_m: ArrayLike,
+    *,
+    periods: int = 1,
+    settling: int = 1,
+) -> CurrentTrace:
+    """Simulate a current regulator at constant speed with sinusoidal back-EMF.
+
+    Parameters
+    ----------
+    drive:
+        Machine and bridge.
+    scheme:
+        The regulator.
+    i_d, i_q, omega_m:
+        References in A (peak) and mechanical speed in rad/s, not 0; broadcast, N points in all.
+    periods:
+        Electrical periods that are observed.
+    settling:
+        Electrical periods before them; the currents start on their references.
+
+    Returns
+    -------
+    CurrentTrace
+        Currents, switching instants and what follows from them, for N points in C order.
+
+    Raises
+    ------
+    InputError
+        A parameter is out of range, or a band so narrow that a point would commutate
+        more than a million times.
+    NoSolutionError
+        The comparators of ramp comparison chatter.
+    """
+    _check_scheme(drive, scheme)
+    if periods < 1 or settling < 0:
+        raise InputError(
+            f"periods, settling: expected at least 1 and 0, got {periods} and {settling}"
+        )
+    d, q, omega_m_flat = _points(i_d, i_q, omega_m)
+    if not (np.all(np.isfinite([d, q, omega_m_flat])) and np.all(omega_m_flat != 0.0)):
+        raise InputError(
+            "i_d, i_q, omega_m: expected finite currents and speeds other than 0; a period is "
+            "simulated"
+        )
+    machine = drive.machine
+    omega_e = machine.pole_pairs * omega_m_flat
+    period = 2.0 * math.pi / np.abs(omega_e)
+    _check_work(drive, scheme, float(np.max(period)) * (periods + settling))
+    rotating = not isinstance(scheme, RampComparison) or scheme.frame == "synchronous"
+    plant = build_plant(drive, d, q, omega_e, rotating=rotating)
+    v_d, v_q = machine.voltage(d, q, omega_e)
+    legs = inverse_park(v_d, v_q, np.zeros(d.size)) > 0.0
+    integral = None
+    if isinstance(scheme, RampComparison):
+        legs = np.zeros_like(legs)  # the triangle starts at its top
+        if scheme.ki > 0.0:
+            integral = (v_d / scheme.ki, v_q / scheme.ki)
+    controller = _controller(scheme, drive)
+    return follow(
+        plant, controller, plant.start(legs, integral), legs, settling * period, periods * period
+    )
+
+
+def _check_work(drive: BridgeDrive, scheme: Scheme, duration: float) -> None:
+    machine = drive.machine
+    count: float = duration
+    if isinstance(scheme, Hysteresis):
+        count *= 6.0 * float(
+            hysteresis_frequency(drive.v_dc, min(machine.l_d, machine.l_q), scheme.band, 0.0)
+        )
+    else:
+        count *= 6.0 * scheme.f_carrier if isinstance(scheme, RampComparison) else 3.0 / scheme.t_s
+    if count > 1e6:
+        raise InputError(
+            f"about {count:.2g} commutations per point would be simulated, at most 1e6 are; "
+            "choose a wider band, a slower carrier, a longer sampling period, or fewer periods"
+        )

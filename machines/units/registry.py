@@ -1,0 +1,388 @@
+"""The vocabulary of units: which symbols a quantity may use, and which
+dimensions the program knows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+# Own vocabulary instead of the unit library's: there "mh" is a millihour
+# and "Nm" is a metre per tex.
+_PREFIXES = {
+    "": "",
+    "p": "pico",
+    "n": "nano",
+    "u": "micro",
+    "µ": "micro",
+    "μ": "micro",
+    "m": "milli",
+} | {
+    "c": "centi",
+    "k": "kilo",
+    "M": "mega",
+    "G": "giga",
+}
+
+
+# symbol: (name in the unit library, prefixes that engineers write in front of it)
+_BASES = {
+    "Ohm": ("ohm", "nuµμmkM"),
+    "Ω": ("ohm", "nuµμmkM"),
+    "\N{OHM SIGN}": ("ohm", "nuµμmkM"),
+    "H": ("henry", "pnuµμm"),
+    "Wb": ("weber", "uµμm"),
+    "V": ("volt", "uµμmkM"),
+    "A": ("ampere", "nuµμmkM"),
+    "Hz": ("hertz", "mkMG"),
+    "s": ("second", "pnuµμm"),
+    "min": ("minute", ""),
+    "h": ("hour", ""),
+    "J": ("joule", "nuµμmkM"),
+    "W": ("watt", "uµμmkM"),
+    "N": ("newton", "uµμmkM"),
+    "m": ("meter", "uµμmc"),
+    "g": ("gram", "mk"),
+    "K": ("kelvin", "m"),
+    "degC": ("degree_Celsius", ""),
+    "°C": ("degree_Celsius", ""),
+    "rad": ("radian", "mk"),
+    "deg": ("degree", ""),
+    "°": ("degree", ""),
+    "rev": ("turn", ""),
+    "U": ("turn", ""),
+    "r": ("turn", ""),
+    "tr": ("turn", ""),
+    "rpm": ("revolutions_per_minute", ""),
+    "RPM": ("revolutions_per_minute", ""),
+    "krpm": ("krpm", ""),
+    "kRPM": ("krpm", ""),
+    "rps": ("rps", ""),
+    "%": ("percent", ""),
+    "ppm": ("ppm", ""),
+}
+
+
+SYMBOLS: dict[str, str] = {
+    prefix + symbol: _PREFIXES[prefix] + name
+    for symbol, (name, prefixes) in _BASES.items()
+    for prefix in ("", *prefixes)
+}
+
+
+# Written as one word on many data sheets; an exponent belongs to the last part ("kgm2", "kgcm^2").
+COMPOUNDS: dict[str, tuple[str, str]] = {
+    "Nm": ("newton", "meter"),
+    "mNm": ("millinewton", "meter"),
+    "kNm": ("kilonewton", "meter"),
+    "Vs": ("volt", "second"),
+    "mVs": ("millivolt", "second"),
+    "Ws": ("watt", "second"),
+    "mWs": ("milliwatt", "second"),
+    "kgm": ("kilogram", "meter"),
+    "kgcm": ("kilogram", "centimeter"),
+    "gcm": ("gram", "centimeter"),
+}
+
+
+# Units that the library lacks, or has in another sense, in its own language.
+DEFINITIONS = (
+    "krpm = 1000 * revolutions_per_minute",
+    "rps = 60 * revolutions_per_minute",
+)
+
+
+# Names whose presence tells an angular speed from a frequency, which the unit
+# library holds to be the same.
+TURNS = frozenset({"turn", "revolutions_per_minute", "krpm", "rps"})
+
+
+ANGULAR = TURNS | {"radian", "milliradian", "kiloradian", "degree"}
+
+
+CYCLIC = frozenset({"hertz", "millihertz", "kilohertz", "megahertz", "gigahertz"})
+
+
+LONG_TIMES = frozenset({"minute", "hour"})
+
+
+TIMES = LONG_TIMES | {prefix + "second" for prefix in ("", "pico", "nano", "micro", "milli")}
+
+
+RELATIVE = frozenset({"percent", "ppm"})
+
+
+def _prefixed(*names: str) -> frozenset[str]:
+    """Names of units with every prefix that the vocabulary has."""
+    return frozenset(prefix + name for name in names for prefix in _PREFIXES.values())
+
+
+ENERGETIC = _prefixed("joule")
+
+
+MECHANICAL = _prefixed("joule", "newton", "gram")
+
+
+ELECTRICAL = _prefixed("volt", "weber", "henry")
+
+
+# What engineers append to A and V, and which kind of value it tells.
+KIND_SUFFIXES = {
+    "rms": "rms",
+    "eff": "rms",
+    "pk": "peak",
+    "peak": "peak",
+    "p": "peak",
+    "max": "peak",
+} | {
+    "ll": "line",
+    "dc": "",
+    "ac": "",
+    "ph": "",
+}
+
+
+Unnamed = Literal["refused", "radians", "revolutions"]
+
+
+@dataclass(frozen=True, slots=True)
+class Dimension:
+    """One physical meaning that a key can have.
+
+    Parameters
+    ----------
+    name:
+        With its article, as it stands in a sentence: ``an inductance``.
+    unit:
+        Unit of the numbers inside the program, in the spelling of this package.
+    base:
+        The same unit for the unit library.
+    example:
+        What a user might write.
+    forbidden:
+        Names of units that have this dimension on paper and mean something else,
+        with the reason in `reason`.
+    reciprocal:
+        Whether a value in the reciprocal unit is accepted and inverted.
+    cycles:
+        Whether a value in hertz counts cycles: 2 pi goes with each.
+    angle:
+        Power of the plane angle in the unit, 1 for a speed and -1 for a constant per speed. The
+        unit library takes an angle for a number, so that the program counts them itself.
+    unnamed:
+        What a unit counts that names no angle although `angle` is not 0: 1/min of a speed are
+        revolutions, N m s of a friction is per radian.
+    electrical:
+        Whether the angle is electrical, so that revolutions, which are those of the shaft,
+        do not belong here.
+    told:
+        Whether it is told that the angle was left out.
+    kinds:
+        What to write beside the value for ``rms``, ``peak`` and ``line``,
+        in place of a unit such as Arms.
+    """
+
+    name: str
+    unit: str
+    base: str
+    example: str
+    forbidden: frozenset[str] = frozenset()
+    reason: str = ""
+    reciprocal: bool = False
+    cycles: bool = False
+    angle: int = 0
+    unnamed: Unnamed = "refused"
+    electrical: bool = False
+    told: bool = False
+    kinds: Mapping[str, str] = field(default_factory=dict)
+
+
+_NO_HZ = (
+    "hertz may mean mechanical or electrical revolutions, or cycles; write it with rpm or rad/s"
+)
+
+
+_RMS_OR_PEAK = {"rms": "kind: rms", "peak": "kind: peak"}
+
+
+_LINE_KINDS = {
+    "rms": "kind: line-to-line rms or phase rms",
+    "peak": "kind: line-to-line peak or phase peak",
+    "line": "kind: line-to-line peak or line-to-line rms",
+}
+
+
+DIMENSIONS: dict[str, Dimension] = {
+    "resistance": Dimension("a resistance", "Ohm", "ohm", "2 mOhm"),
+    "inductance": Dimension("an inductance", "H", "henry", "1.61 mH"),
+    "flux": Dimension(
+        "a flux linkage",
+        "Wb",
+        "weber",
+        "0.06 Wb",
+        TURNS | LONG_TIMES | MECHANICAL,
+        "a flux linkage is written in Wb or V s; per speed of the shaft it is a back_emf_constant, "
+        "per ampere a torque_constant",
+        cycles=True,
+        angle=-1,
+        unnamed="radians",
+        electrical=True,
+    ),
+    "back-emf": Dimension(
+        "a back-EMF constant",
+        "V s/rad",
+        "volt*second/radian",
+        "12 V/krpm",
+        CYCLIC | _prefixed("weber") | MECHANICAL,
+        "a back-EMF constant is written in V/krpm or V s/rad (hertz may mean mechanical or "
+        "electrical revolutions: write it with rpm or rad/s); Wb is a magnet_flux, N m/A a "
+        "torque_constant",
+        reciprocal=True,
+        angle=-1,
+        unnamed="radians",
+        told=True,
+        kinds=_LINE_KINDS,
+    ),
+    "torque-constant": Dimension(
+        "a torque constant",
+        "N m/A",
+        "newton*meter/ampere",
+        "0.6 N m/A",
+        ANGULAR | ELECTRICAL,
+        "a torque constant is written in N m/A; V s/rad is a back_emf_constant, Wb a magnet_flux",
+        kinds=_RMS_OR_PEAK,
+    ),
+    "current": Dimension("a current", "A", "ampere", "12 A", kinds=_RMS_OR_PEAK),
+    "voltage": Dimension("a voltage", "V", "volt", "48 V"),
+    "frequency": Dimension(
+        "a frequency",
+        "Hz",
+        "hertz",
+        "10 kHz",
+        ANGULAR | LONG_TIMES,
+        "a frequency counts cycles per second; write it in Hz",
+    ),
+    "speed": Dimension(
+        "a rotational speed",
+        "rad/s",
+        "radian/second",
+        "1800 rpm",
+        CYCLIC,
+        _NO_HZ,
+        angle=1,
+        unnamed="revolutions",
+    ),
+    "bandwidth": Dimension(
+        "a bandwidth",
+        "rad/s",
+        "radian/second",
+        "500 Hz",
+        TURNS,
+        "a bandwidth is written in Hz (times 2 pi) or rad/s (as is)",
+        cycles=True,
+        angle=1,
+        unnamed="radians",
+        told=True,
+    ),
+    "time": Dimension(
+        "a time",
+        "s",
+        "second",
+        "200 us",
+        CYCLIC,
+        "1/Hz may be a period or a time constant; write it in s",
+    ),
+    "torque": Dimension(
+        "a torque",
+        "N m",
+        "newton*meter",
+        "1.5 N m",
+        ENERGETIC,
+        "a torque is written in N m, not in J",
+    ),
+    "power": Dimension(
+        "a power",
+        "W",
+        "watt",
+        "2.2 kW",
+        LONG_TIMES,
+        "a power is written in W, also that of a torque and a speed",
+    ),
+    "energy": Dimension("an energy", "J", "joule", "0.8 mJ"),
+    "inertia": Dimension(
+        "a moment of inertia",
+        "kg m^2",
+        "kilogram*meter**2",
+        "200e-6 kg m^2",
+        CYCLIC,
+        _NO_HZ,
+        angle=-1,
+        unnamed="radians",
+    ),
+    "friction": Dimension(
+        "a viscous friction",
+        "N m s/rad",
+        "newton*meter*second/radian",
+        "40e-6 N m s",
+        CYCLIC,
+        _NO_HZ,
+        angle=-1,
+        unnamed="radians",
+    ),
+    "temperature": Dimension("a temperature", "degC", "degree_Celsius", "65 degC"),
+    "temperature-coefficient": Dimension(
+        "a temperature coefficient", "1/K", "1/kelvin", "0.39 %/K"
+    ),
+    "thermal-resistance": Dimension("a thermal resistance", "K/W", "kelvin/watt", "0.3 K/W"),
+    "current-gain": Dimension("a current-controller gain", "V/A", "volt/ampere", "1.1 V/A"),
+    "current-integral-gain": Dimension(
+        "an integral gain",
+        "V/(A s)",
+        "volt/ampere/second",
+        "32 V/(A s)",
+        CYCLIC,
+        "write it in V/(A s)",
+    ),
+    "speed-gain": Dimension(
+        "a speed-controller gain",
+        "N m s/rad",
+        "newton*meter*second/radian",
+        "0.1 N m s/rad",
+        CYCLIC,
+        _NO_HZ,
+        angle=-1,
+        unnamed="radians",
+    ),
+    "speed-integral-gain": Dimension(
+        "an integral gain",
+        "N m/rad",
+        "newton*meter/radian",
+        "6 N m/rad",
+        CYCLIC | ENERGETIC,
+        "an integral gain is written in N m/rad; hertz may mean mechanical or electrical "
+        "revolutions, or cycles; write it with rpm or rad/s",
+        angle=-1,
+        unnamed="radians",
+    ),
+    "current-slew": Dimension(
+        "a rate of change of a current", "A/s", "ampere/second", "5 kA/s", CYCLIC, "write it in A/s"
+    ),
+    "angle": Dimension(
+        "an angle",
+        "rad",
+        "radian",
+        "30 deg",
+        RELATIVE,
+        "an angle is written in deg or rad",
+        angle=1,
+    ),
+    "number": Dimension(
+        "a plain number",
+        "",
+        "dimensionless",
+        "0.7",
+        ANGULAR | CYCLIC,
+        "this is a number without a unit",
+    ),
+}

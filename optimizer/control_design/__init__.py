@@ -1,0 +1,1 @@
+"""Gains of a whole drive: loops and observers judged together."""

@@ -1,0 +1,116 @@
+"""Gains of every loop and observer that a design asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.numerical import on_design
+from dqforge.machines.errors import NoSolutionError
+from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
+from dqforge.optimizer.loops.gain_schedule import GainSchedule, schedule_gains
+from dqforge.optimizer.loops.gains import LoopGains, tune_current_loop, tune_speed_loop
+from dqforge.optimizer.loops.inductances import inductance_range
+from dqforge.optimizer.loops.loop_batch import PlantBatch
+from dqforge.optimizer.loops.robustness import (
+    RobustSet,
+    current_robustness,
+    speed_robustness,
+    turning_robustness,
+)
+from dqforge.optimizer.loops.tolerance_box import Axis, drive_box
+from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
+from dqforge.optimizer.observers.solve import solve_observer
+from dqforge.optimizer.observers.tuning import PositionObserver
+
+
+@dataclass(frozen=True, slots=True)
+class GainSet:
+    """Gains of both current loops and, where the design asks for them, of the
+    speed loop and an observer.
+
+    ``observer`` is the reduced-order speed observer, ``position`` one of the position; a design has
+    at most one. ``robust`` is what they keep over the tolerances (the speed loop only without an
+    observer), None where the design names none; ``schedule`` the current loops' gains over the
+    current, None where it asks for none.
+    """
+
+    i_d: LoopGains
+    i_q: LoopGains
+    speed: LoopGains | None
+    observer: ReducedOrderObserver | None
+    robust: RobustSet | None = None
+    schedule: GainSchedule | None = None
+    position: PositionObserver | None = None
+
+
+@on_design("control")
+def solve_gains(design: Design) -> GainSet:
+    """Gains of the design, every loop checked as it is sampled, and over the
+    tolerances where it names any.
+    """
+    machine, control = design.machine, design.control
+    nominal, largest = inductance_range(machine, design.i_max)
+    box = drive_box(design, nominal, largest)
+    named = control.tolerances is not None
+
+    def axis_corners(axis: Axis) -> PlantBatch | None:
+        if control.current_loop.method != "optimised":
+            return None
+        points = box.current_points(axis)
+        return box.current_loop_plants(axis, points).some(np.arange(points.corners))
+
+    def speed_corners() -> PlantBatch | None:
+        if control.speed_loop is None or control.speed_loop.method != "optimised":
+            return None
+        points = box.speed_points()
+        return box.speed_loop_plants(points, (i_q.kp, i_q.ki)).some(np.arange(points.corners))
+
+    l_d, l_q = nominal
+    i_d = tune_current_loop(
+        machine.r_s, l_d, control.t_s, control.current_loop, "i_d", axis_corners("i_d")
+    )
+    i_q = tune_current_loop(
+        machine.r_s, l_q, control.t_s, control.current_loop, "i_q", axis_corners("i_q")
+    )
+    speed = (
+        tune_speed_loop(machine, i_q, control, speed_corners())
+        if control.speed_loop is not None
+        else None
+    )
+    observer, position = solve_observer(design)
+    robust = None
+    if named:
+        robust = RobustSet(
+            current_robustness(box, i_d, "i_d"),
+            current_robustness(box, i_q, "i_q"),
+            None if speed is None else speed_robustness(box, speed, i_q),
+            turning_robustness(box, i_d, i_q),
+            box.named_limits(),
+        )
+    wanted = control.current_loop.schedule
+    schedule = schedule_gains(design, box if named else None, i_d, i_q) if wanted else None
+    if speed is not None and (observer is not None or position is not None):
+        speed = judge_observed(design, (i_d, i_q, speed), observer, position)
+        robust = None if robust is None else replace(robust, speed=None)
+    return GainSet(i_d, i_q, speed, observer, robust, schedule, position)
+
+
+def gains_or_reason(design: Design) -> tuple[GainSet | None, str]:
+    """Gains of the design, or None and why there are none where it can do without.
+
+    Raises
+    ------
+    NoSolutionError
+        As `solve_gains`, of a design that asks for control.
+    """
+    if design.control.gains == "none":
+        return None, "control.gains is false"
+    try:
+        return solve_gains(design), ""
+    except NoSolutionError as error:
+        if design.control.gains == "required":
+            raise
+        return None, f"no loop was asked for and none was found: {error.message}"

@@ -1,0 +1,1 @@
+"""Current references over torque: their form, fit and choice."""

@@ -1,0 +1,321 @@
+"""The current references that the firmware evaluates: torque in, (i_d, i_q) out,
+in a handful of forms.
+
+Each form is the list of float32 operations that the header spells out, so that the errors stated
+for it are those of the very arithmetic that runs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.synchronous import copper_loss
+from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.optimizer.curves.single_precision import (
+    MultiplyAdd,
+    SingleArray,
+    SinglePolynomial,
+    fused_multiply_add,
+    multiply_add,
+)
+from dqforge.optimizer.operating_points.current_choice import CurrentChoice
+
+PENALTY_FROM = 0.05
+
+"""Share of the largest torque from which the relative loss penalty is stated;
+below it both losses vanish."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proportional:
+    """i_d = 0, i_q = gain T: surface machines, and i_d = 0 control of any machine.
+    ``gain`` in A/(N m).
+    """
+
+    gain: np.float32
+
+    def currents(
+        self, _magnitude: SingleArray, torque: SingleArray, _muladd: MultiplyAdd
+    ) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
+        return np.zeros_like(torque), self.gain * torque
+
+
+@dataclass(frozen=True, slots=True)
+class Polynomials:
+    """i_d(T) and i_q(T) as piecewise polynomials in A over N m (paper 000, (31) and (34))."""
+
+    d: SinglePolynomial
+    q: SinglePolynomial
+
+    def currents(
+        self, magnitude: SingleArray, torque: SingleArray, muladd: MultiplyAdd
+    ) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
+        return self.d.evaluate(magnitude, muladd), self.q.evaluate(magnitude, muladd, torque)
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueExact:
+    """i_d(T) as a piecewise polynomial and i_q = T / (magnet + slope i_d):
+    no torque error by construction.
+
+    ``magnet`` = 3/2 p psi_pm in N m/A, ``slope`` = 3/2 p (l_d - l_q) in N m/A^2.
+    """
+
+    d: SinglePolynomial
+    magnet: np.float32
+    slope: np.float32
+
+    def currents(
+        self, magnitude: SingleArray, torque: SingleArray, muladd: MultiplyAdd
+    ) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
+        i_d = self.d.evaluate(magnitude, muladd)
+        return i_d, torque / muladd(
+            np.broadcast_to(self.slope, i_d.shape), i_d, np.asarray(self.magnet)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedForm:
+    """i_q(T) as a piecewise polynomial and i_d from it by the MTPA locus, with one square root.
+
+    i_d = sign (base - sqrt(base^2 + i_q^2)), ``base`` = psi_pm / (2 |l_q - l_d|) in A, ``sign``
+    that of l_q - l_d (paper 000, (15)). The current lies on the optimum locus, whatever the error
+    of i_q. sqrtf of the stored square gives back ``base`` exactly, so that i_d(0) = 0.
+    """
+
+    q: SinglePolynomial
+    base: np.float32
+    sign: int
+
+    @property
+    def base_squared(self) -> np.float32:
+        """Square of ``base`` in A^2, rounded to float."""
+        return self.base * self.base
+
+    def currents(
+        self, magnitude: SingleArray, torque: SingleArray, muladd: MultiplyAdd
+    ) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
+        i_q = self.q.evaluate(magnitude, muladd, torque)
+        root = np.sqrt(muladd(i_q, i_q, np.asarray(self.base_squared)))
+        return (self.base - root if self.sign > 0 else root - self.base), i_q
+
+
+@dataclass(frozen=True, slots=True)
+class ReluctanceClosedForm:
+    """i_q = sqrt(gain T), i_d = +-i_q: the exact optimum of a machine without magnet.
+    ``gain`` in A^2/(N m).
+    """
+
+    gain: np.float32
+    sign: int
+
+    def currents(
+        self, magnitude: SingleArray, torque: SingleArray, _muladd: MultiplyAdd
+    ) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A for a torque in N m and its magnitude, shape (N,)."""
+        i_q = np.sqrt(self.gain * magnitude)
+        return (-i_q if self.sign > 0 else i_q), np.where(torque < 0.0, -i_q, i_q)
+
+
+Form = Proportional | Polynomials | TorqueExact | ClosedForm | ReluctanceClosedForm
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentReference:
+    """A form with its domain: i_d is even and i_q odd in the torque, which is
+    clamped to +-``torque_max`` N m.
+    """
+
+    form: Form
+    torque_max: np.float32
+
+    def currents(
+        self, torque: NDArray[Any], *, fused: bool = False
+    ) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A as the emitted C returns them, bit for bit, for any float32
+        torque in N m, shape (N,).
+
+        NaN gives the reference of zero torque. ``fused`` models a compiler that
+        contracts products and sums.
+        """
+        torque = np.asarray(torque, dtype=np.float32)
+        # Written as in the emitted C: the sign of -0 stays, NaN fails both comparisons.
+        with np.errstate(invalid="ignore", under="ignore"):
+            magnitude = np.abs(torque)
+            clamped = np.where(torque < 0.0, -self.torque_max, self.torque_max)
+            torque = np.where(magnitude > self.torque_max, clamped, torque)
+            torque = np.where(np.isnan(torque), np.float32(0.0), torque)
+            plain = self.form.currents(np.abs(torque), torque, multiply_add)
+            if not fused:
+                return plain
+            inside = (
+                magnitude <= self.torque_max
+            )  # beyond it the emitted C holds results as constants
+            contracted = self.form.currents(np.abs(torque), torque, fused_multiply_add)
+            i_d, i_q = (
+                np.where(inside, one, other) for one, other in zip(contracted, plain, strict=True)
+            )
+            return i_d, i_q
+
+    def samples(self, count: int) -> SingleArray:
+        """Torques in [0, torque_max]: evenly and logarithmically spaced, and both
+        neighbours of each breakpoint.
+        """
+        end = self.torque_max
+        parts: list[NDArray[Any]] = [
+            np.linspace(0.0, float(end), count),
+            np.geomspace(1e-6, 1.0, count // 4) * float(end),
+        ]
+        for polynomial in (getattr(self.form, name, None) for name in ("d", "q")):
+            if isinstance(polynomial, SinglePolynomial):
+                edges = polynomial.starts[1:]
+                parts += [edges, np.nextafter(edges, np.float32(0.0))]
+        return np.unique(np.minimum(np.concatenate(parts).astype(np.float32), end))
+
+
+@dataclass(frozen=True, slots=True)
+class SignedReference:
+    """Two references, of a machine whose halves differ: one for torques >= 0, one for those below.
+
+    ``negative`` is that of the mirrored machine, whose torque and i_q count the other way.
+    """
+
+    positive: CurrentReference
+    negative: CurrentReference
+
+    @property
+    def torque_max(self) -> np.float32:
+        """Torque in N m that both signs have."""
+        return min(self.positive.torque_max, self.negative.torque_max)
+
+    def currents(
+        self, torque: NDArray[Any], *, fused: bool = False
+    ) -> tuple[SingleArray, SingleArray]:
+        """(i_d, i_q) in A as `CurrentReference.currents`; not-a-number is no negative torque."""
+        torque = np.asarray(torque, dtype=np.float32)
+        below = torque < 0.0
+        plus = self.positive.currents(torque, fused=fused)
+        minus = self.negative.currents(torque, fused=fused)
+        return np.where(below, minus[0], plus[0]), np.where(below, minus[1], plus[1])
+
+    def samples(self, count: int) -> SingleArray:
+        """Magnitudes of torques in both domains, as `CurrentReference.samples`."""
+        return np.union1d(self.positive.samples(count), self.negative.samples(count))
+
+
+FloatReference = CurrentReference | SignedReference
+
+
+Reference = CurrentReference | FixedReference
+
+"""One reference of the firmware, even and odd in the torque: in floats, in N m and A,
+or in fixed point."""
+
+
+Emitted = Reference | SignedReference
+
+"""What the firmware evaluates."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceErrors:
+    """Largest errors found over a dense set of torques, with and without fused multiply-add.
+
+    ``i_d``, ``i_q`` in A against the exact strategy; ``torque`` in N m against the request;
+    ``torque_relative`` is that over the largest torque; ``loss`` in W is the copper loss above the
+    least for the torque that is produced; ``loss_relative`` the same over that least loss, from 5 %
+    of the largest torque upwards; ``step_at_zero`` in A is the error of the current at zero torque;
+    ``voltage_excess`` is the largest phase voltage at the reference's speed above the limit,
+    relative to it, None where there is no speed. Found by sampling: not bounds.
+    """
+
+    i_d: float
+    i_q: float
+    torque: float
+    torque_relative: float
+    loss: float
+    loss_relative: float
+    step_at_zero: float
+    voltage_excess: float | None
+    samples: int
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorCurves:
+    """Errors over the torque axis, arrays of shape (N,).
+
+    Torque in N m, errors of i_d and i_q in A and of the torque in N m, excess copper loss in W and
+    relative to the least loss, and the phase voltage in V at the speed of the choice (at rest where
+    it has none).
+    """
+
+    torque: FloatArray
+    i_d: FloatArray
+    i_q: FloatArray
+    torque_error: FloatArray
+    loss: FloatArray
+    loss_relative: FloatArray
+    voltage: FloatArray
+
+
+def error_curves(
+    choice: CurrentChoice, reference: Reference, torque: NDArray[Any], *, fused: bool = False
+) -> ErrorCurves:
+    """Compare the arithmetic of a reference with the exact strategy in double at torques
+    >= 0 that it knows, (N,).
+    """
+    machine = choice.machine
+    i_d, i_q = (
+        np.asarray(current, dtype=np.float64) for current in reference.currents(torque, fused=fused)
+    )
+    request = np.asarray(torque, dtype=np.float64)
+    exact_d, exact_q = choice.currents(request)
+    produced = machine.torque(i_d, i_q)
+    # The loss that an exact strategy would need for the torque that is really produced.
+    least_d, least_q = choice.currents(produced)
+    least = copper_loss(machine.r_s, least_d, least_q)
+    excess = copper_loss(machine.r_s, i_d, i_q) - least
+    relative = np.divide(excess, least, out=np.zeros_like(excess), where=least > 0.0)
+    omega_m = 0.0 if choice.speed is None else choice.speed.omega_m
+    voltage = np.hypot(*machine.voltage(i_d, i_q, np.full_like(i_d, machine.pole_pairs * omega_m)))
+    return ErrorCurves(
+        request, i_d - exact_d, i_q - exact_q, produced - request, excess, relative, voltage
+    )
+
+
+def reference_errors(
+    choice: CurrentChoice, reference: Reference, samples: int = 4000
+) -> ReferenceErrors:
+    """Largest errors of the reference over its domain, in the arithmetic of the
+    emitted C (both contractions).
+    """
+    torque = reference.samples(samples)
+    contractions = (False,) if isinstance(reference, FixedReference) else (False, True)
+    curves = [error_curves(choice, reference, torque, fused=fused) for fused in contractions]
+    loaded = torque >= PENALTY_FROM * float(reference.torque_max)
+
+    def worst(name: str) -> float:
+        return max(float(np.max(np.abs(getattr(curve, name)))) for curve in curves)
+
+    rest_d, rest_q = (curves[0].i_d[:1], curves[0].i_q[:1])  # the samples begin at zero torque
+    taken = max(float(np.max(curve.voltage)) for curve in curves)
+    return ReferenceErrors(
+        i_d=worst("i_d"),
+        i_q=worst("i_q"),
+        torque=worst("torque_error"),
+        torque_relative=worst("torque_error") / float(reference.torque_max),
+        loss=worst("loss"),
+        loss_relative=max(float(np.max(curve.loss_relative[loaded])) for curve in curves),
+        step_at_zero=float(np.hypot(rest_d[0], rest_q[0])),
+        voltage_excess=None if choice.speed is None else max(taken / choice.speed.v_max - 1.0, 0.0),
+        samples=len(curves) * torque.size,
+    )

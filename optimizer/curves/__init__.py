@@ -1,0 +1,1 @@
+"""Piecewise polynomials and their best fits."""

@@ -1,0 +1,1 @@
+"""Current references over torque and voltage."""

@@ -1,0 +1,1 @@
+"""Control in integers, with proven ranges."""

@@ -1,0 +1,361 @@
+"""Control functions in integers for a design: per-unit constants, formats that use the word,
+and their evidence.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from dqforge.machines.design.design import Design
+from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.modulation.modulators import LINEAR_LIMITS
+from dqforge.machines.names import ModulationName
+from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
+from dqforge.optimizer.fixed_control.arithmetic import Reach
+from dqforge.optimizer.fixed_control.gains import (
+    FixedGain,
+    QuantisedLoop,
+    given,
+    quantise,
+    quantised_loop,
+    real_pi,
+)
+from dqforge.optimizer.fixed_control.ranges import (
+    DeadBand,
+    control_ranges,
+    dead_band,
+    finest,
+    observer_ranges,
+    pi_ranges,
+    require,
+    with_fraction,
+)
+from dqforge.optimizer.fixed_control.step import (
+    FixedControl,
+    FixedDecoupling,
+    FixedObserver,
+    FixedPi,
+    PiForm,
+)
+from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS
+from dqforge.optimizer.loops.gains import LoopGains, decoupling
+from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
+
+DC_HEADROOM = 1.15  # of the dc link over its nominal value that its full scale holds at least
+
+
+_MOST_DC_SCALE = 6
+
+
+_LARGEST_ERROR = 0.02  # of a gain whose format was chosen here
+
+
+@dataclass(frozen=True, slots=True)
+class FixedControlFit:
+    """Control functions in integers with their evidence.
+
+    Parameters
+    ----------
+    control:
+        The integers.
+    loops:
+        Each loop with the gains that its integers make, by name.
+    reaches:
+        Proven range of every product and sum.
+    dead_bands:
+        Smallest errors that move each integral, by loop.
+    """
+
+    control: FixedControl
+    loops: dict[str, QuantisedLoop]
+    reaches: tuple[Reach, ...]
+    dead_bands: dict[str, DeadBand]
+
+    @property
+    def fullest(self) -> Reach:
+        """The quantity that comes nearest to its word's end."""
+        return max(self.reaches, key=lambda reach: reach.share)
+
+
+def fit_control(
+    design: Design,
+    loops: tuple[LoopGains, LoopGains, LoopGains | None],
+    observer: ReducedOrderObserver | None,
+    width: int,
+) -> FixedControlFit:
+    """Control functions of a design in words of 16 or 32 bits.
+
+    Parameters
+    ----------
+    design:
+        Machine, inverter, sampling and bases.
+    loops:
+        Gains of i_d, i_q and, where there is one, of the speed loop.
+    observer:
+        The reduced-order observer, if one is wanted.
+    width:
+        Bits of a code.
+
+    Raises
+    ------
+    InputError
+        The bases do not hold the largest current or speed, or the modulator
+        is not there in integers.
+    NoSolutionError
+        A quantity can overflow, a gain has no format, or a loop with rounded
+        gains misses its phase margin.
+    """
+    _require_bases(design)
+    found: dict[str, QuantisedLoop] = {}
+    forms: dict[str, dict[PiForm, FixedPi]] = {}
+    for loop in loops:
+        if loop is not None:
+            found[loop.loop], forms[loop.loop] = _loop(design, loop, width, loops[1])
+    control = FixedControl(
+        width=width,
+        bases=_bases(design),
+        modulation=_modulation(design),
+        dc_scale=_dc_scale(design),
+        dc_least=round(0.5 * design.inverter.v_dc / _dc_base(design) * 2 ** (width - 1)),
+        limit=_precise("voltage limit", _limit(design), width, 2 ** (width - 1)),
+        advance=_precise("angle advance", _advance(design), width, 2 ** (width - 1)),
+        i_d=forms["i_d"],
+        i_q=forms["i_q"],
+        speed=forms.get("speed"),
+        decoupling=_decoupling(design, width),
+        observer=None if observer is None else _observer(design, observer, width),
+    )
+    bands = {
+        name: dead_band(made["parallel"].ki)
+        for name, made in forms.items()
+        if made["parallel"].ki.mantissa > 0
+    }
+    return FixedControlFit(control, found, control_ranges(control), bands)
+
+
+def fit_controls(
+    design: Design,
+    loops: tuple[LoopGains, LoopGains, LoopGains | None],
+    observer: ReducedOrderObserver | None,
+) -> tuple[FixedControlFit, ...]:
+    """Control functions in every fixed-point format that the design asks for.
+
+    Errors as `fit_control`.
+    """
+    widths = [FIXED_WIDTHS[name] for name in design.export.control if name in FIXED_WIDTHS]
+    return tuple(fit_control(design, loops, observer, width) for width in widths)
+
+
+def _bases(design: Design) -> tuple[float, float, float, float]:
+    bases = design.control.bases
+    return bases.current, bases.voltage, bases.speed, bases.torque
+
+
+def _require_bases(design: Design) -> None:
+    bases, speed = design.control.bases, design.machine.omega_m_max
+    if design.i_max > bases.current * (1.0 + 1e-9):
+        raise InputError(
+            f"control.per_unit.current: {bases.current:.4g} A is full scale in fixed point, but "
+            f"the current limit is {design.i_max:.4g} A; write current: {design.i_max * 1.25:.3g} A"
+        )
+    if speed is not None and speed > bases.speed * (1.0 + 1e-9):
+        rpm = 30.0 / math.pi
+        raise InputError(
+            f"control.per_unit.speed: {bases.speed * rpm:.5g} rpm is full scale in fixed point, "
+            f"but the largest speed is {speed * rpm:.5g} rpm; write speed: "
+            f"{speed * rpm * 1.25:.4g} rpm"
+        )
+    if design.inverter.v_dc * DC_HEADROOM > bases.voltage * 2**_MOST_DC_SCALE:
+        raise InputError(
+            f"control.per_unit.voltage: {bases.voltage:.4g} V is too small a base for a dc link of"
+            f" {design.inverter.v_dc:.4g} V in fixed point;"
+            f" write voltage: {design.inverter.v_dc / math.sqrt(3.0):.4g} V"
+        )
+
+
+def _modulation(design: Design) -> ModulationName:
+    name = design.operation.modulation
+    if name not in FIXED_MODULATORS:
+        raise InputError(
+            f"export.control: {name} is not there in fixed point, it needs the angle of the "
+            "current; write operation.modulation: ddt-gdpwm, or export.control: float32"
+        )
+    return name
+
+
+def _dc_scale(design: Design) -> int:
+    ratio = design.inverter.v_dc * DC_HEADROOM / design.control.bases.voltage
+    return max(0, math.ceil(math.log2(ratio)))
+
+
+def _dc_base(design: Design) -> float:
+    return design.control.bases.voltage * 2.0 ** _dc_scale(design)
+
+
+def _limit(design: Design) -> float:
+    return LINEAR_LIMITS[design.operation.modulation] * 2.0 ** _dc_scale(design)
+
+
+def _advance(design: Design) -> float:
+    """Share of a turn in 1.5 samples at full speed, between codes of half
+    a turn and of full speed.
+    """
+    turns = (
+        1.5
+        * design.control.t_s
+        * design.machine.pole_pairs
+        * design.control.bases.speed
+        / (2.0 * math.pi)
+    )
+    return 2.0 * turns
+
+
+def _precise(name: str, value: float, width: int, argument: int) -> FixedGain:
+    """A gain in the best format, refused where even that is coarse."""
+    try:
+        gain = quantise(value, width, argument)
+    except NoSolutionError as error:
+        raise NoSolutionError(f"fixed point: {name}: {error}") from None
+    if abs(gain.error) > _LARGEST_ERROR:
+        raise NoSolutionError(
+            f"fixed point: {name} {value:.4g} is rounded by {gain.error:+.1%} in {width} bits; use "
+            "other bases"
+        )
+    return gain
+
+
+def _loop(
+    design: Design, gains: LoopGains, width: int, current_gains: LoopGains
+) -> tuple[QuantisedLoop, dict[PiForm, FixedPi]]:
+    """Integers of a loop in both forms, and what they do to it."""
+    control = design.control
+    section = control.speed_loop if gains.loop == "speed" else control.current_loop
+    formats = None if section is None else section.q_formats
+    kp, ki_ts = real_pi(design, gains)
+    tracking = gains.anti_windup * gains.t_s
+    forms: dict[PiForm, FixedPi] = {}
+    for form in ("parallel", "velocity"):
+        asked = formats if width == 16 else None
+        found = None
+        if asked is not None and asked != "auto":
+            found = _in_formats(gains.loop, (kp, ki_ts, tracking), asked, form)
+        forms[form] = found or _automatic(gains.loop, (kp, ki_ts, tracking), width, form)
+    shown = forms["parallel"]
+    plain = FixedGain(shown.ki.mantissa, shown.ki.shift + shown.fraction, ki_ts)
+    loop = quantised_loop(design, gains, (shown.kp, plain), width, current_gains)
+    return loop, forms
+
+
+def _automatic(name: str, values: tuple[float, float, float], width: int, form: PiForm) -> FixedPi:
+    """Mantissas that use the word, and the most fractional bits of the state."""
+    kp, ki_ts, tracking = values
+    error, top = 2**width - 1, 2 ** (width - 1)
+    proportional = _precise(f"kp of {name}", kp, width, error)
+    found = None
+    for fraction in range(width - 2, -1, -1):
+        scale = 2.0**fraction
+        try:
+            ki = quantise(ki_ts * scale, width, error)
+            back = quantise(tracking * scale, width, top)
+        except NoSolutionError:
+            continue
+        found = FixedPi(proportional, ki, back, fraction)
+        if pi_ranges(width, name, found, form).overflowing() is None:
+            return found
+    if found is None:
+        raise NoSolutionError(
+            f"fixed point: ki t_s of {name}, {ki_ts:.4g} per unit, has no format of {width} bits; "
+            "use other bases"
+        )
+    require(pi_ranges(width, name, found, form))
+    raise AssertionError  # the ranges of the last trial overflow
+
+
+def _in_formats(
+    name: str, values: tuple[float, float, float], formats: tuple[int, int], form: PiForm
+) -> FixedPi:
+    """The integers of 16 bits in the formats of the design.
+
+    Names the smallest change that would hold.
+    """
+    kp, ki_ts, tracking = values
+    whole = FixedPi(
+        given(kp, formats[0]), given(ki_ts, formats[1]), quantise(tracking, 16, 2**15), 0
+    )
+    found = finest(16, name, whole, form, formats[1])
+    if found is not None:
+        return found
+    trial = with_fraction(whole, 0)
+    assert trial is not None
+    section = "speed_loop" if name == "speed" else "current_loop"
+    require(pi_ranges(16, name, trial, form), _cure(name, values, formats, form, section))
+    raise AssertionError  # some fraction would have held
+
+
+def _cure(
+    name: str,
+    values: tuple[float, float, float],
+    formats: tuple[int, int],
+    form: PiForm,
+    section: str,
+) -> str:
+    """Formats with the fewest bits less that hold, as advice."""
+    limits = [range(bits, -1, -1) for bits in formats]
+    pairs = sorted(((m, n) for m in limits[0] for n in limits[1]), key=lambda pair: -sum(pair))
+    for pair in pairs:
+        try:
+            whole = FixedPi(
+                given(values[0], pair[0]),
+                given(values[1], pair[1]),
+                quantise(values[2], 16, 2**15),
+                0,
+            )
+        except NoSolutionError:
+            continue
+        if finest(16, name, whole, form, pair[1]) is not None:
+            return f"write control.{section}.q_formats: [{pair[0]}, {pair[1]}]"
+    return (
+        "no format of 16 bits holds; use larger bases in control.per_unit, or smaller gains in "
+        f"control.{section}"
+    )
+
+
+def _decoupling(design: Design, width: int) -> FixedDecoupling:
+    current, voltage, speed, _ = _bases(design)
+    omega_e, found = design.machine.pole_pairs * speed, decoupling(design.machine)
+    argument = 2 ** (width - 1)
+    return FixedDecoupling(
+        x_d=_precise("decoupling l_d", omega_e * found.l_d * current / voltage, width, argument),
+        x_q=_precise("decoupling l_q", omega_e * found.l_q * current / voltage, width, argument),
+        back_emf=_precise("decoupling psi", omega_e * found.psi_pm / voltage, width, argument),
+    )
+
+
+def _observer(design: Design, observer: ReducedOrderObserver, width: int) -> FixedObserver:
+    """Coefficients per unit with the most fractional bits of zeta."""
+    current, voltage, speed, _ = _bases(design)
+    c = observer.c * current / speed
+    reach = max(2, 2 ** math.ceil(math.log2(1.0 + abs(c))))
+    x_d = _decoupling(design, width).x_d
+    code, error = 2 ** (width - 1), 2**width - 1
+    fault: NoSolutionError | None = None
+    for fraction in range(width - 2, -1, -1):
+        scale = 2.0**fraction
+        try:
+            found = FixedObserver(
+                decay=_precise("observer 1 - a", (1.0 - observer.a) * scale, width, reach * code),
+                b_u=_precise("observer b_u", observer.b_u * voltage / speed * scale, width, error),
+                b_i=_precise("observer b_i", observer.b_i * current / speed * scale, width, code),
+                c=_precise("observer c", c, width, code),
+                x_d=x_d,
+                fraction=fraction,
+                reach=reach,
+            )
+            require(observer_ranges(width, found))
+        except NoSolutionError as error_found:
+            fault = error_found
+            continue
+        return found
+    assert fault is not None
+    raise fault

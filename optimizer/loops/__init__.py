@@ -1,0 +1,1 @@
+"""Current and speed loops: gains, margins, tolerances."""

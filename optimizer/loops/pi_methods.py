@@ -1,0 +1,182 @@
+"""Named PI tuning methods: their formulas, and what each can be asked to do
+when its loop does not hold.
+
+Formulas are the common ones of drive practice (docs/current-and-speed-loops.md has the sources);
+nothing here knows the sampled loop. `dqforge.optimizer.loops.gains` checks the gains on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSettings
+from dqforge.machines.errors import InputError, NoSolutionError
+
+Settings = TypeVar("Settings", CurrentLoopSettings, SpeedLoopSettings)
+
+
+CURRENT_DELAY = 1.5  # sampling periods: one of computation, half of one from the zero-order hold
+
+
+SEARCH_HALVINGS = 40
+
+
+SEARCH_BISECTIONS = 14  # the factor is then known to better than the three digits that are printed
+
+
+def need(value: float | None, key: str, method: str) -> float:
+    """Return a setting that the method cannot do without."""
+    if value is None:
+        raise InputError(f"{key} is missing: method '{method}' needs it")
+    if not (value > 0.0 and np.isfinite(value)):
+        raise InputError(f"{key} must be positive and finite, got {value:g}")
+    return value
+
+
+def current_pi(
+    r_s: float, inductance: float, t_s: float, settings: CurrentLoopSettings
+) -> tuple[float, float]:
+    """Gains (kp in V/A, ki in V/(A s)) of one axis, before any check of the loop.
+
+        bandwidth            kp = w L             ki = w R               (pole cancelled; w crossover without delay)
+        damping              kp = 2 xi w L - R    ki = w^2 L             (poles of s^2 + 2 xi w s + w^2)
+        magnitude-optimum    kp = L/(2 T)         ki = kp R/L            T = 1.5 t_s
+        symmetrical-optimum  kp = L/(a T)         ki = kp/(a^2 T)        T = 1.5 t_s, spread a
+
+    ``r_s`` in Ohm, ``inductance`` in H, ``t_s`` in s.
+    """
+    method, key, t_sum = settings.method, "control.current_loop", CURRENT_DELAY * t_s
+    if method == "given":
+        return need(settings.kp, f"{key}.kp", method), need(settings.ki, f"{key}.ki", method)
+    if method == "magnitude-optimum":
+        kp = inductance / (2.0 * t_sum)
+        return kp, kp * r_s / inductance
+    if method == "symmetrical-optimum":
+        spread = need(settings.spread, f"{key}.spread", method)
+        kp = inductance / (spread * t_sum)
+        return kp, kp / (spread**2 * t_sum)
+    omega = need(settings.bandwidth, f"{key}.bandwidth", method)
+    if method == "bandwidth":
+        return omega * inductance, omega * r_s
+    damping = need(settings.damping, f"{key}.damping", method)
+    return 2.0 * damping * omega * inductance - r_s, omega**2 * inductance
+
+
+def speed_pi(
+    inertia: float, friction: float, t_sum: float, settings: SpeedLoopSettings
+) -> tuple[float, float]:
+    """Gains (kp in N m s/rad, ki in N m/rad) of the speed loop, before any check of the loop.
+
+        bandwidth            kp = w J             ki = kp w/4
+        damping              kp = 2 xi w J - B    ki = w^2 J             (poles of s^2 + 2 xi w s + w^2)
+        symmetrical-optimum  kp = J/(a T)         ki = kp/(a^2 T)        T = t_sum, spread a
+
+    With ki = kp w/4 and B = 0 the loop without delays has the double pole s^2 + w s + w^2/4 = (s +
+    w/2)^2: the fastest integral action that leaves the poles real.
+
+    Parameters
+    ----------
+    inertia, friction:
+        J in kg m^2, B in N m s/rad.
+    t_sum:
+        Sum of the small delays in s, see `speed_delay`.
+    """
+    method, key = settings.method, "control.speed_loop"
+    if method == "given":
+        return need(settings.kp, f"{key}.kp", method), need(settings.ki, f"{key}.ki", method)
+    if method == "symmetrical-optimum":
+        spread = need(settings.spread, f"{key}.spread", method)
+        kp = inertia / (spread * t_sum)
+        return kp, kp / (spread**2 * t_sum)
+    omega = need(settings.bandwidth, f"{key}.bandwidth", method)
+    if method == "bandwidth":
+        return omega * inertia, 0.25 * omega**2 * inertia
+    damping = need(settings.damping, f"{key}.damping", method)
+    return 2.0 * damping * omega * inertia - friction, omega**2 * inertia
+
+
+def require_positive(
+    key: str,
+    loop: str,
+    settings: CurrentLoopSettings | SpeedLoopSettings,
+    gains: tuple[float, float],
+    rate: float,
+) -> None:
+    """Refuse gains that are not positive and finite; ``rate`` in rad/s is R/(2 L) or B/(2 J)."""
+    kp, ki = gains
+    if kp > 0.0 and ki > 0.0 and np.isfinite(kp) and np.isfinite(ki):
+        return
+    reached = (
+        f"{key}: method '{settings.method}' gives the {loop} loop kp = {kp:.4g} and ki = {ki:.4g}"
+    )
+    if settings.method == "damping" and kp <= 0.0:
+        least = rate / settings.damping
+        raise NoSolutionError(
+            f"{reached}; kp is positive from {key}.bandwidth above {_rate_text(least, up=True)}"
+        )
+    raise NoSolutionError(
+        f"{reached}; both must be positive and finite: use another method, or check the machine"
+    )
+
+
+def calmer(settings: Settings, factor: float) -> Settings:
+    """Make the same settings ask for a calmer loop (factor below one)."""
+    if settings.method == "given":
+        kp, ki = need(settings.kp, "kp", "given"), need(settings.ki, "ki", "given")
+        return replace(settings, kp=kp * factor, ki=ki * factor)
+    if settings.method == "symmetrical-optimum":
+        return replace(settings, spread=settings.spread / factor)
+    if settings.method == "optimised":
+        return replace(settings, max_sensitivity=1.0 + (settings.max_sensitivity - 1.0) * factor)
+    return replace(
+        settings, bandwidth=need(settings.bandwidth, "bandwidth", settings.method) * factor
+    )
+
+
+def largest_factor(holds: Callable[[float], bool]) -> float | None:
+    """Largest factor below one for which the loop holds, to three digits on the safe side,
+    or None.
+    """
+    high, low = 1.0, 0.5
+    for _ in range(SEARCH_HALVINGS):
+        if holds(low):
+            break
+        high, low = low, 0.5 * low
+    else:
+        return None
+    for _ in range(SEARCH_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
+
+def _three_digits(value: float, *, up: bool) -> float:
+    """Three significant digits, rounded up or down."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - 2)
+    rounded = np.ceil(value / unit - 1e-9) if up else np.floor(value / unit + 1e-9)
+    return float(rounded * unit)
+
+
+def _rate_text(omega: float, *, up: bool) -> str:
+    rounded = _three_digits(omega, up=up)
+    return f"{rounded:.6g} rad/s ({rounded / (2.0 * np.pi):.3g} Hz)"
+
+
+def advice(key: str, settings: CurrentLoopSettings | SpeedLoopSettings, factor: float) -> str:
+    """Say what to write for a loop that holds, given the factor from `largest_factor`."""
+    if settings.method == "given":
+        return f"multiply {key}.kp and {key}.ki by {_three_digits(factor, up=False):.6g} or less"
+    if settings.method == "symmetrical-optimum":
+        return (
+            f"it holds from {key}.spread = {_three_digits(settings.spread / factor, up=True):.6g} "
+            "upwards"
+        )
+    if settings.method == "optimised":
+        largest = 1.0 + _three_digits((settings.max_sensitivity - 1.0) * factor, up=False)
+        return f"it holds from {key}.max_sensitivity = {largest:.6g} downwards"
+    limit = _rate_text(need(settings.bandwidth, "bandwidth", settings.method) * factor, up=False)
+    return f"method '{settings.method}' holds up to {key}.bandwidth = {limit}"

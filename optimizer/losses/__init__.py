@@ -1,0 +1,1 @@
+"""Loss comparisons at points, over maps and missions."""

@@ -1,0 +1,331 @@
+"""Strategies, modulators and carrier frequencies compared at any number of
+points of torque and speed.
+
+The currents are those that the reference of a strategy produces within the limits: field weakening
+for the linear range of each modulator, less what dead time takes of it at each frequency, with what
+AC resistance, iron and a warm winding add to the voltage. Each point names the alternative that
+loses least there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dqforge.machines.arrays import BoolArray, FloatArray
+from dqforge.machines.design.settings import LossStrategy
+from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.errors import InputError
+from dqforge.machines.losses.machine_budget import machine_budget
+from dqforge.machines.modulation.dead_time import dead_time_factor
+from dqforge.machines.modulation.modulators import linear_limit
+from dqforge.machines.names import ModulationName
+from dqforge.optimizer.losses.drive_budget import (
+    BudgetOptions,
+    DriveBudget,
+    drive_budget,
+    stacked_budgets,
+)
+from dqforge.optimizer.operating_points.current_choice import CurrentChoice
+from dqforge.optimizer.operating_points.local_terms import LossCoefficients
+from dqforge.optimizer.operating_points.loss_model import loss_coefficients
+from dqforge.optimizer.operating_points.points import optimal_points
+
+_EQUAL_LOSS = 1e-9
+
+
+_WARM = 100.0
+
+"""Junction temperature in degC at which ``least-loss`` takes the on resistance."""
+
+
+_ROUNDS = 6
+
+
+_EXCESS, _AIM = 1e-7, 1e-6
+
+"""Excess of the voltage that is corrected, and by how much the correction goes further."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alternatives:
+    """What is compared: S strategies, M modulators, F carrier frequencies in Hz."""
+
+    strategies: tuple[LossStrategy, ...]
+    modulations: tuple[ModulationName, ...]
+    frequencies: tuple[float, ...]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(S, M, F)."""
+        return len(self.strategies), len(self.modulations), len(self.frequencies)
+
+    def label(self, index: int) -> tuple[LossStrategy, ModulationName, float]:
+        """Strategy, modulator and frequency of a flat index."""
+        s, m, f = np.unravel_index(index, self.shape)
+        return self.strategies[int(s)], self.modulations[int(m)], self.frequencies[int(f)]
+
+
+@dataclass(frozen=True, slots=True)
+class DriveComparison:
+    """Budgets of all alternatives at P points.
+
+    Parameters
+    ----------
+    alternatives:
+        Labels of the first three axes.
+    torque, omega_m:
+        What is asked for, in N m and rad/s, shape (P,).
+    budget:
+        Arrays of the shape (S, M, F, P).
+    reached:
+        Whether the currents make the torque within the limits, shape (S, M, F, P).
+    best:
+        Flat index of the usable alternative that loses least, shape (P,), or -1;
+        of equal ones the first.
+    """
+
+    alternatives: Alternatives
+    torque: FloatArray
+    omega_m: FloatArray
+    budget: DriveBudget
+    reached: BoolArray
+    best: NDArray[np.intp]
+
+    @property
+    def usable(self) -> BoolArray:
+        """Where an alternative makes the torque, its voltage can be made and its
+        temperatures are permitted.
+        """
+        return self.reached & self.budget.feasible
+
+
+def strategy_currents(
+    machine: Machine,
+    strategy: LossStrategy,
+    torque: FloatArray,
+    omega_m: FloatArray,
+    *,
+    v_max: float,
+    i_max: float,
+    options: BudgetOptions,
+    loss: LossCoefficients | None = None,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Currents (i_d, i_q) in A of a strategy, and whether they make the torque, shape (P,) each.
+
+    Parameters
+    ----------
+    machine, strategy:
+        The machine and how its currents are chosen.
+    torque, omega_m:
+        In N m and rad/s, shape (P,).
+    v_max, i_max:
+        Limits in V (phase amplitude) and A (peak).
+    options:
+        What else drops voltage; the field is weakened for it, too.
+    loss:
+        What ``least-loss`` minimises.
+    """
+    if strategy == "id0":
+        if machine.psi_pm == 0.0:
+            return np.zeros(torque.shape), np.zeros(torque.shape), torque == 0.0
+        points = CurrentChoice(machine, "id0", i_max).points(torque)
+        return points.i_d, points.i_q, ~points.limited
+    volts = np.full(torque.shape, v_max)
+    found = optimal_points(machine, torque, omega_m, v_max=volts, i_max=i_max, loss=loss)
+    i_d, i_q, reached = found.i_d.copy(), found.i_q.copy(), found.reached.copy()
+    for _ in range(_ROUNDS):
+        made = machine_budget(
+            machine, i_d, i_q, omega_m, loss=options.machine_loss, heat=options.winding
+        )
+        amplitude = np.hypot(made.v_d, made.v_q)
+        (over,) = np.nonzero(made.steady & (amplitude > v_max * (1.0 + _EXCESS)))
+        if not over.size:
+            break
+        volts[over] *= v_max / amplitude[over] * (1.0 - _AIM)
+        part = None if loss is None else _chosen(loss, torque.shape, over)
+        again = optimal_points(
+            machine, torque[over], omega_m[over], v_max=volts[over], i_max=i_max, loss=part
+        )
+        i_d[over], i_q[over], reached[over] = again.i_d, again.i_q, again.reached
+    return i_d, i_q, reached
+
+
+def _chosen(
+    loss: LossCoefficients, shape: tuple[int, ...], places: NDArray[np.intp]
+) -> LossCoefficients:
+    columns = [
+        np.broadcast_to(values, shape)[places] for values in (loss.square, loss.linear, loss.iron)
+    ]
+    return LossCoefficients(*columns)
+
+
+def compare_drives(
+    machine: Machine,
+    inverter: Inverter,
+    torque: ArrayLike,
+    omega_m: ArrayLike,
+    alternatives: Alternatives,
+    *,
+    i_max: float,
+    options: BudgetOptions | None = None,
+    margin: float = 0.0,
+) -> DriveComparison:
+    """Budgets of every strategy with every modulator at every frequency, at P points.
+
+    Parameters
+    ----------
+    machine, inverter:
+        The drive; the inverter with a device.
+    torque, omega_m:
+        In N m and rad/s, shape (P,) each.
+    alternatives:
+        What is compared.
+    i_max:
+        Current limit in A (peak).
+    options:
+        What else is counted.
+    margin:
+        Share of the voltage that is kept free for control.
+
+    Raises
+    ------
+    InputError
+        There is nothing to compare, or a strategy cannot drive the machine.
+    """
+    if 0 in alternatives.shape:
+        raise InputError(
+            "loss comparison: give a strategy, a modulator and a carrier frequency at least"
+        )
+    wanted, speed = np.broadcast_arrays(
+        np.asarray(torque, np.float64), np.asarray(omega_m, np.float64)
+    )
+    wanted, speed = wanted.ravel(), speed.ravel()
+    chosen = BudgetOptions() if options is None else options
+    budgets, reached = [], []
+    for strategy in alternatives.strategies:
+        parts = _strategy(
+            machine, inverter, wanted, speed, strategy, alternatives, i_max, chosen, margin
+        )
+        budgets.append(parts[0])
+        reached.append(parts[1])
+    budget = stacked_budgets(budgets, 0)
+    made = np.stack(reached)
+    return DriveComparison(
+        alternatives,
+        wanted,
+        speed,
+        budget,
+        made,
+        least(np.where(made & budget.feasible, budget.total, np.inf)),
+    )
+
+
+def least(total: FloatArray) -> NDArray[np.intp]:
+    """Flat index over the first three axes of the least total (S, M, F, P), shape (P,);
+    -1 where all are infinite.
+
+    Of values that differ by rounding alone the first is taken.
+    """
+    flat = total.reshape(-1, total.shape[-1])
+    smallest = np.min(flat, axis=0)
+    first = np.argmax(flat <= smallest * (1.0 + _EQUAL_LOSS), axis=0)
+    return np.where(np.isfinite(smallest), first, -1)
+
+
+def _strategy(
+    machine: Machine,
+    inverter: Inverter,
+    torque: FloatArray,
+    omega_m: FloatArray,
+    strategy: LossStrategy,
+    alternatives: Alternatives,
+    i_max: float,
+    options: BudgetOptions,
+    margin: float,
+) -> tuple[DriveBudget, BoolArray]:
+    """Budgets (M, F, P) of one strategy, and where its currents make the torque."""
+    names, frequencies = alternatives.modulations, alternatives.frequencies
+    if strategy != "least-loss" and inverter.dead_time == 0.0:
+        i_d, i_q, made = _currents(
+            machine, inverter, torque, omega_m, strategy, names, i_max, options, margin
+        )
+        budget = drive_budget(
+            machine, inverter, i_d, i_q, omega_m, names, frequencies, options=options
+        )
+        return budget, np.repeat(made[:, None], len(frequencies), axis=1)
+    budgets, reached = [], []
+    for frequency in frequencies:
+        carried = _at_frequency(inverter, frequency)
+        i_d, i_q, made = _currents(
+            machine, carried, torque, omega_m, strategy, names, i_max, options, margin
+        )
+        budgets.append(drive_budget(machine, carried, i_d, i_q, omega_m, names, options=options))
+        reached.append(made)
+    return _joined(budgets), np.stack(reached, axis=1)
+
+
+def usable_limit(inverter: Inverter, name: ModulationName, margin: float = 0.0) -> float:
+    """Largest phase amplitude in V: linear range of the modulator less dead time and a
+    margin (0 to 1) for control.
+    """
+    left = float(dead_time_factor(name, inverter.dead_time, inverter.f_sw))
+    return linear_limit(name, inverter.v_dc) * left * (1.0 - margin)
+
+
+def _currents(
+    machine: Machine,
+    inverter: Inverter,
+    torque: FloatArray,
+    omega_m: FloatArray,
+    strategy: LossStrategy,
+    names: Sequence[ModulationName],
+    i_max: float,
+    options: BudgetOptions,
+    margin: float,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Currents (M, P) of one strategy at the inverter's frequency, and where they make the
+    torque.
+    """
+    rows: dict[tuple[float, ModulationName | None], tuple[FloatArray, FloatArray, BoolArray]] = {}
+    keys = []
+    for name in names:
+        v_max = usable_limit(inverter, name, margin)
+        # What least loss minimises depends on the modulator, the others on its limit alone.
+        key = (v_max, name if strategy == "least-loss" else None)
+        keys.append(key)
+        if key in rows:
+            continue
+        loss = None
+        if strategy == "least-loss":
+            loss = loss_coefficients(
+                machine,
+                omega_m,
+                inverter,
+                extra=options.machine_loss,
+                modulation=name,
+                junction_temperature=_WARM,
+            )
+        rows[key] = strategy_currents(
+            machine, strategy, torque, omega_m, v_max=v_max, i_max=i_max, options=options, loss=loss
+        )
+    i_d, i_q = (np.stack([rows[key][k] for key in keys]) for k in (0, 1))
+    return i_d.astype(np.float64), i_q.astype(np.float64), np.stack([rows[key][2] for key in keys])
+
+
+def _at_frequency(inverter: Inverter, frequency: float) -> Inverter:
+    from dataclasses import replace
+
+    return replace(inverter, f_sw=frequency)
+
+
+def _joined(budgets: Sequence[DriveBudget]) -> DriveBudget:
+    """Budgets (M, 1, P) of single frequencies as one (M, F, P)."""
+    names = [part.name for part in fields(DriveBudget)]
+    return DriveBudget(
+        **{name: np.concatenate([getattr(b, name) for b in budgets], axis=1) for name in names}
+    )

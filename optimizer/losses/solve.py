@@ -1,0 +1,66 @@
+"""The loss comparisons that a design asks for."""
+
+from __future__ import annotations
+
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.numerical import on_design
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.losses.drive_budget import BudgetOptions
+from dqforge.optimizer.losses.drive_comparison import Alternatives
+from dqforge.optimizer.losses.mission_budget import MissionComparison, compare_mission
+from dqforge.optimizer.losses.point_comparison import LossComparison, compare_points
+
+
+@on_design("losses")
+def solve_losses(design: Design) -> LossComparison | None:
+    """Loss comparison of the design, or None where it asks for none.
+
+    What a strategy cannot make within the limits is marked in the comparison,
+    and so are junctions that run away.
+    """
+    losses = design.losses
+    if losses is None or not losses.points:
+        return None
+    return compare_points(
+        design.machine,
+        design.inverter,
+        losses,
+        i_max=design.i_max,
+        options=BudgetOptions(design.machine_loss, design.winding, design.inverter.capacitor_esr),
+        margin=design.operation.voltage_margin,
+    )
+
+
+@on_design("losses")
+def require_losses(design: Design) -> LossComparison:
+    """Loss comparison of the design; raises `InputError` where it asks for none."""
+    found = solve_losses(design)
+    if found is None:
+        raise InputError(
+            "the design asks for no comparison; add a section 'losses' with 'points', or ask with "
+            "--map or --mission"
+        )
+    return found
+
+
+@on_design("losses.mission")
+def solve_mission(design: Design) -> MissionComparison | None:
+    """Energies over the mission of the design, None where it names none.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        As `compare_mission`.
+    """
+    losses = design.losses
+    if losses is None or losses.mission is None:
+        return None
+    return compare_mission(
+        design.machine,
+        design.inverter,
+        losses.mission,
+        Alternatives(losses.strategies, losses.modulations, (design.inverter.f_sw,)),
+        i_max=design.i_max,
+        options=BudgetOptions(design.machine_loss, design.winding, design.inverter.capacitor_esr),
+        margin=design.operation.voltage_margin,
+    )

@@ -1,0 +1,1 @@
+"""The best modulator and carrier over torque and speed."""

@@ -1,0 +1,233 @@
+"""From a map of best choices to a rule that firmware can hold: a few thresholds,
+with what the simplification costs.
+
+At every operating point some alternative (modulator and switching frequency) loses least. A rule
+asks one or two questions, "is this quantity at least that threshold?", and takes one alternative
+for each answer. Among all such trees the one with the least mean loss is found by exhaustion: for
+every first question the best second ones on both sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.errors import NoSolutionError
+
+_FORBIDDEN = 1e6
+
+"""What an alternative that is not permitted counts, in units of the largest permitted loss."""
+
+
+_THRESHOLDS = 48
+
+"""Thresholds per quantity that are tried: quantiles of its values at the points."""
+
+
+_WORTH = 1e-9
+
+"""Share of the mean loss that a further question must save."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leaf:
+    """Take this alternative, an index into those compared."""
+
+    choice: int
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """Is ``quantity`` at least ``threshold`` (in its unit)? Then ``above``, else ``below``."""
+
+    quantity: str
+    threshold: float
+    below: Leaf | Question
+    above: Leaf | Question
+
+
+Rule = Leaf | Question
+
+
+@dataclass(frozen=True, slots=True)
+class SimplifiedChoice:
+    """A rule with its price.
+
+    ``mean_loss`` and ``best_loss`` in W are the weighted means over the points of what the rule
+    takes and of what the best alternative at every point would; ``permitted`` is false where no
+    rule keeps all limits at every point.
+    """
+
+    rule: Rule
+    mean_loss: float
+    best_loss: float
+    permitted: bool
+
+    @property
+    def price(self) -> float:
+        """What the simplification costs, relative to the mean loss of the best alternatives."""
+        return self.mean_loss / self.best_loss - 1.0 if self.best_loss > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Split:
+    """Best single question about some points: its quantity and threshold, or None,
+    and the loss that is left.
+    """
+
+    quantity: str | None
+    threshold: float
+    loss: float
+
+
+def decide(rule: Rule, quantities: Mapping[str, FloatArray]) -> NDArray[np.intp]:
+    """Alternatives that a rule takes at points, shape (N,), for quantities of that shape by
+    name.
+    """
+    if isinstance(rule, Leaf):
+        shape = np.shape(next(iter(quantities.values())))
+        return np.full(shape, rule.choice, dtype=np.intp)
+    asked = quantities[rule.quantity] >= rule.threshold
+    return np.where(asked, decide(rule.above, quantities), decide(rule.below, quantities))
+
+
+def leaves(rule: Rule) -> int:
+    """Number of alternatives that a rule distinguishes."""
+    return 1 if isinstance(rule, Leaf) else leaves(rule.below) + leaves(rule.above)
+
+
+class _Points:
+    """Losses by point and alternative, and every quantity with its thresholds and the
+    order of the points in it.
+    """
+
+    def __init__(self, loss: FloatArray, quantities: Mapping[str, FloatArray]) -> None:
+        self.loss = loss
+        self.quantities = {
+            name: np.asarray(values, dtype=np.float64) for name, values in quantities.items()
+        }
+        self.thresholds = {name: _thresholds(values) for name, values in self.quantities.items()}
+
+    def leaf(self, here: NDArray[np.bool_]) -> Leaf:
+        """Alternative with the least loss over some points."""
+        return Leaf(int(np.argmin(np.sum(self.loss[here], axis=0))))
+
+    def split(self, here: NDArray[np.bool_]) -> _Split:
+        """The best question about some points."""
+        loss = self.loss[here]
+        best = _Split(
+            None, 0.0, float(np.min(np.sum(loss, axis=0), initial=np.inf)) if here.any() else 0.0
+        )
+        for name, values in self.quantities.items():
+            inside = values[here]
+            order = np.argsort(inside, kind="stable")
+            sums = np.concatenate([np.zeros((1, loss.shape[1])), np.cumsum(loss[order], axis=0)])
+            place = np.searchsorted(inside[order], self.thresholds[name], side="left")
+            split = np.min(sums[place], axis=1) + np.min(sums[-1] - sums[place], axis=1)
+            at = int(np.argmin(split)) if split.size else -1
+            if at >= 0 and split[at] < best.loss * (1.0 - _WORTH):
+                best = _Split(name, float(self.thresholds[name][at]), float(split[at]))
+        return best
+
+    def tree(self, here: NDArray[np.bool_], split: _Split) -> Rule:
+        """The question of a split with the best alternatives behind it."""
+        if split.quantity is None:
+            return self.leaf(here)
+        above = self.quantities[split.quantity] >= split.threshold
+        return Question(
+            split.quantity, split.threshold, self.leaf(here & ~above), self.leaf(here & above)
+        )
+
+
+def _thresholds(values: FloatArray) -> FloatArray:
+    """Thresholds between neighbouring values, thinned to quantiles, rounded
+    where that crosses no value.
+    """
+    steps = np.unique(values)
+    between = 0.5 * (steps[1:] + steps[:-1])
+    if between.size > _THRESHOLDS:
+        between = between[
+            np.unique(np.linspace(0, between.size - 1, _THRESHOLDS).round().astype(int))
+        ]
+    rounded = np.array([float(f"{value:.3g}") for value in between])
+    same = np.searchsorted(steps, rounded, side="left") == np.searchsorted(
+        steps, between, side="left"
+    )
+    return np.where(same, rounded, between)
+
+
+def simplify(
+    loss: FloatArray,
+    permitted: NDArray[np.bool_],
+    quantities: Mapping[str, FloatArray],
+    weights: FloatArray | None = None,
+    questions: int = 2,
+) -> SimplifiedChoice:
+    """Rule with the least mean loss.
+
+    Parameters
+    ----------
+    loss:
+        Total loss in W, shape (N, C) for N operating points and C alternatives.
+    permitted:
+        Where an alternative keeps all limits, shape (N, C).
+    quantities:
+        What the firmware knows at a point, each of shape (N,), by names that are
+        C identifiers with units.
+    weights:
+        Share of time at each point, shape (N,); None for all alike.
+    questions:
+        Depth of the tree: 0 (one alternative everywhere), 1 or 2 (up to four alternatives).
+
+    Raises
+    ------
+    NoSolutionError
+        At some point no alternative keeps the limits.
+    """
+    if not bool(np.all(np.any(permitted, axis=1))):
+        point = int(np.argmin(np.any(permitted, axis=1)))
+        raise NoSolutionError(
+            f"at operating point {point + 1} no alternative keeps all limits; permit more"
+        )
+    share = (
+        np.full(loss.shape[0], 1.0 / loss.shape[0])
+        if weights is None
+        else weights / np.sum(weights)
+    )
+    largest = float(np.max(loss, where=permitted, initial=0.0))
+    counted = np.where(permitted, loss, _FORBIDDEN * max(largest, 1.0))
+    points = _Points(counted * np.maximum(share, 1e-12)[:, np.newaxis], quantities)
+    everywhere = np.ones(loss.shape[0], dtype=np.bool_)
+    rule: Rule = points.leaf(everywhere)
+    if questions == 1:
+        rule = points.tree(everywhere, points.split(everywhere))
+    elif questions > 1:
+        rule = _two_questions(points, everywhere)
+    rows = np.arange(loss.shape[0])
+    chosen = decide(rule, points.quantities)
+    mean = float(share @ np.where(permitted[rows, chosen], loss[rows, chosen], np.inf))
+    best = float(share @ np.min(np.where(permitted, loss, np.inf), axis=1))
+    fallback = float(share @ loss[rows, chosen])
+    kept = bool(np.all(permitted[rows, chosen]))
+    return SimplifiedChoice(rule, mean if kept else fallback, best, kept)
+
+
+def _two_questions(points: _Points, everywhere: NDArray[np.bool_]) -> Rule:
+    """Best tree of depth two: every first question with the best second ones."""
+    first = points.split(everywhere)
+    best, least = points.tree(everywhere, first), first.loss
+    for name, values in points.quantities.items():
+        for threshold in points.thresholds[name].tolist():
+            above = values >= threshold
+            splits = points.split(~above), points.split(above)
+            loss = splits[0].loss + splits[1].loss
+            if loss < least * (1.0 - _WORTH):
+                least = loss
+                best = Question(
+                    name, threshold, points.tree(~above, splits[0]), points.tree(above, splits[1])
+                )
+    return best

@@ -1,0 +1,1 @@
+"""Observers of speed and position: design, judgement, proof."""

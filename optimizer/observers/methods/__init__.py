@@ -1,0 +1,1 @@
+"""One module for each method of observing the position."""

@@ -1,0 +1,243 @@
+"""The extended Kalman filter over machine and rotor: tuning, gains and step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.optimizer.observers.methods.ekf_tuning import tuned_ekf, usual_noise
+from dqforge.optimizer.observers.methods.kalman_model import Ekf
+from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair, Reals, park
+from dqforge.optimizer.observers.sampled_gains import (
+    SampledGains,
+    entries_at,
+    limited,
+    next_currents,
+    sampled_gains,
+    slopes_at,
+)
+from dqforge.optimizer.observers.tuning_numbers import (
+    USUAL_SHARE_OF_SPEED,
+    USUAL_WIDTH,
+    ObserverTuning,
+)
+
+
+def usual_ekf(_: LinearMachine, t_s: float, omega_max: float) -> ObserverTuning:
+    """Nothing of it is used: the filter is tuned by its innovations."""
+    return ObserverTuning(
+        min(USUAL_WIDTH, 0.05 / t_s), min(USUAL_WIDTH, 0.05 / t_s), omega_floor=0.02 * omega_max
+    )
+
+
+@lru_cache(maxsize=16)
+def _consistent(machine: LinearMachine, t_s: float, omega_max: float) -> EkfGains:
+    noise = usual_noise(machine, 2.0 * omega_max * machine.psi_pm, t_s)
+    i_ref = np.array([0.0, 0.5 * machine.i_max])
+    return ekf_gains(
+        tuned_ekf(machine, t_s, noise, USUAL_SHARE_OF_SPEED * omega_max, i_ref, omega_max=omega_max)
+    )
+
+
+def design_ekf(
+    machine: LinearMachine, tuning: ObserverTuning, t_s: float, omega_max: float
+) -> EkfGains:
+    """Covariances of consistent innovations on simulated drives with the noise of
+    `usual_noise` (`tuned_ekf`).
+
+    The DC voltage, of which the noise of the voltage is a share, is taken as twice the
+    back-EMF at ``omega_max``.
+    """
+    del tuning
+    return _consistent(machine, t_s, omega_max)
+
+
+_TURN = np.float32(6.2831855)
+
+
+_I_SQUARE = np.float32(1e30)
+
+
+_P_THETA = np.float32(10.0)
+
+"""Largest variance of an angle in rad^2: one of which nothing is known has pi^2/3."""
+
+
+@dataclass(frozen=True, slots=True)
+class EkfGains:
+    """Variances of `dqforge.optimizer.observers.methods.kalman_model.Ekf` per sample, and the limit
+    of the speed in rad/s.
+    """
+
+    model: SampledGains
+    q_i: float
+    q_22: float
+    q_23: float
+    q_33: float
+    r: float
+    p_omega: float
+    p_theta: float
+    omega_max: float
+
+
+_UPPER = tuple((n, m) for n in range(4) for m in range(n, 4))
+
+"""Places of the covariance that are kept: behind i_d and i_q the upper triangle, row by row."""
+
+
+def _full(upper: tuple[Reals, ...]) -> list[list[Reals]]:
+    rows = [[upper[0]] * 4 for _ in range(4)]
+    for (n, m), value in zip(_UPPER, upper, strict=True):
+        rows[n][m] = rows[m][n] = value
+    return rows
+
+
+def ekf_gains(filter_: Ekf) -> EkfGains:
+    """What the firmware needs of a filter."""
+    q, p = filter_.q, filter_.p_0
+    values = (
+        filter_.q_i,
+        q[2, 2],
+        q[2, 3],
+        q[3, 3],
+        filter_.r,
+        p[2, 2],
+        p[3, 3],
+        filter_.model.omega_max,
+    )
+    return EkfGains(sampled_gains(filter_.model), *(float(value) for value in values))
+
+
+def ekf_start(theta_e: Reals, omega_e: Reals) -> ObserverState:
+    """State before the first step: angle in rad (wrapped), speed in rad/s.
+
+    Its scalars are i_d and i_q in A and the upper triangle of the covariance of (i_d, i_q, omega,
+    theta).
+    """
+    zero = np.zeros_like(theta_e)
+    return ObserverState((), theta_e, omega_e, False, (zero,) * (2 + len(_UPPER)))
+
+
+def ekf_sizes(scalars: FloatArray, _: FloatArray) -> FloatArray:
+    """Noticeable changes of the scalars of M filters, shape (M, 12): a covariance
+    counts by its two variances.
+    """
+    size = np.empty_like(scalars)
+    norm = np.hypot(scalars[:, 0], scalars[:, 1])
+    size[:, 0] = size[:, 1] = np.where(norm > 1e-6, norm, 1.0)
+    root = np.sqrt(np.abs(scalars[:, [2 + _UPPER.index((n, n)) for n in range(4)]]))
+    for k, (n, m) in enumerate(_UPPER):
+        size[:, 2 + k] = np.maximum(root[:, n] * root[:, m], 1e-30)
+    return size
+
+
+def _ekf_predicted(
+    gains: EkfGains, state: ObserverState, v: Pair, maths: Arithmetic
+) -> tuple[Pair, list[list[Reals]], Reals]:
+    model, p, i = gains.model, _full(state.scalars[2:]), (state.scalars[0], state.scalars[1])
+    u = park(v, maths.rotation(state.theta_e))
+    x = limited(model.t_s * state.omega_e, model.x_max)
+    e = entries_at(model, x)
+    slope = next_currents(slopes_at(model, x), i, u)
+    f = (
+        (e[0], e[5], slope[0], e[2] * u[1] - e[7] * u[0]),
+        (e[6], e[1], slope[1], e[8] * u[1] - e[3] * u[0]),
+    )
+    a = [
+        [
+            ((f[n][0] * p[0][m] + f[n][1] * p[1][m]) + f[n][2] * p[2][m]) + f[n][3] * p[3][m]
+            for m in range(4)
+        ]
+        for n in (0, 1)
+    ]
+    a.append([p[2][m] for m in range(4)])
+    a.append([p[3][m] + model.t_s * p[2][m] for m in range(4)])
+    zero = np.zeros_like(x)
+    new = [[zero] * 4 for _ in range(4)]
+    for n in range(2):
+        for m in range(n + 1):
+            total = ((a[m][0] * f[n][0] + a[m][1] * f[n][1]) + a[m][2] * f[n][2]) + a[m][3] * f[n][
+                3
+            ]
+            new[m][n] = new[n][m] = total + gains.q_i if m == n else total
+    for m in range(2):
+        new[m][2] = new[2][m] = a[m][2]
+        new[m][3] = new[3][m] = a[m][3] + model.t_s * a[m][2]
+    new[2][2] = a[2][2] + gains.q_22
+    new[2][3] = new[3][2] = (a[2][3] + model.t_s * a[2][2]) + gains.q_23
+    new[3][3] = (a[3][3] + model.t_s * a[3][2]) + gains.q_33
+    return next_currents(e, i, u), new, maths.wrap(state.theta_e + model.t_s * state.omega_e)
+
+
+def _ekf_begun(
+    gains: EkfGains, theta: Reals, omega: Reals, i: Pair, maths: Arithmetic
+) -> ObserverState:
+    """The measured current at a given angle and speed, with the covariance of the start."""
+    first = park(i, maths.rotation(theta))
+    zero = np.zeros_like(theta)
+    diagonal = [zero + value for value in (gains.r, gains.r, gains.p_omega, gains.p_theta)]
+    rows = tuple(diagonal[n] if n == m else zero for n, m in _UPPER)
+    return ObserverState((), theta, omega, True, (*first, *rows))
+
+
+def _ekf_sound(
+    gains: EkfGains, i: Pair, speed: Reals, p: list[list[Reals]], det: Reals, turn: Reals
+) -> Any:
+    """Whether all is within the range of a filter that works, shape (N,): false for not-a-number.
+
+    ``det`` is the determinant of the innovation's covariance, ``turn`` the
+    correction of the angle in rad.
+    """
+    good = (det > 0.0) & (turn >= -_TURN) & (turn <= _TURN)
+    good &= (speed >= -gains.omega_max) & (speed <= gains.omega_max)
+    good &= (i[0] * i[0] + i[1] * i[1]) < _I_SQUARE
+    good &= (p[0][0] > 0.0) & (p[1][1] > 0.0) & (p[2][2] > 0.0) & (p[3][3] > 0.0)
+    return (
+        good
+        & (p[2][2] <= gains.omega_max * gains.omega_max + gains.p_omega)
+        & (p[3][3] <= _P_THETA)
+    )
+
+
+def ekf_step(
+    gains: EkfGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic
+) -> ObserverState:
+    """Next state; ``v`` in V acted over the period that ends at the instant of ``i`` in A (alpha,
+    beta).
+
+    A sample after which a number is out of range (`_ekf_sound`) begins anew with its current, the
+    covariance of the start, the angle that was foretold and the speed before.
+    """
+    if not state.started:
+        return _ekf_begun(gains, state.theta_e, state.omega_e, i, maths)
+    (i_d, i_q), p, theta = _ekf_predicted(gains, state, v, maths)
+    seen = park(i, maths.rotation(theta))
+    nu_d, nu_q = seen[0] - i_d, seen[1] - i_q
+    b_d, b_q = -i_q, i_d
+    h = [(p[n][0] + b_d * p[n][3], p[n][1] + b_q * p[n][3]) for n in range(4)]
+    s_dd = (h[0][0] + b_d * h[3][0]) + gains.r
+    s_dq = h[0][1] + b_d * h[3][1]
+    s_qq = (h[1][1] + b_q * h[3][1]) + gains.r
+    det = s_dd * s_qq - s_dq * s_dq
+    inverse = 1.0 / det
+    k = [
+        ((h[n][0] * s_qq - h[n][1] * s_dq) * inverse, (h[n][1] * s_dd - h[n][0] * s_dq) * inverse)
+        for n in range(4)
+    ]
+    x = [k[n][0] * nu_d + k[n][1] * nu_q for n in range(4)]
+    for n in range(4):
+        for m in range(n + 1):
+            p[m][n] = p[n][m] = p[m][n] - (k[m][0] * h[n][0] + k[m][1] * h[n][1])
+    speed, current = limited(state.omega_e + x[2], gains.omega_max), (i_d + x[0], i_q + x[1])
+    sound = _ekf_sound(gains, current, speed, p, det, x[3])
+    values = (maths.wrap(theta + x[3]), speed, *current, *(p[n][m] for n, m in _UPPER))
+    if not np.all(sound):
+        anew = _ekf_begun(gains, theta, state.omega_e, i, maths)
+        parts = zip(values, (anew.theta_e, anew.omega_e, *anew.scalars), strict=True)
+        values = tuple(np.where(sound, own, other) for own, other in parts)
+    return ObserverState((), values[0], values[1], True, values[2:])

@@ -1,0 +1,196 @@
+"""Tuning of position observers: by the named method, or optimised for the least r.m.s.
+error of the angle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.settings import ObserverSettings
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.errors import NoSolutionError
+from dqforge.optimizer.observers.judgement import ObserverJudgement, judge, judge_at
+from dqforge.optimizer.observers.method import ObserverMethod
+from dqforge.optimizer.observers.methods.registry import method_named
+from dqforge.optimizer.observers.pll import FASTEST
+from dqforge.optimizer.observers.tuning_numbers import (
+    LARGEST_TURN,
+    Disturbances,
+    ObserverTuning,
+    require_magnet,
+    usual_disturbances,
+)
+
+SHOWN = (0.05, 0.1, 0.25, 0.5, 1.0)
+
+"""Shares of the largest speed that tables show."""
+
+
+_SPEEDS = 8
+
+
+_EVALUATIONS = 100
+
+
+_UNSTABLE = 10.0
+
+
+_WIDEST = 100.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionObserver:
+    """A tuned observer: ``gains`` for the firmware, and how good it is on the linear ``machine``.
+
+    ``omega_max`` is the largest electrical speed of the drive in rad/s; ``judgement`` covers the
+    whole range of speeds, ``shown`` some shares of ``omega_max`` for tables.
+    """
+
+    machine: LinearMachine
+    method: ObserverMethod
+    tuning: ObserverTuning
+    gains: Any
+    t_s: float
+    omega_max: float
+    disturbances: Disturbances
+    judgement: ObserverJudgement
+    shown: ObserverJudgement
+
+
+def _top(omega_max: float, t_s: float) -> float:
+    """Speed in rad/s for which the gains are made: a fifth above the largest one,
+    as far as sampling allows.
+    """
+    return min(1.2 * omega_max, LARGEST_TURN / t_s)
+
+
+def _cost(
+    method: ObserverMethod,
+    tuning: ObserverTuning,
+    machine: LinearMachine,
+    t_s: float,
+    disturbances: Disturbances,
+    omega: FloatArray,
+) -> float:
+    """R.m.s. of the total angle error over speeds, in rad.
+
+    Large where the observer is refused or unstable.
+    """
+    try:
+        gains = method.design(machine, tuning, t_s, _top(float(omega[-1]), t_s))
+    except NoSolutionError:
+        return _UNSTABLE
+    total = judge_at(method, gains, t_s, machine, disturbances, omega).total
+    return float(
+        np.sqrt(np.mean(np.where(np.isfinite(total), np.minimum(total, _UNSTABLE), _UNSTABLE) ** 2))
+    )
+
+
+def optimise(
+    method: ObserverMethod,
+    first: ObserverTuning,
+    machine: LinearMachine,
+    t_s: float,
+    disturbances: Disturbances,
+    omega_max: float,
+) -> ObserverTuning:
+    """Tuning with the least r.m.s. angle error from 5 % of ``omega_max`` rad/s upwards.
+
+    The keys of the method and the bandwidth of the loop are searched within a factor of 100 of
+    ``first`` by the subplex method of nlopt on their logarithms; the result is rounded to three
+    digits.
+
+    References
+    ----------
+    T. Rowan, "Functional stability analysis of numerical algorithms", 1990 (subplex).
+    """
+    import nlopt
+
+    if method.name == "ekf":  # its innovations have tuned it already
+        return first
+    omega = np.geomspace(0.05 * omega_max, omega_max, _SPEEDS)
+    names = ("pll_bandwidth", *method.keys)
+    centre = np.log([getattr(first, name) for name in names])
+    ceiling = {"pll_bandwidth": FASTEST / t_s, "bandwidth": 1.0 / t_s, "speed_gain": 2.0}
+    upper = np.minimum(centre + np.log(_WIDEST), np.log([ceiling[name] for name in names]))
+    lower = np.minimum(centre - np.log(_WIDEST), upper)
+
+    def tuned(x: FloatArray) -> ObserverTuning:
+        return replace(
+            first, **{n: float(f"{np.exp(v):.3g}") for n, v in zip(names, x, strict=True)}
+        )
+
+    def cost(x: FloatArray, _: FloatArray) -> float:
+        return _cost(method, tuned(x), machine, t_s, disturbances, omega)
+
+    search = nlopt.opt(nlopt.LN_SBPLX, len(names))
+    search.set_min_objective(cost)
+    search.set_lower_bounds(lower)
+    search.set_upper_bounds(upper)
+    search.set_initial_step(0.7)
+    search.set_maxeval(_EVALUATIONS)
+    search.set_xtol_abs(2e-3)
+    best = tuned(np.asarray(search.optimize(np.clip(centre, lower, upper)), dtype=np.float64))
+    return min(
+        (best, first), key=lambda tuning: _cost(method, tuning, machine, t_s, disturbances, omega)
+    )
+
+
+def tune_position_observer(
+    machine: LinearMachine,
+    settings: ObserverSettings,
+    t_s: float,
+    v_dc: float,
+    omega_max: float,
+    disturbances: Disturbances | None = None,
+) -> PositionObserver:
+    """Position observer of a design.
+
+    Parameters
+    ----------
+    machine:
+        The machine, linear.
+    settings:
+        Method and tuning; what they leave open is the method's usual value,
+        or searched for (``optimised``).
+    t_s:
+        Sampling period in s.
+    v_dc:
+        Voltage of the dc link in V (sets the usual noise of the voltage).
+    omega_max:
+        Largest electrical speed in rad/s.
+    disturbances:
+        Noise, parameter errors and acceleration; None for the usual ones.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        The machine has no magnet, its speed is too high for the sampling,
+        or the tuning is too fast.
+    """
+    method = method_named(settings.method)
+    require_magnet(machine)
+    if omega_max * t_s > LARGEST_TURN:
+        raise NoSolutionError(
+            f"control.observer: at the largest speed the rotor turns by {omega_max * t_s:.3g} rad "
+            f"(electrical) per sample, at most {LARGEST_TURN:g}; sample at "
+            f"{math.ceil(omega_max / LARGEST_TURN)} Hz or more"
+        )
+    given = {
+        name: value
+        for name in ("bandwidth", "pll_bandwidth", "damping", "speed_gain")
+        if (value := getattr(settings, name)) is not None
+    }
+    tuning = replace(method.usual(machine, t_s, omega_max), **given)
+    known = usual_disturbances(machine, v_dc, omega_max) if disturbances is None else disturbances
+    if settings.tuning == "optimised":
+        tuning = optimise(method, tuning, machine, t_s, known, omega_max)
+    gains = method.design(machine, tuning, t_s, _top(omega_max, t_s))
+    judgement = judge(method, gains, t_s, machine, known, omega_max)
+    shown = judge_at(method, gains, t_s, machine, known, np.array(SHOWN) * omega_max)
+    return PositionObserver(machine, method, tuning, gains, t_s, omega_max, known, judgement, shown)

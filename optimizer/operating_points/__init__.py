@@ -1,0 +1,1 @@
+"""Currents of least loss within the limits."""

@@ -1,0 +1,402 @@
+"""The currents that the limits allow at each speed, and the most torque among them.
+
+The region inside both the current circle and the voltage limit is star-shaped about the current of
+least flux. A scan of rays from there finds its boundary; Newton's method then finds the point of
+most torque on it: the MTPA point of the current limit, the corner of both limits, or the touching
+point of torque and voltage limit (MTPV).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.synchronous import Machine, torque_from_flux
+from dqforge.optimizer.operating_points.local_terms import (
+    Terms,
+    cross,
+    current_terms,
+    newton_step,
+    torque_terms,
+    voltage_terms,
+)
+from dqforge.optimizer.operating_points.mtpa_locus import MtpaLocus
+
+RAYS = 31
+
+
+_CIRCLE_POINTS = 65
+
+
+_ANGLES = np.linspace(-0.5 * np.pi, np.pi, RAYS)
+
+
+_RADIAL_STEPS = 12
+
+
+_NEWTON_STEPS = 14
+
+
+_GOLDEN_STEPS = 45
+
+
+_TOLERANCE = 1e-9
+
+
+_INSIDE = 1.0 - 1e-6
+
+
+BoolArray = NDArray[np.bool_]
+
+
+IndexArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Current and voltage limit of a machine at N speeds, with the centre of the region they leave.
+
+    ``centre_d``, ``centre_q`` in A, ``omega_e`` in rad/s, ``v_max`` in V (phase amplitude), shape
+    (N,); ``i_max`` in A (peak).
+    """
+
+    machine: Machine
+    centre_d: FloatArray
+    centre_q: FloatArray
+    omega_e: FloatArray
+    v_max: FloatArray
+    i_max: float
+
+    def take(self, index: IndexArray) -> Limits:
+        """Limits at some of the speeds, repeated as the index repeats them."""
+        centre_d, centre_q = self.centre_d[index], self.centre_q[index]
+        return Limits(
+            self.machine, centre_d, centre_q, self.omega_e[index], self.v_max[index], self.i_max
+        )
+
+    def point(self, angle: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Currents in A at ray angles and radii."""
+        return self.centre_d + radius * np.cos(angle), self.centre_q + radius * np.sin(angle)
+
+    def voltage_square(self, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Squared phase voltage in V^2."""
+        psi_d, psi_q = self.machine.flux(i_d, i_q)
+        v_d = self.machine.r_s * i_d - self.omega_e * psi_q
+        v_q = self.machine.r_s * i_q + self.omega_e * psi_d
+        return v_d * v_d + v_q * v_q
+
+    def circle_radius(self, angle: FloatArray) -> FloatArray:
+        """Distance in A from the centre to the current circle along ray angles."""
+        along = self.centre_d * np.cos(angle) + self.centre_q * np.sin(angle)
+        square = along * along + self.i_max**2 - self.centre_d**2 - self.centre_q**2
+        return -along + np.sqrt(np.maximum(square, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class FeasibleRegion:
+    """Boundary of the feasible currents at U speeds, and the point of most torque.
+
+    ``reachable`` where the centre keeps the voltage limit, shape (U,); ``radius`` in A and
+    ``torque`` in N m along `ray_angles`, shape (U, K); ``most_d``, ``most_q`` in A, ``most_torque``
+    in N m and ``most_angle`` (its ray angle in rad), and ``at_voltage``, ``at_current`` whether
+    these limits hold it there, shape (U,).
+    """
+
+    limits: Limits
+    reachable: BoolArray
+    radius: FloatArray
+    torque: FloatArray
+    most_d: FloatArray
+    most_q: FloatArray
+    most_torque: FloatArray
+    most_angle: FloatArray
+    at_voltage: BoolArray
+    at_current: BoolArray
+
+
+def ray_angles() -> FloatArray:
+    """Angles of the scanned rays in rad, from -pi/2 to pi, shape (K,)."""
+    return _ANGLES.copy()
+
+
+def least_flux_current(machine: Machine, i_max: float) -> float:
+    """Current on the d axis in A where the flux linkage vanishes, or the end of the limit
+    that comes nearest to it.
+    """
+    grid = np.linspace(-i_max, i_max, 2001)
+    psi_d, _ = machine.flux(grid, np.zeros_like(grid))
+    current = float(grid[np.argmin(np.abs(psi_d))])
+    point, zero = np.array([current]), np.zeros(1)
+    for _ in range(6):
+        jet = machine.jet(point, zero)
+        point = np.clip(point - jet.psi_d / jet.l_dd, -i_max, i_max)
+    # Strictly inside the circle, so that rays to every side have a length.
+    return float(np.clip(point[0], -_INSIDE * i_max, _INSIDE * i_max))
+
+
+def make_limits(machine: Machine, omega_e: FloatArray, v_max: FloatArray, i_max: float) -> Limits:
+    """Limits with their centre: the current of least flux, or the short-circuit current
+    where that one needs too much.
+
+    The two differ by the resistance; the second matters near the end of the speed range only.
+    """
+    least = least_flux_current(machine, i_max)
+    limits = Limits(
+        machine, np.full_like(omega_e, least), np.zeros_like(omega_e), omega_e, v_max, i_max
+    )
+    broken = np.flatnonzero(limits.voltage_square(limits.centre_d, limits.centre_q) >= v_max**2)
+    if broken.size:
+        limits.centre_d[broken], limits.centre_q[broken] = _short_circuit(limits.take(broken))
+    return limits
+
+
+def _short_circuit(limits: Limits) -> tuple[FloatArray, FloatArray]:
+    """Currents of zero voltage, pulled back onto the current circle where they are larger,
+    shape (N,).
+    """
+    machine, omega_e = limits.machine, limits.omega_e
+    d, q, zero = limits.centre_d, limits.centre_q, np.zeros_like(omega_e)
+    for _ in range(12):
+        jet = machine.jet(d, q)
+        v_d, v_q = machine.r_s * d - omega_e * jet.psi_q, machine.r_s * q + omega_e * jet.psi_d
+        first = Terms(v_d, machine.r_s - omega_e * jet.l_qd, -omega_e * jet.l_qq, zero, zero, zero)
+        second = Terms(v_q, omega_e * jet.l_dd, machine.r_s + omega_e * jet.l_dq, zero, zero, zero)
+        step_d, step_q = newton_step(first, second, 0.0, 0.0)
+        d, q = d + np.nan_to_num(step_d), q + np.nan_to_num(step_q)
+        excess = np.maximum(np.hypot(d, q) / (_INSIDE * limits.i_max), 1.0)
+        d, q = d / excess, q / excess
+    return d, q
+
+
+def voltage_radius(
+    limits: Limits, angle: FloatArray, radius: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Shorten rays until they end on the voltage limit; angles in rad and radii in A of shape (N,).
+
+    Newton's method from outside: the squared voltage grows convexly along a ray of a linear
+    machine, so that the steps approach from one side; a bracket keeps the steps of saturated
+    machines safe. Returns the radius and whether the voltage limit was met.
+    """
+    cosine, sine = np.cos(angle), np.sin(angle)
+    low, high, found = np.zeros_like(radius), radius.copy(), radius.copy()
+    outside = limits.voltage_square(*limits.point(angle, radius)) > limits.v_max**2
+    live = np.flatnonzero(outside)
+    for _ in range(_RADIAL_STEPS):
+        if live.size == 0:
+            break
+        here = limits.take(live)
+        r = found[live]
+        i_d, i_q = here.point(angle[live], r)
+        terms = voltage_terms(limits.machine, limits.machine.jet(i_d, i_q), i_d, i_q, here.omega_e)
+        gap = terms.value - here.v_max**2
+        high[live] = np.where(gap > 0.0, r, high[live])
+        low[live] = np.where(gap <= 0.0, r, low[live])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = r - gap / (terms.d * cosine[live] + terms.q * sine[live])
+        safe = (step >= low[live]) & (step <= high[live])
+        found[live] = np.where(safe, step, 0.5 * (low[live] + high[live]))
+        live = live[np.abs(gap) > 1e-5 * here.v_max**2]
+    return found, outside
+
+
+def boundary(limits: Limits, angle: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Radius in A, torque in N m and whether the voltage limit binds, on rays of shape (N,)."""
+    radius, at_voltage = voltage_radius(limits, angle, limits.circle_radius(angle))
+    return radius, _torque(limits.machine, *limits.point(angle, radius)), at_voltage
+
+
+def _torque(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+    return torque_from_flux(machine.pole_pairs, *machine.flux(i_d, i_q), i_d, i_q)
+
+
+def _polish(
+    limits: Limits, i_d: FloatArray, i_q: FloatArray, *, corner: bool
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Corner of both limits, or MTPV, from starting currents of shape (N,).
+
+    Returns currents and convergence.
+    """
+    i_d, i_q = i_d.copy(), i_q.copy()
+    done = np.zeros(i_d.size, dtype=np.bool_)
+    live = np.arange(i_d.size)
+    for _ in range(_NEWTON_STEPS):
+        if live.size == 0:
+            break
+        here, d, q = limits.take(live), i_d[live], i_q[live]
+        jet = limits.machine.jet(d, q)
+        voltage = voltage_terms(limits.machine, jet, d, q, here.omega_e)
+        other = (
+            current_terms(d, q)
+            if corner
+            else cross(torque_terms(limits.machine, jet, d, q), voltage)
+        )
+        step_d, step_q = newton_step(
+            voltage, other, here.v_max**2, limits.i_max**2 if corner else 0.0
+        )
+        size = np.hypot(step_d, step_q)
+        finite = np.isfinite(size)
+        damping = np.where(
+            finite, np.minimum(1.0, 0.2 * limits.i_max / np.maximum(size, 1e-300)), 0.0
+        )
+        i_d[live] = d + np.where(finite, damping * step_d, 0.0)
+        i_q[live] = q + np.where(finite, damping * step_q, 0.0)
+        small = size < 1e-7 * limits.i_max
+        done[live[small]] = True
+        live = live[~small & finite]
+    return i_d, i_q, done
+
+
+@dataclass(slots=True)
+class _Best:
+    """The point of most torque found so far, per speed, shape (U,)."""
+
+    i_d: FloatArray
+    i_q: FloatArray
+    torque: FloatArray
+    at_voltage: BoolArray
+    at_current: BoolArray
+    settled: BoolArray
+
+    def offer(
+        self,
+        index: IndexArray,
+        i_d: FloatArray,
+        i_q: FloatArray,
+        torque: FloatArray,
+        valid: BoolArray,
+        held: tuple[bool, bool],
+    ) -> None:
+        """Take points that are valid and no worse than the best.
+
+        ``held`` says by voltage and by current limit.
+        """
+        better = valid & (torque >= self.torque[index] - _TOLERANCE * np.abs(self.torque[index]))
+        chosen = index[better]
+        self.i_d[chosen], self.i_q[chosen], self.torque[chosen] = (
+            i_d[better],
+            i_q[better],
+            torque[better],
+        )
+        self.at_voltage[chosen], self.at_current[chosen] = held
+        self.settled[chosen] = True
+
+
+def _offer_exact_points(limits: Limits, locus: MtpaLocus, best: _Best) -> None:
+    """Offer the three kinds of exact solution: MTPA at the current limit, the corners, and MTPV."""
+    machine, count = limits.machine, limits.omega_e.size
+    end_d, end_q = np.full(count, locus.i_d[-1]), np.full(count, locus.i_q[-1])
+    kept = limits.voltage_square(end_d, end_q) <= limits.v_max**2 * (1.0 + _TOLERANCE)
+    best.offer(
+        np.arange(count), end_d, end_q, np.full(count, locus.torque[-1]), kept, (False, True)
+    )
+    open_rows = np.flatnonzero(~kept)
+    here = limits.take(open_rows)
+    _offer_mtpv(here, best, open_rows)
+    for row, start_d, start_q in _corner_starts(here):
+        i_d, i_q, done = _polish(here.take(row), start_d, start_q, corner=True)
+        best.offer(open_rows[row], i_d, i_q, _torque(machine, i_d, i_q), done, (True, True))
+    # Once more from the corners: next to one the touching point may have been
+    # missed from the best ray.
+    _offer_mtpv(here, best, open_rows)
+
+
+def _offer_mtpv(limits: Limits, best: _Best, rows: IndexArray) -> None:
+    """Offer the touching point of torque and voltage limit, from the best so far.
+
+    ``limits`` are those of ``rows``.
+    """
+    i_d, i_q, done = _polish(limits, best.i_d[rows], best.i_q[rows], corner=False)
+    inside = np.hypot(i_d, i_q) <= limits.i_max * (1.0 + _TOLERANCE)
+    best.offer(rows, i_d, i_q, _torque(limits.machine, i_d, i_q), done & inside, (True, False))
+
+
+def _corner_starts(limits: Limits) -> list[tuple[IndexArray, FloatArray, FloatArray]]:
+    """First and last crossing of the voltage limit along the upper half circle:
+    rows and currents in A.
+    """
+    angle = np.linspace(0.0, np.pi, _CIRCLE_POINTS)
+    count = limits.omega_e.size
+    wide = limits.take(np.repeat(np.arange(count), _CIRCLE_POINTS))
+    i_d, i_q = (
+        limits.i_max * np.tile(np.cos(angle), count),
+        limits.i_max * np.tile(np.sin(angle), count),
+    )
+    gap = (wide.voltage_square(i_d, i_q) - wide.v_max**2).reshape(count, _CIRCLE_POINTS)
+    change = (gap[:, 1:] > 0.0) != (gap[:, :-1] > 0.0)
+    rows = np.flatnonzero(change.any(axis=1))
+    first = np.argmax(change[rows], axis=1)
+    last = change.shape[1] - 1 - np.argmax(change[rows][:, ::-1], axis=1)
+    starts = []
+    for place in (first, last):
+        before, after = gap[rows, place], gap[rows, place + 1]
+        crossing = angle[place] + (angle[1] - angle[0]) * before / (before - after)
+        starts.append((rows, limits.i_max * np.cos(crossing), limits.i_max * np.sin(crossing)))
+    return starts
+
+
+def _settle_by_golden_section(limits: Limits, best: _Best, top: IndexArray) -> None:
+    """Refine what no exact solution settled: golden section over the ray
+    angle about the best ray.
+    """
+    rows = np.flatnonzero(~best.settled)
+    if rows.size == 0:
+        return
+    here, ratio = limits.take(rows), 0.5 * (np.sqrt(5.0) - 1.0)
+    low, high = _ANGLES[np.maximum(top[rows] - 1, 0)], _ANGLES[np.minimum(top[rows] + 1, RAYS - 1)]
+    left, right = high - ratio * (high - low), low + ratio * (high - low)
+    at_left, at_right = boundary(here, left)[1], boundary(here, right)[1]
+    for _ in range(_GOLDEN_STEPS):
+        lower = at_left > at_right
+        low, high = np.where(lower, low, left), np.where(lower, right, high)
+        fresh = np.where(lower, high - ratio * (high - low), low + ratio * (high - low))
+        value = boundary(here, fresh)[1]
+        left, right = np.where(lower, fresh, right), np.where(lower, left, fresh)
+        at_left, at_right = np.where(lower, value, at_right), np.where(lower, at_left, value)
+    angle = np.where(at_left > at_right, left, right)
+    radius, torque, at_voltage = boundary(here, angle)
+    best.i_d[rows], best.i_q[rows] = here.point(angle, radius)
+    best.torque[rows] = torque
+    best.at_voltage[rows] = at_voltage | (
+        here.voltage_square(*here.point(angle, radius)) > _INSIDE * here.v_max**2
+    )
+    best.at_current[rows] = np.hypot(best.i_d[rows], best.i_q[rows]) >= limits.i_max * (1.0 - 1e-6)
+
+
+def scan_region(
+    machine: Machine, locus: MtpaLocus, omega_e: FloatArray, v_max: FloatArray, i_max: float
+) -> FeasibleRegion:
+    """Feasible region and most torque at electrical speeds in rad/s of any sign, shape (U,).
+
+    Torque is counted positive; ``locus`` is the machine's MTPA locus up to ``i_max`` A (peak),
+    ``v_max`` the largest phase-voltage amplitude in V, shape (U,).
+    """
+    limits = make_limits(machine, omega_e, v_max, i_max)
+    count = omega_e.size
+    reachable = limits.voltage_square(limits.centre_d, limits.centre_q) < v_max**2
+    flat = boundary(limits.take(np.repeat(np.arange(count), RAYS)), np.tile(_ANGLES, count))
+    radius, torque = flat[0].reshape(count, RAYS), flat[1].reshape(count, RAYS)
+    at_voltage = flat[2].reshape(count, RAYS)
+    top, rows = np.argmax(torque, axis=1), np.arange(count)
+    start = limits.point(_ANGLES[top], radius[rows, top])
+    held = at_voltage[rows, top]
+    best = _Best(
+        *start, torque[rows, top].copy(), held.copy(), ~held, np.zeros(count, dtype=np.bool_)
+    )
+    _offer_exact_points(limits, locus, best)
+    _settle_by_golden_section(limits, best, top)
+    angle = np.arctan2(best.i_q - limits.centre_q, best.i_d - limits.centre_d)
+    return FeasibleRegion(
+        limits,
+        reachable,
+        radius,
+        torque,
+        best.i_d,
+        best.i_q,
+        best.torque,
+        angle,
+        best.at_voltage,
+        best.at_current,
+    )

@@ -1,0 +1,295 @@
+"""The batched solver of one chunk of points: Newton's method from starts that a scan of the
+feasible region gives.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.operating_points.feasible_region import (
+    FeasibleRegion,
+    Limits,
+    ray_angles,
+    scan_region,
+    voltage_radius,
+)
+from dqforge.optimizer.operating_points.local_terms import (
+    cross,
+    current_terms,
+    loss_terms,
+    newton_step,
+    torque_terms,
+    voltage_terms,
+)
+from dqforge.optimizer.operating_points.point_problem import (
+    Active,
+    BoolArray,
+    IndexArray,
+    Problem,
+    State,
+)
+
+_NEWTON_STEPS = 16
+
+
+_CROSSING_STEPS = 40
+
+
+_SMALL_STEP = 1e-6
+
+"""Newton step over current after which the next iterate is exact to rounding (the
+convergence is quadratic)."""
+
+
+_ROUNDING = 1e-9
+
+"""Relative slack within which a limit counts as kept."""
+
+
+def _valley(problem: Problem) -> tuple[FloatArray, FloatArray]:
+    """Least loss on each torque curve, no limits regarded: currents in A, shape (N,)."""
+    machine, i_max = problem.machine, problem.i_max
+    i_d, i_q = problem.locus.start(problem.torque)
+    live = np.arange(i_d.size)
+    for _ in range(_NEWTON_STEPS):
+        here, d, q = problem.take(live), i_d[live], i_q[live]
+        jet = machine.jet(d, q)
+        torque = torque_terms(machine, jet, d, q)
+        valley = cross(loss_terms(here.loss, jet, d, q, problem.soft), torque)
+        step_d, step_q = newton_step(torque, valley, here.torque, 0.0)
+        size = np.hypot(step_d, step_q)
+        finite = np.isfinite(size)
+        damping = np.where(finite, np.minimum(1.0, 0.25 * i_max / np.maximum(size, 1e-300)), 0.0)
+        i_d[live] = d + np.where(finite, damping * step_d, 0.0)
+        i_q[live] = q + np.where(finite, damping * step_q, 0.0)
+        # Relative to the current itself: near zero torque the valley is bent on
+        # the scale of the current.
+        live = live[finite & (size > _SMALL_STEP * np.hypot(d, q) + 1e-13 * i_max)]
+        if live.size == 0:
+            break
+    return i_d, i_q
+
+
+def _crossing_start(
+    region: FeasibleRegion, speed: IndexArray, torque: FloatArray, least_angle: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Bracket of ray angles around the torque on the rising side of the boundary,
+    and a first angle and radius.
+
+    ``least_angle`` is the ray angle of the least torque where the torque lies below
+    all scanned rays, else nan.
+    """
+    angles = ray_angles()
+    scanned = region.torque[speed]
+    rising = np.arange(angles.size) <= np.argmax(scanned, axis=1)[:, np.newaxis]
+    reaches = rising & (scanned >= torque[:, np.newaxis])
+    found = reaches.any(axis=1)
+    most_angle = region.most_angle[speed]
+    upper = np.where(found, np.argmax(reaches, axis=1), np.searchsorted(angles, most_angle))
+    upper = np.clip(np.minimum(upper, np.searchsorted(angles, most_angle)), 1, angles.size - 1)
+    rows = np.arange(speed.size)
+    at_ray = found & (angles[upper] <= most_angle)
+    low, high = angles[upper - 1], np.where(at_ray, angles[upper], most_angle)
+    below, above = (
+        scanned[rows, upper - 1],
+        np.where(at_ray, scanned[rows, upper], region.most_torque[speed]),
+    )
+    share = np.clip((torque - below) / np.maximum(above - below, 1e-300), 0.0, 1.0)
+    radius = region.radius[speed]
+    start_radius = radius[rows, upper - 1] * (1.0 - share) + radius[rows, upper] * share
+    floored = np.flatnonzero(np.isfinite(least_angle))
+    next_ray = np.minimum(np.searchsorted(angles, least_angle[floored]), angles.size - 1)
+    low[floored], high[floored] = least_angle[floored], angles[next_ray]
+    start_radius[floored] = radius[floored, next_ray]
+    return low, high, low + share * (high - low), start_radius
+
+
+def _crossing(
+    problem: Problem,
+    limits: Limits,
+    low: FloatArray,
+    high: FloatArray,
+    angle: FloatArray,
+    radius: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Where each torque curve enters the voltage limit on the side of less current: currents in A,
+    shape (N,).
+
+    Newton's method in both currents; the ray angle is kept inside a bracket that shrinks with
+    every point on the limit.
+    """
+    machine = problem.machine
+    low, high = low.copy(), high.copy()
+    i_d, i_q = limits.point(angle, radius)
+    live = np.arange(angle.size)
+    for _ in range(_CROSSING_STEPS):
+        here, d, q = limits.take(live), i_d[live], i_q[live]
+        wanted = problem.torque[live]
+        jet = machine.jet(d, q)
+        torque = torque_terms(machine, jet, d, q)
+        voltage = voltage_terms(machine, jet, d, q, here.omega_e)
+        square = here.v_max**2
+        now = np.arctan2(q - here.centre_q, d - here.centre_d)
+        near = np.abs(voltage.value - square) < 1e-9 * square
+        low[live] = np.where(near & (torque.value < wanted), np.maximum(low[live], now), low[live])
+        high[live] = np.where(
+            near & (torque.value > wanted), np.minimum(high[live], now), high[live]
+        )
+        step_d, step_q = newton_step(torque, voltage, wanted, square)
+        next_d, next_q = d + step_d, q + step_q
+        with np.errstate(invalid="ignore"):
+            turned = np.arctan2(next_q - here.centre_q, next_d - here.centre_d)
+            size = np.hypot(step_d, step_q)
+            slack = 1e-7
+            good = (
+                (turned >= low[live] - slack)
+                & (turned <= high[live] + slack)
+                & (size < problem.i_max)
+            )
+        bad = np.flatnonzero(~good)
+        if bad.size:
+            middle = 0.5 * (low[live[bad]] + high[live[bad]])
+            stuck = here.take(bad)
+            length, _ = voltage_radius(stuck, middle, 2.0 * stuck.circle_radius(middle) + 1e-9)
+            next_d[bad], next_q[bad] = stuck.point(middle, length)
+        i_d[live], i_q[live] = next_d, next_q
+        live = live[~(good & (size < _SMALL_STEP * problem.i_max))]
+        if live.size == 0:
+            break
+    return i_d, i_q
+
+
+def solve_chunk(problem: Problem) -> State:
+    """Unlimited optimum first; where it breaks a limit, the region's most torque or
+    the crossing with the limit.
+    """
+    i_d, i_q = _valley(problem)
+    limits = Limits(
+        problem.machine,
+        np.zeros_like(i_d),
+        np.zeros_like(i_d),
+        problem.omega_e,
+        problem.v_max,
+        problem.i_max,
+    )
+    square = limits.voltage_square(i_d, i_q)
+    kept = (np.hypot(i_d, i_q) <= problem.i_max * (1.0 + _ROUNDING)) & (square <= problem.v_max**2)
+    kept &= problem.torque <= problem.locus.torque[-1] * (1.0 + _ROUNDING)
+    state = State(
+        i_d,
+        i_q,
+        problem.torque.copy(),
+        np.zeros(i_d.size, dtype=np.int8),
+        np.ones(i_d.size, dtype=np.bool_),
+        np.zeros(i_d.size, dtype=np.bool_),
+    )
+    rest = np.flatnonzero(~kept)
+    if rest.size:
+        _solve_limited(problem, state, rest)
+    return state
+
+
+def _solve_limited(problem: Problem, state: State, rest: IndexArray) -> None:
+    """Points whose unlimited optimum breaks a limit."""
+    pairs = np.stack([problem.omega_e[rest], problem.v_max[rest]], axis=1)
+    unique, speed = np.unique(pairs, axis=0, return_inverse=True)
+    speed = speed.reshape(-1)
+    region = scan_region(
+        problem.machine, problem.locus, unique[:, 0].copy(), unique[:, 1].copy(), problem.i_max
+    )
+    most = region.most_torque[speed]
+    too_much = (problem.torque[rest] > most * (1.0 + 1e-12)) | ~region.reachable[speed]
+    _grant_the_most(state, rest[too_much], region, speed[too_much])
+    held_by_current = ~too_much & (
+        Limits(
+            problem.machine,
+            np.zeros(rest.size),
+            np.zeros(rest.size),
+            problem.omega_e[rest],
+            problem.v_max[rest],
+            problem.i_max,
+        ).voltage_square(state.i_d[rest], state.i_q[rest])
+        <= problem.v_max[rest] ** 2
+    )
+    _hold_by_current(problem, state, rest[held_by_current])
+    doubtful = np.flatnonzero(
+        ~too_much & (problem.torque[rest] < np.min(region.torque, axis=1)[speed])
+    )
+    least_angle = np.full(rest.size, np.nan)
+    granted, least_angle[doubtful] = _grant_the_least(
+        problem, state, rest[doubtful], region.limits.take(speed[doubtful])
+    )
+    crossing = ~too_much & ~held_by_current
+    crossing[doubtful[granted]] = False
+    index = rest[crossing]
+    if index.size:
+        start = _crossing_start(
+            region, speed[crossing], problem.torque[index], least_angle[crossing]
+        )
+        limits = region.limits.take(speed[crossing])
+        state.i_d[index], state.i_q[index] = _crossing(problem.take(index), limits, *start)
+        state.active[index] = Active.VOLTAGE
+
+
+def _grant_the_least(
+    problem: Problem, state: State, index: IndexArray, limits: Limits
+) -> tuple[BoolArray, FloatArray]:
+    """Give the point of least torque where even that is more than was asked for.
+
+    Returns where, and its ray angle.
+
+    This happens next to the end of the speed range alone, where the resistance lets only braking
+    currents keep the voltage limit. The least torque at a speed is the mirror image of the most
+    torque at the opposite speed.
+    """
+    if index.size == 0:
+        return np.zeros(0, dtype=np.bool_), np.zeros(0)
+    mirrored = scan_region(
+        problem.machine, problem.locus, -problem.omega_e[index], problem.v_max[index], problem.i_max
+    )
+    granted = problem.torque[index] < -mirrored.most_torque
+    chosen = index[granted]
+    state.i_d[chosen], state.i_q[chosen] = mirrored.most_d[granted], -mirrored.most_q[granted]
+    state.torque[chosen] = -mirrored.most_torque[granted]
+    state.reached[chosen], state.least[chosen] = False, True
+    state.active[chosen] = np.where(mirrored.at_current[granted], Active.BOTH, Active.MTPV).astype(
+        np.int8
+    )
+    return granted, np.arctan2(
+        -mirrored.most_q - limits.centre_q, mirrored.most_d - limits.centre_d
+    )
+
+
+def _grant_the_most(
+    state: State, index: IndexArray, region: FeasibleRegion, speed: IndexArray
+) -> None:
+    """Give the point of most torque where more was asked for, or where the
+    speed cannot be had at all.
+    """
+    reachable = region.reachable[speed]
+    state.i_d[index] = np.where(reachable, region.most_d[speed], region.limits.centre_d[speed])
+    state.i_q[index] = np.where(reachable, region.most_q[speed], region.limits.centre_q[speed])
+    state.torque[index] = np.where(reachable, region.most_torque[speed], 0.0)
+    state.reached[index] = False
+    by_voltage, by_current = region.at_voltage[speed], region.at_current[speed]
+    code = np.where(
+        by_voltage & by_current, Active.BOTH, np.where(by_voltage, Active.MTPV, Active.CURRENT)
+    )
+    state.active[index] = np.where(reachable, code, Active.UNREACHABLE).astype(np.int8)
+
+
+def _hold_by_current(problem: Problem, state: State, index: IndexArray) -> None:
+    """Least total loss beyond the current limit: the torque curve meets the circle,
+    on the side of the valley.
+    """
+    if index.size == 0:
+        return
+    d, q, wanted = state.i_d[index], state.i_q[index], problem.torque[index]
+    scale = problem.i_max / np.hypot(d, q)
+    d, q = d * scale, q * scale
+    for _ in range(_NEWTON_STEPS):
+        torque = torque_terms(problem.machine, problem.machine.jet(d, q), d, q)
+        step_d, step_q = newton_step(torque, current_terms(d, q), wanted, problem.i_max**2)
+        d, q = d + np.nan_to_num(step_d), q + np.nan_to_num(step_q)
+    state.i_d[index], state.i_q[index], state.active[index] = d, q, Active.CURRENT

@@ -1,0 +1,65 @@
+"""The strategy's currents over torque, as a design asks for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.numerical import on_design
+from dqforge.optimizer.operating_points.characteristics import voltage_limit
+from dqforge.optimizer.operating_points.current_choice import (
+    CurrentChoice,
+    OperatingPoints,
+    SpeedPoint,
+    domain_end,
+)
+from dqforge.optimizer.operating_points.mtpa import PerUnitBase, per_unit_base
+
+_CURVE_POINTS = 201
+
+
+@dataclass(frozen=True, slots=True)
+class Curves:
+    """Operating points from zero to the end of the torque domain, for the design's
+    strategy and for i_d = 0.
+
+    ``id0`` is None for a machine without magnet and at a speed; ``base`` is None where the MTPA
+    curve has no scale of its own.
+    """
+
+    chosen: OperatingPoints
+    id0: OperatingPoints | None
+    base: PerUnitBase | None
+
+
+def current_choice(design: Design) -> CurrentChoice:
+    """What the design's currents are chosen by."""
+    operation = design.operation
+    if operation.omega_m is None:
+        return CurrentChoice(design.machine, operation.strategy, design.i_max)
+    limit = voltage_limit(design.inverter, operation.modulation, operation.voltage_margin)
+    point = SpeedPoint(operation.omega_m, limit.v_max)
+    return CurrentChoice(design.machine, operation.strategy, design.i_max, point)
+
+
+@on_design("operation")
+def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
+    """Operating points on an even grid of torques up to ``torque_max`` N m,
+    or to the end of the fit's domain.
+    """
+    choice, machine = current_choice(design), design.machine
+    end = torque_max if torque_max is not None else domain_end(choice, design.fit)
+    torque = np.linspace(0.0, end, _CURVE_POINTS)
+    compared = (
+        machine.psi_pm > 0.0 and choice.speed is None
+    )  # at a speed i_d = 0 may not keep the voltage limit
+    id0 = CurrentChoice(machine, "id0", design.i_max).points(torque) if compared else None
+    linear = choice.closed_form
+    has_base = linear is not None and linear.psi_pm > 0.0 and linear.saliency != 0.0
+    return Curves(
+        choice.points(torque),
+        id0,
+        per_unit_base(linear) if linear is not None and has_base else None,
+    )

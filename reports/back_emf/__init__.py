@@ -1,0 +1,1 @@
+"""Captures of the back-EMF, as tables, JSON and figures."""

@@ -1,0 +1,256 @@
+"""What a capture of the back-EMF says: tables, plain data and the lines for a design file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dqforge.machines.back_emf.capture import BemfResult, analyse
+from dqforge.machines.back_emf.columns import BemfCapture, CaptureOptions
+from dqforge.machines.back_emf.files import MOST_BYTES, read_captures
+from dqforge.machines.errors import InputError
+from dqforge.machines.files.input_files import read_regular_file
+from dqforge.machines.files.text_blocks import Progress
+from dqforge.machines.units.quantities import format_quantity, parse_option, read_quantity
+from dqforge.reports.pages.table import Table
+from dqforge.reports.plain_data import PlainData
+
+_PHASES = "abc"
+
+
+_LEAST_SHARE = 1e-3
+
+"""Harmonics below this share of the fundamental, or below their uncertainty,
+are not listed on the terminal."""
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureRequest:
+    """The options as they were written; None where an option was not given."""
+
+    line_to_line: bool = False
+    pole_pairs: int | None = None
+    speed: str | None = None
+    scale: str | None = None
+    columns: str | None = None
+    harmonics: int = 25
+    interval: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureReading:
+    """A capture and what it says."""
+
+    name: str
+    capture: BemfCapture
+    result: BemfResult
+    pole_pairs: int | None
+
+
+def _scale(text: str | None) -> tuple[float, float, float]:
+    if text is None:
+        return (1.0, 1.0, 1.0)
+    try:
+        first, second, third = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--scale: expected three factors such as 1,1,10, got '{text}'") from None
+    return (first, second, third)
+
+
+def _columns(text: str | None) -> list[str | int] | None:
+    if text is None:
+        return None
+    parts = [part.strip() for part in text.split(",")]
+    return [int(part) if part.isdigit() else part for part in parts]
+
+
+def _interval(text: str | None) -> float | None:
+    seconds = parse_option(text, "time", "--interval")
+    if text is not None and seconds is not None:
+        if read_quantity(text, "time").bare:
+            raise InputError(
+                f"--interval: {text} has no unit; write {text} us, {text} ms or {text} s"
+            )
+        if seconds <= 0.0:
+            raise InputError(f"--interval: expected a time above 0, got '{text}'; write e.g. 2 us")
+    return seconds
+
+
+def read_capture(
+    paths: Sequence[Path], request: CaptureRequest, progress: Progress | None = None
+) -> CaptureReading:
+    """Read and analyse the back-EMF of three phases in one file, or in several with
+    some of the channels each.
+
+    Parameters
+    ----------
+    paths:
+        The files.
+    request:
+        The options.
+    progress:
+        Told the share that is done, of which reading is half.
+
+    Raises
+    ------
+    InputError
+        A file is not what it claims to be, with the line where that begins,
+        or an option is not understood.
+    """
+    speed = parse_option(request.speed, "speed", "--speed")
+    if request.pole_pairs is not None and request.pole_pairs < 1:
+        raise InputError(f"--pole-pairs: expected a whole number above 0, got {request.pole_pairs}")
+    if not 1 <= request.harmonics <= 200:
+        raise InputError(f"--harmonics: expected 1 to 200, got {request.harmonics}")
+    options = CaptureOptions(
+        connection="line-to-line" if request.line_to_line else "phase",
+        columns=_columns(request.columns),
+        scale=_scale(request.scale),
+        pole_pairs=request.pole_pairs,
+        interval=_interval(request.interval),
+    )
+    capture = read_captures(
+        [str(path) for path in paths],
+        lambda name: read_regular_file(name, MOST_BYTES),
+        lambda name: Path(name).is_file(),
+        options,
+        _half(progress, 0.0),
+    )
+    result = analyse(
+        capture,
+        pole_pairs=request.pole_pairs,
+        speed=speed,
+        harmonics=request.harmonics,
+        progress=_half(progress, 0.5),
+    )
+    return CaptureReading(
+        ", ".join(path.name for path in paths), capture, result, request.pole_pairs
+    )
+
+
+def _half(progress: Progress | None, start: float) -> Progress | None:
+    """What tells the share of one half of the work as that of the whole."""
+    return None if progress is None else lambda share: progress(start + 0.5 * share)
+
+
+def _constant_rows(reading: CaptureReading) -> list[tuple[str, str]]:
+    """The magnet flux in the conventions of data sheets."""
+    psi = reading.result.psi_pm
+    rows = [
+        (
+            "magnet flux linkage psi_pm",
+            f"{format_quantity(psi, 'Wb', 4)} (peak of phase, fundamental)",
+        )
+    ]
+    if reading.pole_pairs is None:
+        return [*rows, ("back-EMF constant", "needs --pole-pairs")]
+    per_krpm = reading.pole_pairs * psi * 1000.0 * math.pi / 30.0
+    kinds = {
+        "phase peak": 1.0,
+        "phase rms": 1.0 / math.sqrt(2.0),
+        "line-to-line rms": math.sqrt(1.5),
+    }
+    text = ", ".join(f"{per_krpm * factor:.4g} V/krpm ({kind})" for kind, factor in kinds.items())
+    return [*rows, ("back-EMF constant", text)]
+
+
+def _summary_rows(reading: CaptureReading) -> list[tuple[str, str]]:
+    result = reading.result
+    symmetry = result.symmetry
+    if math.isfinite(result.frequency):
+        speed = (
+            ""
+            if reading.pole_pairs is None
+            else f", {60.0 * result.frequency / reading.pole_pairs:.5g} rpm"
+        )
+        motion = (
+            f"{result.frequency:.5g} Hz electrical{speed}, {100.0 * result.drift:+.2f} % over the "
+            "capture"
+        )
+    else:
+        motion = "given as an angle"
+    unit = "Wb" if reading.capture.quantity == "flux" else "V"
+    offsets = ", ".join(f"{value:.3g}" for value in result.offsets)
+    noise = ", ".join(f"{value:.3g}" for value in result.noise)
+    return [
+        ("speed", motion),
+        (
+            "electrical periods",
+            f"{result.periods:.2f}, {reading.capture.voltages.shape[1]} samples",
+        ),
+        ("sequence", result.sequence),
+        ("offset of a, b, c", f"{offsets} {unit}"),
+        ("noise of a, b, c", f"{noise} {unit} r.m.s."),
+        ("amplitudes differ from their mean by", f"{100.0 * symmetry.amplitude:.2f} %"),
+        ("displacements differ from 120 deg by", f"{math.degrees(symmetry.displacement):.2f} deg"),
+        ("even harmonics", f"{100.0 * symmetry.even:.2f} % of the fundamental"),
+        *_constant_rows(reading),
+    ]
+
+
+def _harmonic_rows(result: BemfResult) -> tuple[tuple[str, ...], ...]:
+    """Harmonics of which some phase shows more than its uncertainty."""
+    base = result.amplitudes[:, :1]
+    share, doubt = result.amplitudes / base, result.amplitude_uncertainty / base
+    seen = np.any((share > np.nan_to_num(doubt)) & (share > _LEAST_SHARE), axis=0)
+    return tuple(
+        (
+            f"{result.orders[k]}",
+            *(f"{100.0 * share[j, k]:.2f} +- {100.0 * doubt[j, k]:.2f}" for j in range(3)),
+            *(f"{math.degrees(result.phases[j, k]):.1f}" for j in range(3)),
+        )
+        for k in np.flatnonzero(seen)
+    )
+
+
+def capture_tables(reading: CaptureReading) -> list[Table]:
+    """Summary and harmonics of a capture."""
+    columns = (
+        "order",
+        *(f"{phase} %" for phase in _PHASES),
+        *(f"{phase} deg" for phase in _PHASES),
+    )
+    convention = (
+        "e / omega_e = - sum A_h sin(h theta - phi_h), theta from phase a to the d axis; A_h in % "
+        "of A_1 of its phase, +- the half width of the 95 % interval"
+    )
+    return [
+        Table(
+            f"{reading.name}: back-EMF",
+            ("", ""),
+            tuple(_summary_rows(reading)),
+            reading.result.findings,
+        ),
+        Table(
+            "Harmonics above their uncertainty",
+            columns,
+            _harmonic_rows(reading.result),
+            (convention,),
+        ),
+    ]
+
+
+def plain_capture(reading: CaptureReading) -> PlainData:
+    """Everything that was found, as arrays per phase."""
+    result = reading.result
+    return {
+        "frequency_Hz": result.frequency,
+        "drift": result.drift,
+        "periods": result.periods,
+        "sequence": result.sequence,
+        "psi_pm_Wb": result.psi_pm,
+        "orders": result.orders,
+        "amplitudes_Wb": result.amplitudes,
+        "amplitude_uncertainty_Wb": result.amplitude_uncertainty,
+        "phases_rad": result.phases,
+        "offsets": result.offsets,
+        "noise": result.noise,
+        "symmetry": asdict(result.symmetry),
+        "zero_sequence_known": result.zero_sequence_known,
+        "waveform_Wb": result.waveform,
+        "findings": list(result.findings),
+    }

@@ -1,0 +1,1 @@
+"""What every emitted C file is made of."""

@@ -1,0 +1,1 @@
+"""Two designs or results side by side."""

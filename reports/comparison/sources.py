@@ -1,0 +1,228 @@
+"""The two sides of a comparison: a design that is solved now, the result of an earlier run,
+or a header alone.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dqforge.machines.design.design import Design
+from dqforge.machines.errors import InputError
+from dqforge.reports.pages.envelope import FORMAT, to_text
+from dqforge.reports.pages.files import LARGEST_FILE, LARGEST_JSON, read_output
+from dqforge.reports.plain_data import PlainData
+from dqforge.reports.result import plain_solution
+
+_RESULT = "result.json"
+
+
+_PARTS = ("input", "drive", "header", "fit", "gains")
+
+
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+
+
+_GUARD = re.compile(r"^#ifndef ([A-Za-z_][A-Za-z0-9_]*)_H$", re.MULTILINE)
+
+
+_TITLE = re.compile(r"/\* \S+\.h - controller coefficients for (.+)")
+
+
+_DIGEST = re.compile(r"SHA-256 ([0-9a-f]{64})")
+
+
+_MACRO = re.compile(r"^#define ([A-Za-z_][A-Za-z0-9_]*) \(([^()\n]*)\)", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One side of a comparison.
+
+    Parameters
+    ----------
+    source:
+        What the user named.
+    result:
+        The document that `dqforge run` writes.
+    macros:
+        Values of the header's macros as they are written, by name without prefix;
+        None where there is no header.
+    code:
+        The header without comments and prefixes; None where there is none.
+    header_only:
+        True where ``result`` holds nothing but the name of the design and the digest of its file.
+    """
+
+    source: str
+    result: PlainData
+    macros: dict[str, str] | None
+    code: str | None = None
+    header_only: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name of the design."""
+        return str(self.result.get("design", ""))
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the design file."""
+        return str(self.result["input"].get("digest", ""))
+
+    def value(self, *path: str) -> Any:
+        """Entry of the result at a path of keys, None where there is none."""
+        found: Any = self.result
+        for key in path:
+            if not isinstance(found, dict):
+                return None
+            found = found.get(key)
+        return found
+
+
+def read_side(text: str, load: Callable[[str], Design]) -> Side:
+    """One side by what the user named: a folder, JSON file or header that `dqforge run` wrote,
+    else a design.
+
+    Parameters
+    ----------
+    text:
+        Folder, file, or name of a library drive.
+    load:
+        Makes a design of a file or name.
+
+    Raises
+    ------
+    InputError
+        It is none of these; the message names what is wrong.
+    NoSolutionError
+        The design has no solution.
+    """
+    if not text:
+        raise InputError(
+            "compare: a name is empty; write a design, a library name, or what 'dqforge run' wrote"
+        )
+    path = Path(text)
+    if path.is_dir():
+        if not (path / _RESULT).exists():
+            raise InputError(
+                f"the folder has no {_RESULT}; give the folder that 'dqforge run' or 'dqforge "
+                "export' wrote",
+                source=text,
+            )
+        return _from_result(text, path / _RESULT)
+    if path.suffix.lower() == ".json":
+        return _from_result(text, path)
+    if path.suffix.lower() == ".h":
+        return _from_header(text, path)
+    return solved_side(text, load(text))
+
+
+def solved_side(source: str, design: Design) -> Side:
+    """The side of a design, solved and emitted as `dqforge run` does, without a file being
+    written.
+    """
+    from dqforge.optimizer.solution import solve
+    from dqforge.reports.main_header.header import header_files
+
+    solution = solve(design)
+    prefix = design.export.prefix
+    header = header_files(solution)[f"{prefix}.h"].decode("ascii")
+    # Through the text, so that both sides are rounded alike.
+    result = json.loads(to_text("run", design.name, plain_solution(solution)))
+    return Side(source, result, header_macros(header, prefix), header_code(header, prefix))
+
+
+def header_code(header: str, prefix: str) -> str:
+    """What a header compiles to: without comments, blank lines and the prefix of its names."""
+    bare = re.sub(
+        rf"(?<![A-Za-z0-9_]){re.escape(prefix)}(?=_)",
+        "",
+        _COMMENT.sub("", header),
+        flags=re.IGNORECASE,
+    )
+    return "\n".join(
+        line for line in (" ".join(text.split()) for text in bare.splitlines()) if line
+    )
+
+
+def header_macros(header: str, prefix: str) -> dict[str, str]:
+    """Values of the macros in a header, by name without prefix and in the order of the header."""
+    start = prefix.upper() + "_"
+    return {
+        name.removeprefix(start): value
+        for name, value in _MACRO.findall(header)
+        if name.startswith(start)
+    }
+
+
+def _read(path: Path, most_bytes: int = LARGEST_FILE) -> bytes:
+    return read_output(
+        path,
+        "a design, a library name, or what 'dqforge run' or 'dqforge export' wrote",
+        most_bytes,
+    )
+
+
+def _from_result(text: str, path: Path) -> Side:
+    source, content = str(path), _read(path, LARGEST_JSON)
+    try:
+        result = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            "is not JSON; give the result.json of 'dqforge run'", source=source
+        ) from error
+    if not isinstance(result, dict) or "dqforge" not in result or "command" not in result:
+        raise InputError(
+            "is not a result of dqforge; give the result.json of 'dqforge run'", source=source
+        )
+    if result["command"] != "run":
+        raise InputError(
+            f"is the JSON of 'dqforge {result['command']}'; only the result.json of 'dqforge run' "
+            "or 'dqforge export' can be compared",
+            source=source,
+        )
+    if result.get("format") != FORMAT:
+        raise InputError(
+            f"has the format {result.get('format')!r}, expected {FORMAT}; run the design again",
+            source=source,
+        )
+    for part in _PARTS:
+        if not isinstance(result.get(part), dict):
+            raise InputError(
+                f"{part}: is missing or no object; run the design again", source=source
+            )
+    macros, code = _header_beside(path, result["header"].get("prefix"))
+    return Side(text, result, macros, code)
+
+
+def _from_header(text: str, path: Path) -> Side:
+    header = _read(path).decode("utf-8", errors="replace")
+    guard, title, digest = _GUARD.search(header), _TITLE.match(header), _DIGEST.search(header)
+    if guard is None or title is None or digest is None:
+        raise InputError(
+            "is no header of dqforge; give <prefix>.h of 'dqforge run' or 'dqforge export'",
+            source=text,
+        )
+    result = {"design": title[1].strip(), "input": {"digest": digest[1]}}
+    prefix = guard[1]
+    return Side(
+        text, result, header_macros(header, prefix), header_code(header, prefix), header_only=True
+    )
+
+
+def _header_beside(path: Path, prefix: object) -> tuple[dict[str, str] | None, str | None]:
+    """Macros and code of the header in the folder of a result, None where there is none."""
+    if not isinstance(prefix, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", prefix):
+        raise InputError(
+            "header.prefix: expected a C identifier; run the design again", source=str(path)
+        )
+    header = path.parent / f"{prefix}.h"
+    if not header.is_file():
+        return None, None
+    content = _read(header).decode("utf-8", errors="replace")
+    return header_macros(content, prefix), header_code(content, prefix)

@@ -1,0 +1,1 @@
+"""Control functions as C, and their models."""

@@ -1,0 +1,188 @@
+"""Rows of integers through all control functions in fixed point: inputs that reach the ends,
+and what must come out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers, Pair, Triple
+from dqforge.optimizer.fixed_control.step import (
+    FixedControl,
+    FixedPi,
+    Measured,
+    ObserverState,
+    VelocityState,
+    current_control,
+    decouple,
+    observe,
+    pi_step,
+    pi_velocity,
+)
+from dqforge.optimizer.fixed_control.transforms import (
+    clarke,
+    clarke_inverse,
+    full_scale,
+    park,
+    park_inverse,
+    rotation,
+)
+
+_LOOP_INPUTS = ("integral", "output", "proportional")
+
+
+_LOOP_OUTPUTS = ("limited", "integral", "velocity", "output", "proportional")
+
+
+_STEP_OUTPUTS = (
+    "duty_a",
+    "duty_b",
+    "duty_c",
+    "integral_d",
+    "integral_q",
+    "alpha",
+    "beta",
+    "d",
+    "q",
+    "v_d",
+    "v_q",
+)
+
+
+def input_names(control: FixedControl) -> tuple[str, ...]:
+    """Columns of the inputs: measured values, references, a vector, an error,
+    states of the loops and the observer.
+    """
+    names = [
+        "i_a",
+        "i_b",
+        "i_c",
+        "theta",
+        "omega",
+        "v_dc",
+        "ref_d",
+        "ref_q",
+        "x",
+        "y",
+        "error",
+        "limit",
+    ]
+    names += [f"{loop}_{part}" for loop in control.loops for part in _LOOP_INPUTS]
+    return (
+        *names,
+        *(("zeta", "omega_hat", "last_d", "last_q") if control.observer is not None else ()),
+    )
+
+
+def output_names(control: FixedControl) -> tuple[str, ...]:
+    """Columns of the results, in the order of `row_results`."""
+    names = ["cosine", "sine", "clarke_alpha", "clarke_beta", "inverse_a", "inverse_b", "inverse_c"]
+    names += ["park_d", "park_q", "back_alpha", "back_beta", "feed_d", "feed_q"]
+    names += [f"{loop}_{part}" for loop in control.loops for part in _LOOP_OUTPUTS]
+    names += ["next_zeta", "next_omega_hat"] if control.observer is not None else []
+    return (*names, *(f"step_{part}" for part in _STEP_OUTPUTS))
+
+
+def proportional_reach(control: FixedControl, pi: FixedPi) -> int:
+    """Largest kp e in codes that a loop can have kept."""
+    largest = pi.kp.mantissa * (2**control.width - 1) + pi.kp.half
+    return int(largest >> pi.kp.shift)
+
+
+def _columns(control: FixedControl) -> dict[str, tuple[int, int]]:
+    """Least and largest value of each input."""
+    width, top = control.width, full_scale(control.width)
+    code = (-top - 1, top)
+    found = dict.fromkeys(input_names(control), code)
+    found |= {"theta": (0, 2**width - 1), "error": (1 - 2**width, 2**width - 1), "limit": (0, top)}
+    for loop, forms in control.loops.items():
+        for name, pi in (("integral", forms["parallel"]), ("output", forms["velocity"])):
+            found[f"{loop}_{name}"] = (-top << pi.fraction, top << pi.fraction)
+        most = proportional_reach(control, forms["velocity"])
+        found[f"{loop}_proportional"] = (-most, most)
+    if control.observer is not None:
+        most = control.observer.reach * top << control.observer.fraction
+        found["zeta"] = (-most, most)
+    return found
+
+
+def row_inputs(control: FixedControl, count: int, seed: int) -> CodeArray:
+    """Inputs of shape (count, columns): two thirds spread evenly, one at the ends
+    of the words and near zero.
+
+    The phase currents of a third of the rows are balanced. In 16 bits every angle
+    comes once in 65,536 rows.
+    """
+    generator = np.random.default_rng(seed)
+    columns = []
+    for low, high in _columns(control).values():
+        even = generator.integers(low, high, count, endpoint=True)
+        special = generator.choice(np.array([low, low + 1, -1, 0, 1, high - 1, high]), count)
+        some = generator.random(count) < 1.0 / 3.0
+        columns.append(np.where(some, np.clip(special, low, high), even))
+    rows = np.stack(columns, axis=1)
+    names = input_names(control)
+    _balance(rows, generator, full_scale(control.width))
+    if control.width == 16:
+        rows[:, names.index("theta")] = (
+            np.arange(count) * 40_503
+        ) % 65_536  # an odd step: all of them in turn
+    return rows
+
+
+def _balance(rows: CodeArray, generator: np.random.Generator, top: int) -> None:
+    """Make the phase currents of a third of the rows balanced, and let a part
+    of them have equal phases.
+    """
+    third = slice(0, rows.shape[0] // 3)
+    count = rows[third].shape[0]
+    angle = generator.integers(0, 12, count) * (np.pi / 6.0) + generator.choice([0.0, 0.3], count)
+    size = np.exp(generator.uniform(-9.0, 0.0, count)) * top
+    for phase in range(3):
+        rows[third, phase] = np.rint(size * np.cos(angle - phase * 2.0 * np.pi / 3.0))
+
+
+def row_results(
+    control: FixedControl, inputs: CodeArray, arithmetic: Integers | None = None
+) -> CodeArray:
+    """Results of every function for rows of inputs, shape (rows, results),
+    columns as `output_names`.
+    """
+    o = Integers() if arithmetic is None else arithmetic
+    column = dict(zip(input_names(control), inputs.T, strict=True))
+    return np.stack(list(_results(o, control, column)), axis=1)
+
+
+def _results(o: Integers, control: FixedControl, x: dict[str, CodeArray]) -> Iterator[CodeArray]:
+    width = control.width
+    phases, vector = Triple(x["i_a"], x["i_b"], x["i_c"]), Pair(x["x"], x["y"])
+    turn = rotation(o, width, x["theta"])
+    back = clarke_inverse(o, width, vector)
+    pairs: list[Pair[Any]] = [turn, clarke(o, width, phases)]
+    for pair in pairs:
+        yield from (pair.x, pair.y)
+    yield from (back.a, back.b, back.c)
+    pairs = [park(o, width, vector, turn), park_inverse(o, width, vector, turn)]
+    pairs.append(decouple(o, width, control.decoupling, x["omega"], vector))
+    for pair in pairs:
+        yield from (pair.x, pair.y)
+    for loop, forms in control.loops.items():
+        yield from pi_step(
+            o, width, forms["parallel"], x[f"{loop}_integral"], x["error"], x["limit"]
+        )
+        state = VelocityState(x[f"{loop}_output"], x[f"{loop}_proportional"])
+        output, after = pi_velocity(o, forms["velocity"], state, x["error"], x["limit"])
+        yield from (output, after.output, after.proportional)
+    if control.observer is not None:
+        before = ObserverState(x["zeta"], x["omega_hat"], Pair(x["last_d"], x["last_q"]))
+        seen = observe(o, width, control.observer, before, vector, Pair(x["ref_d"], x["ref_q"]))
+        yield from (seen.zeta, seen.omega)
+    measured = Measured(phases, x["theta"], x["omega"], x["v_dc"])
+    integral = Pair(x["i_d_integral"], x["i_q_integral"])
+    step = current_control(o, control, integral, measured, Pair(x["ref_d"], x["ref_q"]))
+    yield from (step.duty.a, step.duty.b, step.duty.c)
+    for pair in (step.integral, step.voltage, step.current_dq, step.voltage_dq):
+        yield from (pair.x, pair.y)

@@ -1,0 +1,336 @@
+"""The C functions of ``control.h.j2`` on numpy arrays of float32, many drives side by side:
+same operations, same bits.
+
+The compiled code equals it bit for bit without contraction of products and
+sums (-ffp-contract=off).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.names import ModulationName
+from dqforge.optimizer.current_reference.forms import FloatReference
+from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.field_weakening.drop_reference import DropReference
+from dqforge.reports.c_code.float32_functions import (
+    clarke,
+    clarke_inverse,
+    park,
+    park_inverse,
+    rotation,
+    wrap,
+)
+
+Singles = tuple[SingleArray, ...]
+
+
+_UNKNOWN = np.float32(1.0e15)  # beyond, and not-a-number
+
+
+_HALF, _ZERO, _ONE = np.float32(0.5), np.float32(0.0), np.float32(1.0)
+
+
+_THIRD_HARMONIC = {"thipwm6": 1.0 / 6.0, "thipwm4": 1.0 / 4.0}
+
+
+_SEEN = {"dpwm0": -0.5, "dpwm2": 0.5}
+
+
+@dataclass(frozen=True, slots=True)
+class Modulator:
+    """How the template writes a modulator.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    share:
+        Share of third harmonic in the zero sequence, 0 where it has another rule.
+    priority:
+        What decides which phase rests, the highest or the lowest: ``voltages``, ``seen later`` (the
+        references seen 30 degrees earlier or later, ``sine``), ``load angle``, ``currents``; empty
+        for modulators without that question.
+    sign:
+        ``-`` where the smaller magnitude rests.
+    lines:
+        What the comment says.
+    """
+
+    name: ModulationName
+    share: float = 0.0
+    priority: str = ""
+    sine: float = 0.0
+    sign: str = ""
+    lines: tuple[str, ...] = ()
+
+    @property
+    def currents(self) -> bool:
+        """Whether it looks at the currents."""
+        return self.priority in {"load angle", "currents"}
+
+    @property
+    def extremes(self) -> bool:
+        """Whether it looks for the highest and the lowest reference."""
+        return self.name == "svpwm" or self.name.startswith(("dpwm", "gdpwm", "ddt"))
+
+    @property
+    def compares(self) -> bool:
+        """Whether it compares magnitudes."""
+        return self.priority != ""
+
+
+def modulator_of(name: ModulationName) -> Modulator:
+    """The modulator as the template writes it, rules as in
+    `dqforge.machines.modulation.modulators.zero_sequence`.
+    """
+    if name in _THIRD_HARMONIC:
+        share = _THIRD_HARMONIC[name]
+        return Modulator(
+            name, share=share, lines=(f"a third harmonic of 1/{round(1.0 / share)} is added",)
+        )
+    if name == "spwm":
+        return Modulator(name, lines=("sine against triangle, nothing is added",))
+    if name == "svpwm":
+        return Modulator(
+            name, lines=("highest and lowest reference at the same distance from the rails",)
+        )
+    if name in {"dpwmmin", "dpwmmax"}:
+        rail = (
+            "lowest rests at the negative" if name == "dpwmmin" else "highest rests at the positive"
+        )
+        return Modulator(name, lines=(f"the phase with the {rail} rail",))
+    rules = {
+        "dpwm0": ("seen later", "the larger reference 30 degrees ahead"),
+        "dpwm1": ("voltages", "the larger reference"),
+        "dpwm2": ("seen later", "the larger reference 30 degrees behind"),
+        "dpwm3": ("voltages", "the smaller reference"),
+        "gdpwm": ("load angle", "the larger reference at the load angle, up to 30 degrees"),
+        "ddt-gdpwm": ("currents", "the larger current"),
+    }
+    priority, text = rules[name]
+    return Modulator(
+        name,
+        priority=priority,
+        sine=_SEEN.get(name, 0.0),
+        sign="-" if name == "dpwm3" else "",
+        lines=(f"of the phases with the highest and lowest reference that with {text} rests",),
+    )
+
+
+@dataclass(slots=True)
+class ControlState:
+    """State of N drives, arrays of shape (N,), as ``<prefix>_control_t``."""
+
+    d: SingleArray
+    q: SingleArray
+    speed: SingleArray
+    reference: Singles
+    v: Singles
+    omega_m: SingleArray
+    torque: SingleArray
+    count: NDArray[np.uint32]
+
+    @classmethod
+    def start(cls, count: int) -> ControlState:
+        """Everything at rest."""
+        zeros = [np.zeros(count, dtype=np.float32) for _ in range(9)]
+        return cls(
+            zeros[0], zeros[1], zeros[2], (zeros[3], zeros[4]), (zeros[5], zeros[6]), zeros[7], zeros[8],
+            np.zeros(count, dtype=np.uint32),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class ControlModel:
+    """The control functions of one header.
+
+    Parameters
+    ----------
+    gains:
+        Members of ``<prefix>_control_gains_t`` by name, float32: ``d``, ``q`` and ``speed`` are
+        (kp, ki_ts, tracking); numbers, or arrays of shape (N,) where the drives differ.
+    ratio:
+        Current samples per speed sample.
+    modulation:
+        The modulator.
+    reference:
+        Current references of the torque.
+    weakening:
+        Current references of torque, voltage and speed, None where there are none.
+    """
+
+    gains: Mapping[str, Any]
+    ratio: int
+    modulation: ModulationName
+    reference: FloatReference
+    weakening: DropReference | None = None
+    modulator: Modulator = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "modulator", modulator_of(self.modulation))
+
+    def duties(
+        self, v_alpha: SingleArray, v_beta: SingleArray, v_dc: SingleArray, current: Singles
+    ) -> Singles:
+        """Duty cycles of a voltage in V and currents (alpha, beta) in A."""
+        v = clarke_inverse(v_alpha, v_beta)
+        zero = self._zero_sequence(v_alpha, v_beta, v, v_dc, current)
+        powered = v_dc > _ZERO
+        scale = np.where(powered, _ONE / np.where(powered, v_dc, _ONE), _ZERO)
+        duty = (np.where(powered, (phase + zero) * scale, _HALF) for phase in v)
+        return tuple(np.where(one > _ONE, _ONE, np.where(one > _ZERO, one, _ZERO)) for one in duty)
+
+    def _zero_sequence(
+        self,
+        v_alpha: SingleArray,
+        v_beta: SingleArray,
+        v: Singles,
+        v_dc: SingleArray,
+        current: Singles,
+    ) -> SingleArray:
+        rule = self.modulator
+        if rule.share > 0.0:
+            square = (v_alpha * v_alpha) + (v_beta * v_beta)
+            some = square > _ZERO
+            third = np.float32(4.0 * rule.share) * (
+                ((v[0] * v[1]) * v[2]) / np.where(some, square, _ONE)
+            )
+            return np.where(some, (_HALF * v_dc) - third, _HALF * v_dc)
+        if rule.name == "spwm":
+            return _HALF * v_dc
+        high, low = v[0], v[2]
+        ahead, behind = v[1] > high, v[1] < low
+        high, low = np.where(ahead, v[1], high), np.where(behind, v[1], low)
+        last, first = v[2] > high, v[0] < low
+        high, low = np.where(last, v[2], high), np.where(first, v[0], low)
+        if rule.name == "svpwm":
+            return _HALF * ((v_dc - high) - low)
+        if rule.name == "dpwmmax":
+            return v_dc - high
+        if rule.name == "dpwmmin":
+            return -low
+        rank = self._priority(v_alpha, v_beta, v, current)
+        of_high = np.where(last, rank[2], np.where(ahead, rank[1], rank[0]))
+        of_low = np.where(first, rank[0], np.where(behind, rank[1], rank[2]))
+        return np.where(of_high >= of_low, v_dc - high, -low)
+
+    def _priority(
+        self, v_alpha: SingleArray, v_beta: SingleArray, v: Singles, current: Singles
+    ) -> Singles:
+        rule = self.modulator
+        if rule.priority == "currents":
+            values: Singles = clarke_inverse(*current)
+        elif rule.priority == "voltages":
+            values = v
+        else:
+            cosine, sine = (
+                np.full_like(v_alpha, np.float32(0.8660254)),
+                np.full_like(v_alpha, np.float32(rule.sine)),
+            )
+            if rule.priority == "load angle":
+                cosine, sine = _load_turn(v_alpha, v_beta, *current)
+            values = clarke_inverse(
+                cosine * v_alpha + sine * v_beta, cosine * v_beta - sine * v_alpha
+            )
+        sign = np.float32(-1.0 if rule.sign else 1.0)
+        return tuple(sign * np.abs(value) for value in values)
+
+    def current_control(
+        self, state: ControlState, measured: SingleArray, reference: Singles
+    ) -> Singles:
+        """Duty cycles from samples (N, 6): i_a, i_b, i_c, theta_e, omega_m, v_dc,
+        and references (d, q) in A.
+        """
+        gains = self.gains
+        i_a, i_b, i_c, theta, omega_m, v_dc = (
+            np.ascontiguousarray(column) for column in measured.T
+        )
+        omega_e = gains["pole_pairs"] * omega_m
+        v_max = gains["voltage_share"] * v_dc
+        current = clarke(i_a, i_b, i_c)
+        i_d, i_q = park(*current, *rotation(wrap(theta)))
+        error_d, error_q = reference[0] - i_d, reference[1] - i_q
+        wanted_d = _pi_output(gains["d"], state.d, error_d) - (omega_e * (gains["l_q"] * i_q))
+        wanted_q = _pi_output(gains["q"], state.q, error_q) + (
+            omega_e * ((gains["l_d"] * i_d) + gains["psi_pm"])
+        )
+        length = np.sqrt((wanted_d * wanted_d) + (wanted_q * wanted_q))
+        beyond = length > v_max
+        share = np.where(beyond, v_max / np.where(beyond, length, _ONE), _ONE)
+        known = (length < _UNKNOWN) & (v_max >= _ZERO)
+        v_d, v_q = (
+            np.where(known, share * wanted_d, _ZERO),
+            np.where(known, share * wanted_q, _ZERO),
+        )
+        next_d = state.d + ((gains["d"][1] * error_d) + (gains["d"][2] * (v_d - wanted_d)))
+        next_q = state.q + ((gains["q"][1] * error_q) + (gains["q"][2] * (v_q - wanted_q)))
+        state.d, state.q = np.where(known, next_d, state.d), np.where(known, next_q, state.q)
+        state.reference = reference
+        state.v = park_inverse(v_d, v_q, *rotation(wrap(theta + (omega_e * gains["advance"]))))
+        return self.duties(*state.v, v_dc, current)
+
+    def torque_control(
+        self, state: ControlState, measured: SingleArray, torque: SingleArray
+    ) -> Singles:
+        """Duty cycles for a torque in N m."""
+        state.torque = torque
+        if self.weakening is None:
+            return self.current_control(state, measured, self.reference.currents(torque))
+        v_max, omega_e = (
+            self.gains["voltage_share"] * measured[:, 5],
+            self.gains["pole_pairs"] * measured[:, 4],
+        )
+        return self.current_control(
+            state, measured, self.weakening.currents(torque, v_max, omega_e)
+        )
+
+    def speed_loop(
+        self, state: ControlState, omega_m: SingleArray, reference: SingleArray
+    ) -> SingleArray:
+        """Torque reference in N m for a speed in rad/s."""
+        _, ki_ts, tracking = self.gains["speed"]
+        most = self.gains["torque_max"]
+        filtered = state.omega_m + (self.gains["speed_filter"] * (omega_m - state.omega_m))
+        state.omega_m = np.where(np.abs(omega_m) < _UNKNOWN, filtered, state.omega_m)
+        due = (state.count == 0) & (np.abs(reference) < _UNKNOWN)
+        error = reference - state.omega_m
+        wanted = _pi_output(self.gains["speed"], state.speed, error)
+        limited = np.where(wanted > most, most, np.where(wanted < -most, -most, wanted))
+        step = state.speed + ((ki_ts * error) + (tracking * (limited - wanted)))
+        state.torque = np.where(due, limited, state.torque)
+        state.speed = np.where(due, step, state.speed)
+        state.count = np.where(state.count + 1 < self.ratio, state.count + 1, 0).astype(np.uint32)
+        return state.torque
+
+    def speed_control(
+        self, state: ControlState, measured: SingleArray, reference: SingleArray
+    ) -> Singles:
+        """Duty cycles for a speed in rad/s."""
+        omega_m = np.ascontiguousarray(measured[:, 4])
+        return self.torque_control(state, measured, self.speed_loop(state, omega_m, reference))
+
+
+def _pi_output(gains: Singles, integral: SingleArray, error: SingleArray) -> SingleArray:
+    return gains[0] * error + (integral + gains[1] * error)
+
+
+def _load_turn(
+    v_alpha: SingleArray, v_beta: SingleArray, i_alpha: SingleArray, i_beta: SingleArray
+) -> Singles:
+    """Cosine and sine of the load angle, held within 30 degrees; 0 without current."""
+    along = (v_alpha * i_alpha) + (v_beta * i_beta)
+    across = (v_beta * i_alpha) - (v_alpha * i_beta)
+    across, along = np.where(along < _ZERO, -across, across), np.abs(along)
+    length = np.sqrt((along * along) + (across * across))
+    known, wide = length > _ZERO, np.abs(across) > np.float32(0.57735026) * along
+    divisor = np.where(known, length, _ONE)
+    edge = np.where(across < _ZERO, -_HALF, _HALF)
+    cosine = np.where(wide, np.float32(0.8660254), along / divisor)
+    sine = np.where(wide, edge, across / divisor)
+    return np.where(known, cosine, _ONE), np.where(known, sine, _ZERO)

@@ -1,0 +1,277 @@
+"""The C header of field-oriented control in float32, its plain description,
+and the run that proves it.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from typing import Any, get_args
+
+import numpy as np
+
+from dqforge.machines.errors import InputError
+from dqforge.machines.modulation.modulators import LINEAR_LIMITS
+from dqforge.machines.names import ModulationName
+from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.loops.gains import LoopGains
+from dqforge.optimizer.solution import Solution
+from dqforge.reports.c_code.harness import Programme
+from dqforge.reports.c_code.numbers import float_literal
+from dqforge.reports.c_code.read_back import single_from
+from dqforge.reports.c_code.title import title
+from dqforge.reports.control.float32_model import ControlModel, ControlState, modulator_of
+from dqforge.reports.current_reference.plain import from_plain
+from dqforge.reports.field_weakening.header import weakening_from
+from dqforge.reports.pages.templating import render
+from dqforge.reports.plain_data import PlainData, shortest
+
+_PIS = ("d", "q", "speed")
+
+
+_NUMBERS = (
+    "pole_pairs", "r_s", "l_d", "l_q", "psi_pm", "voltage_share", "advance", "torque_max", "speed_filter",
+)  # fmt: skip
+
+
+_COMMENTS = {
+    "d": "i_d: kp, ki t_s, tracking",
+    "q": "i_q: kp, ki t_s, tracking",
+    "speed": "speed: kp, ki t_s, tracking",
+    "pole_pairs": "number of pole pairs",
+    "r_s": "Ohm",
+    "l_d": "H",
+    "l_q": "H",
+    "psi_pm": "Wb",
+    "voltage_share": "V per V of the DC link",
+    "advance": "s",
+    "torque_max": "N m",
+    "speed_filter": "1",
+}
+
+
+_DRIVES, _STEPS = 50, 160
+
+
+_SEED = 20_261_121
+
+
+_FAULT = InputError("control_header is not what dqforge writes; run the design again")
+
+
+def _pi(gains: LoopGains | None) -> list[float]:
+    if gains is None:
+        return [0.0, 0.0, 0.0]
+    return [shortest(np.float32(x)) for x in (gains.kp, gains.ki_ts, gains.anti_windup * gains.t_s)]
+
+
+def plain_control(solution: Solution) -> PlainData:
+    """The gains and the modulator of the emitted control as plain data.
+
+    Every number is a float32 value.
+
+    Raises
+    ------
+    InputError
+        The current reference is in fixed point, which the float32 control cannot call.
+    """
+    design = solution.design
+    if isinstance(solution.fit.reference, FixedReference):
+        raise InputError(
+            "export.control: float32 control needs current references in float32; write "
+            f"fit.format: float32, or export.control: {solution.fit.reference.format}"
+        )
+    operation, control, machine = design.operation, design.control, design.machine
+    settings = control.speed_loop
+    numbers = {
+        "pole_pairs": machine.pole_pairs,
+        "r_s": machine.r_s,
+        "l_d": machine.l_d,
+        "l_q": machine.l_q,
+        "psi_pm": machine.psi_pm,
+        "voltage_share": LINEAR_LIMITS[operation.modulation] * (1.0 - operation.voltage_margin),
+        "advance": 1.5 * control.t_s,
+        "torque_max": float(solution.reference.torque_max),
+        "speed_filter": speed_filter(
+            settings.filter_time if settings is not None else 0.0, control.t_s
+        ),
+    }
+    return {
+        "modulation": operation.modulation,
+        "weakening": solution.weakening is not None,
+        "ratio": 1 if settings is None else settings.ratio,
+        "d": _pi(solution.gains.i_d),
+        "q": _pi(solution.gains.i_q),
+        "speed": _pi(solution.gains.speed),
+        **{name: shortest(np.float32(value)) for name, value in numbers.items()},
+    }
+
+
+def speed_filter(filter_time: float, t_s: float) -> float:
+    """Share of a new sample in the sampled first-order filter of a time constant in s: 1 -
+    exp(-t_s/filter_time).
+    """
+    return 1.0 if filter_time <= 0.0 else -math.expm1(-t_s / filter_time)
+
+
+def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> ControlModel:
+    """Read the control functions back from a result and its part that describes them.
+
+    Raises
+    ------
+    InputError
+        The data are not what `plain_control` makes.
+    """
+    try:
+        gains: dict[str, Any] = {
+            name: tuple(single_from(x) for x in described[name]) for name in _PIS
+        }
+        gains |= {name: single_from(described[name]) for name in _NUMBERS}
+        modulation, ratio = described["modulation"], described["ratio"]
+        reference = from_plain(whole["header"]["reference"])
+        weakening = weakening_from(whole["weakening_header"]) if described["weakening"] else None
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise _FAULT from error
+    whole_ratio = isinstance(ratio, int) and not isinstance(ratio, bool) and ratio >= 1
+    triples = all(len(gains[name]) == 3 for name in _PIS)
+    if modulation not in get_args(ModulationName) or not whole_ratio or not triples:
+        raise _FAULT
+    if isinstance(reference, FixedReference):
+        raise _FAULT
+    return ControlModel(gains, ratio, modulation, reference, weakening)
+
+
+def control_inputs(model: ControlModel) -> SingleArray:
+    """Sequences for the harness, shape (steps * drives, 9): every mode, within all
+    limits and far beyond them.
+    """
+    generator = np.random.default_rng(_SEED)
+    shape = (_STEPS, _DRIVES)
+    rows = np.zeros((*shape, 9))
+    torque_max = float(model.gains["torque_max"])
+    ampere = float(
+        np.max(np.abs(model.reference.currents(np.array([torque_max], dtype=np.float32))))
+    )
+    spread = generator.choice([0.3, 1.0, 30.0], size=_DRIVES)
+    v_dc = generator.uniform(10.0, 1000.0, _DRIVES)
+    speed = generator.uniform(-1.0, 1.0, _DRIVES) * v_dc / max(float(model.gains["psi_pm"]), 1e-3)
+    speed /= float(model.gains["pole_pairs"])
+    rows[..., 0] = np.arange(_DRIVES) % 3
+    rows[..., 1:4] = generator.normal(size=(*shape, 3)) * (spread * ampere)[:, None]
+    rows[..., 4] = np.cumsum(generator.normal(size=shape), axis=0)
+    rows[..., 5] = speed * (1.0 + 0.01 * generator.normal(size=shape))
+    rows[..., 6] = v_dc * generator.uniform(0.9, 1.1, shape)
+    rows[..., 7] = generator.normal(size=shape) * spread * ampere
+    rows[..., 8] = generator.normal(size=shape) * spread * ampere
+    rows[..., 7] = np.where(
+        rows[..., 0] == 1, generator.uniform(-1.2, 1.2, shape) * torque_max, rows[..., 7]
+    )
+    rows[..., 7] = np.where(
+        rows[..., 0] == 2, speed * generator.uniform(0.0, 2.0, shape), rows[..., 7]
+    )
+    rows[:3, :, 1:4] = 0.0  # references and voltages that are exactly equal
+    rows[2, :, 7:] = 0.0
+    rows[5, :, 6] = 0.0  # no DC-link voltage
+    columns = np.arange(1, 9)  # of the measurements and references; one bad sample each
+    rows[10:18, :_DRIVES, columns] = np.where(
+        np.eye(8, dtype=np.bool_)[:, np.newaxis], np.nan, rows[10:18][..., columns]
+    )
+    rows[20:28, :_DRIVES, columns] = np.where(
+        np.eye(8, dtype=np.bool_)[:, np.newaxis], np.inf, rows[20:28][..., columns]
+    )
+    return np.ascontiguousarray(rows.reshape(-1, 9), dtype=np.float32)
+
+
+def control_results(model: ControlModel, inputs: SingleArray) -> SingleArray:
+    """What the harness must return for `control_inputs`, shape (N, 8)."""
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        return _results(model, inputs)
+
+
+def _results(model: ControlModel, inputs: SingleArray) -> SingleArray:
+    drives = [slice(mode, _DRIVES, 3) for mode in range(3)]
+    rows = inputs.reshape(-1, _DRIVES, 9)
+    results = np.empty((rows.shape[0], _DRIVES, 8), dtype=np.float32)
+    for mode, chosen in enumerate(drives):
+        mine = rows[:, chosen]
+        state = ControlState.start(mine.shape[1])
+        for step, row in enumerate(mine):
+            reference = np.ascontiguousarray(row[:, 7])
+            measured = np.ascontiguousarray(row[:, 1:7])
+            if mode == 0:
+                duty = model.current_control(
+                    state, measured, (reference, np.ascontiguousarray(row[:, 8]))
+                )
+            elif mode == 1:
+                duty = model.torque_control(state, measured, reference)
+            else:
+                duty = model.speed_control(state, measured, reference)
+            results[step, chosen] = np.stack(
+                [*duty, *state.v, *state.reference, state.torque], axis=1
+            )
+    return results.reshape(-1, 8)
+
+
+def control_programme(model: ControlModel) -> Programme:
+    """The harness of the control functions."""
+    inputs = control_inputs(model)
+    return Programme(
+        "control/harness.c.j2",
+        inputs,
+        control_results(model, inputs),
+        {"drives": _DRIVES},
+        name="control functions",
+    )
+
+
+def _gain_lines(plain: PlainData) -> list[tuple[str, str]]:
+    triples = [
+        ("{ " + ", ".join(float_literal(value) for value in plain[name]) + " }", _COMMENTS[name])
+        for name in _PIS
+    ]
+    numbers = [(float_literal(plain[name]), f"{name}, {_COMMENTS[name]}") for name in _NUMBERS]
+    return [*triples, *numbers, (f"{plain['ratio']}U", "current samples per speed sample")]
+
+
+def control_files(solution: Solution) -> dict[str, bytes]:
+    """Name and bytes of ``<prefix>_control.h``.
+
+    Raises
+    ------
+    InputError
+        As `plain_control`.
+    """
+    design, plain = solution.design, plain_control(solution)
+    prefix = design.export.prefix
+    context = {
+        **title(design),
+        "weakening": plain["weakening"],
+        "modulator": modulator_of(plain["modulation"]),
+        "gains": _gain_lines(plain),
+        "preamble": [
+            (
+                f"Sampled every {design.control.t_s * 1e6:.6g} us; the duty cycles of a sample act "
+                "from the next on, for"
+            ),
+            (
+                "one period. Currents, angle and speed of one instant go in; dq quantities as peak "
+                "of phase."
+            ),
+            (
+                "All gains can be changed at run time: copy the constant structure and hand your "
+                "copy over."
+            ),
+            "Compile with -ffp-contract=off to equal the model bit for bit.",
+        ],
+    }
+    return {f"{prefix}_control.h": render("control/control.h.j2", context).encode("ascii")}
+
+
+def gain_bytes(plain: Mapping[str, Any]) -> bytes:
+    """Bytes of ``<prefix>_control_gains_t`` on this machine, from data as
+    `plain_control` makes them.
+    """
+    numbers = [value for name in _PIS for value in plain[name]] + [plain[name] for name in _NUMBERS]
+    return struct.pack(f"={len(numbers)}fI", *numbers, plain["ratio"])

@@ -1,0 +1,1 @@
+"""The current reference as text, tables, JSON, HTML, figures and C."""

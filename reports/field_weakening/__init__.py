@@ -1,0 +1,1 @@
+"""The field-weakening reference as tables, JSON, figures and C."""

@@ -1,0 +1,1 @@
+"""Loops as tables, JSON, HTML, figures and C."""

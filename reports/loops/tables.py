@@ -1,0 +1,100 @@
+"""Loops as tables of the terminal."""
+
+from __future__ import annotations
+
+import math
+
+from dqforge.machines.design.design import Design
+from dqforge.machines.names import QFormats
+from dqforge.optimizer.control_design.gain_set import GainSet
+from dqforge.optimizer.fixed_control.gains import pi_integers
+from dqforge.optimizer.loops.gains import LoopGains, per_unit
+from dqforge.optimizer.observers.proof import ObserverProof
+from dqforge.reports.loops.robustness_text import (
+    FORM_COLUMNS,
+    ROBUST_COLUMNS,
+    form_rows,
+    robust_notes,
+    robust_rows,
+)
+from dqforge.reports.loops.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
+from dqforge.reports.observers.speed_loop_text import margin_words, observed_notes
+from dqforge.reports.observers.tables import observer_table
+from dqforge.reports.observers.text import position_parts
+from dqforge.reports.pages.labels import (
+    significant,
+)
+from dqforge.reports.pages.table import Table
+
+
+def _loop_row(gains: LoopGains, unit: str, per_unit_text: str) -> tuple[str, ...]:
+    return (
+        gains.loop,
+        gains.method,
+        f"{gains.kp:.5g} {unit}",
+        f"{gains.ki:.5g}",
+        per_unit_text,
+        significant(gains.crossover / (2.0 * math.pi)),
+        margin_words(gains),
+        f"{20.0 * math.log10(gains.gain_margin):.1f}"
+        if math.isfinite(gains.gain_margin)
+        else "none",
+        significant(gains.delay_margin * 1e6, 3),
+        f"{gains.max_sensitivity:.2f}",
+    )
+
+
+def _per_unit_text(gains: LoopGains, bases: tuple[float, float], q_formats: QFormats | None) -> str:
+    kp, ki_ts = per_unit(gains, *bases)
+    integers = pi_integers(kp, ki_ts, q_formats)
+    if integers is None:
+        return f"{kp:.5g}, {ki_ts:.4g}"
+    return ", ".join(f"{number.mantissa} (Q{number.shift})" for number in integers)
+
+
+def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = None) -> list[Table]:
+    """Gains of each loop with their margins, and the observer with its errors
+    and what is proven of it.
+    """
+    control, bases = design.control, design.control.bases
+    current = (bases.current, bases.voltage)
+    rows = [
+        _loop_row(loop, "V/A", _per_unit_text(loop, current, control.current_loop.q_formats))
+        for loop in (gains.i_d, gains.i_q)
+    ]
+    if gains.speed is not None and control.speed_loop is not None:
+        text = _per_unit_text(
+            gains.speed, (bases.speed, bases.torque), control.speed_loop.q_formats
+        )
+        rows.append(_loop_row(gains.speed, "N m s/rad", text))
+    columns = (
+        "loop",
+        "method",
+        "kp",
+        "ki (kp unit)/s",
+        "per unit: kp, ki t_s",
+        "crossover Hz",
+        "phase margin deg",
+        "gain margin dB",
+        "delay margin us",
+        "M_s",
+    )
+    title, notes = (
+        f"{design.name}: gains, sampled every {control.t_s * 1e6:.4g} us",
+        observed_notes(gains.speed),
+    )
+    tables = [Table(title, columns, tuple(rows), notes)]
+    tables.append(Table("Parallel, series and velocity form", FORM_COLUMNS, form_rows(gains)))
+    if gains.robust is not None:
+        rows_, notes = robust_rows(gains.robust), robust_notes(gains.robust)
+        tables.append(Table("Worst within control.tolerances", ROBUST_COLUMNS, rows_, notes))
+    if gains.schedule is not None:
+        rows_, notes = schedule_rows(gains.schedule), schedule_notes(gains.schedule)
+        tables.append(
+            Table("Scheduled gains along the current reference", SCHEDULE_COLUMNS, rows_, notes)
+        )
+    if gains.observer is not None:
+        tables.append(observer_table(design, gains))
+    if gains.position is not None:
+        tables += [Table(*part) for part in position_parts(gains.position, proof)]
+    return tables

@@ -1,0 +1,1 @@
+"""Losses as tables, JSON, HTML and figures."""

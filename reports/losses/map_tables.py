@@ -1,0 +1,320 @@
+"""Tables and plain data of loss maps and missions."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.design import Design
+from dqforge.machines.modulation.dead_time import dead_time_factor
+from dqforge.machines.units.quantities import format_quantity
+from dqforge.optimizer.losses.drive_budget import PARTS
+from dqforge.optimizer.losses.drive_comparison import Alternatives
+from dqforge.optimizer.losses.mission_budget import MissionComparison, MissionRun
+from dqforge.reports.pages.labels import WITHOUT_BRIDGE, letter, part_label
+from dqforge.reports.pages.table import Table
+from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.losses.loss_map import LossMap
+
+
+_RPM = 30.0 / math.pi
+
+
+_GRID = (10, 12)
+
+"""Torques and speeds of the map in the terminal at most."""
+
+
+_MOST_ROWS = 40
+
+
+def alternative_text(alternatives: Alternatives, index: int, *, plain: bool = True) -> str:
+    """An alternative in the words by which it differs from the others: modulator, strategy,
+    frequency.
+    """
+    strategy, modulation, frequency = alternatives.label(index)
+    words = [modulation if plain else modulation.upper()]
+    if alternatives.shape[0] > 1:
+        words.insert(0, strategy)
+    if alternatives.shape[2] > 1:
+        words.append(format_quantity(frequency, "Hz", 4))
+    return ", ".join(words)
+
+
+def common_points(found: LossMap) -> tuple[FloatArray, FloatArray]:
+    """Mean losses in W by kind (parts, A) over the points that all usable alternatives share,
+    and their mask (P,).
+
+    Alternatives that are usable nowhere do not count; NaN where there is no such point.
+    """
+    comparison = found.comparison
+    usable = comparison.usable.reshape(-1, comparison.torque.size)
+    somewhere = np.any(usable, axis=1)
+    shared = (
+        np.all(usable[somewhere], axis=0)
+        if np.any(somewhere)
+        else np.zeros(usable.shape[1], dtype=np.bool_)
+    )
+    columns = []
+    for part in PARTS:
+        values = getattr(comparison.budget, part).reshape(usable.shape)
+        mean = (
+            np.mean(values[:, shared], axis=1)
+            if np.any(shared)
+            else np.full(usable.shape[0], np.nan)
+        )
+        columns.append(np.where(somewhere, mean, np.nan))
+    return np.stack(columns), np.asarray(shared, dtype=np.float64)
+
+
+def _watt(value: float) -> str:
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.3g}" if 0.0 < abs(value) < 10.0 else f"{value + 0.0:.1f}"
+
+
+def _shown_parts(values: FloatArray) -> list[int]:
+    """Indices of the kinds of loss (rows of `values`) that are not zero everywhere."""
+    return [k for k in range(len(PARTS)) if np.any(np.nan_to_num(values[k]) != 0.0)]
+
+
+def map_tables(design: Design, found: LossMap) -> list[Table]:
+    """Alternatives with their mean losses, and a coarse map of the winners."""
+    comparison, alternatives = found.comparison, found.comparison.alternatives
+    count = comparison.torque.size
+    usable = comparison.usable.reshape(-1, count)
+    means, shared = common_points(found)
+    budget, kinds = comparison.budget, _shown_parts(means)
+    wins = np.bincount(comparison.best[comparison.best >= 0], minlength=usable.shape[0])
+    rows = []
+    for k in range(usable.shape[0]):
+        s, m, f = np.unravel_index(k, alternatives.shape)
+        strategy, modulation, frequency = alternatives.label(k)
+        hot = np.max(budget.junction_temperature[s, m, f][usable[k]], initial=-np.inf)
+        ripple = np.max(budget.ripple_current[s, m, f][usable[k]], initial=-np.inf)
+        cells = [_watt(float(means[part, k])) for part in kinds]
+        rows.append(
+            (
+                letter(k),
+                strategy,
+                modulation,
+                format_quantity(frequency, "Hz", 4),
+                *cells,
+                _watt(float(np.sum(means[:, k]))),
+                _watt(float(hot)),
+                _watt(float(ripple)),
+                f"{100.0 * np.mean(usable[k]):.0f}",
+                f"{100.0 * wins[k] / count:.0f}",
+            )
+        )
+    headings = [f"{part_label(PARTS[part])} W" for part in kinds]
+    columns = ("", "strategy", "modulator", "carrier", *headings, "total W")
+    columns = (*columns, "junction max degC", "ripple max A", "drives %", "least at %")
+    title = f"{design.name}: losses over {found.torque.size} torques by {found.omega_m.size} speeds"
+    notes = [
+        (
+            f"mean losses over the {100.0 * np.mean(shared):.0f} % of the points that all "
+            "alternatives drive"
+        )
+    ]
+    notes += _bridge_notes(design) + _dead_time_notes(design, alternatives)
+    if np.any(~budget.within_tables & comparison.usable):
+        notes.append("at some points the device tables are carried on beyond their ends")
+    return [Table(title, columns, tuple(rows), tuple(notes)), _winner_table(found)]
+
+
+def _bridge_notes(design: Design) -> list[str]:
+    return [] if design.inverter.device is not None else [WITHOUT_BRIDGE]
+
+
+def _dead_time_notes(design: Design, alternatives: Alternatives) -> list[str]:
+    """What dead time takes of the voltage, from the least to the most of the alternatives."""
+    taken = [
+        100.0 * (1.0 - float(dead_time_factor(name, design.inverter.dead_time, frequency)))
+        for name in alternatives.modulations
+        for frequency in alternatives.frequencies
+    ]
+    if max(taken) == 0.0:
+        return []
+    share = (
+        f"{max(taken):.2g} %"
+        if min(taken) == max(taken)
+        else f"{min(taken):.2g} to {max(taken):.2g} %"
+    )
+    return [f"dead time is made up for, which takes {share} of the linear range"]
+
+
+def _winner_table(found: LossMap) -> Table:
+    """Letters of the alternatives that lose least, highest torque first."""
+    best = found.comparison.best.reshape(found.torque.size, found.omega_m.size)
+    places = [
+        np.unique(np.linspace(0, size - 1, min(size, most)).round().astype(int))
+        for size, most in zip(best.shape, _GRID, strict=True)
+    ]
+    rows = [
+        (
+            f"{found.torque[i]:.4g}",
+            *(letter(int(best[i, j])) if best[i, j] >= 0 else "." for j in places[1]),
+        )
+        for i in places[0][::-1]
+    ]
+    columns = ("N m \\ rpm", *(f"{found.omega_m[j] * _RPM:.0f}" for j in places[1]))
+    seen = np.unique(best[best >= 0])
+    alternatives = found.comparison.alternatives
+    named = [f"{letter(int(k))} = {alternative_text(alternatives, int(k))}" for k in seen]
+    named.append("of alternatives that lose the same the first in the list is named")
+    notes = (
+        (*named, ". = no alternative makes the torque within its limits")
+        if np.any(best < 0)
+        else tuple(named)
+    )
+    return Table(
+        "Who loses least, over torque (down) and speed (across)", columns, tuple(rows), notes
+    )
+
+
+def plain_map(found: LossMap) -> PlainData:
+    """Axes, alternatives with totals over the map (torque by speed), and the index of the best."""
+    comparison, alternatives = found.comparison, found.comparison.alternatives
+    shape = (found.torque.size, found.omega_m.size)
+    count = comparison.torque.size
+    usable = comparison.usable.reshape(-1, count)
+    columns = {
+        "total_W": comparison.budget.total,
+        "junction_degC": comparison.budget.junction_temperature,
+        "ripple_current_A": comparison.budget.ripple_current,
+        "capacitor_current_A": comparison.budget.capacitor_current,
+    }
+    rows = []
+    means, _ = common_points(found)
+    for k in range(usable.shape[0]):
+        strategy, modulation, frequency = alternatives.label(k)
+        row: PlainData = {"strategy": strategy, "modulation": modulation, "frequency_Hz": frequency}
+        row["mean_W"] = dict(zip(PARTS, means[:, k].tolist(), strict=True))
+        row["usable"] = usable[k].reshape(shape)
+        row |= {
+            name: values.reshape(-1, count)[k].reshape(shape) for name, values in columns.items()
+        }
+        rows.append(row)
+    return {
+        "torque_Nm": found.torque,
+        "omega_m_rad_per_s": found.omega_m,
+        "alternatives": rows,
+        "best": comparison.best.reshape(shape),
+    }
+
+
+def _energy(joule: float) -> str:
+    """Energy in Wh, as missions are counted."""
+    return f"{joule / 3600.0:.4g}"
+
+
+def mission_mark(run: MissionRun, *, best: bool) -> str:
+    """Why an alternative cannot be used, or that it is the best, or nothing."""
+    if not run.steady:
+        return "junction temperature runs away"
+    if run.missed.size:
+        return "not reached"
+    if not run.cool_enough:
+        return "junction too hot"
+    return "best" if best else ""
+
+
+def _missed_notes(found: MissionComparison) -> list[str]:
+    """For each set of rows that cannot be driven, where it begins and which modulators it stops."""
+    groups: dict[tuple[int, ...], list[str]] = {}
+    for run in found.runs:
+        if run.missed.size:
+            names = groups.setdefault(tuple(run.missed.tolist()), [])
+            name = f"{run.strategy} {run.modulation}"
+            names += [] if name in names else [name]
+    return [
+        f"{found.mission.source}:{lines[0]}: torque or voltage cannot be had ({len(lines)} row"
+        f"{'' if len(lines) == 1 else 's'}) with {', '.join(names)}; the most that can is counted"
+        for lines, names in groups.items()
+    ]
+
+
+def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
+    """Energy by kind of loss, and the junctions, of every alternative."""
+    mission = found.mission
+    energies = np.array([[run.energy[part] for run in found.runs] for part in PARTS])
+    kinds = _shown_parts(energies)
+    rows = []
+    for k, run in enumerate(found.runs[:_MOST_ROWS]):
+        cells = [_energy(run.energy[PARTS[part]]) if run.steady else "-" for part in kinds]
+        total = (
+            [_energy(run.total), _watt(run.junction_max), _watt(run.swing)]
+            if run.steady
+            else ["-"] * 3
+        )
+        head = (run.strategy, run.modulation, format_quantity(run.frequency, "Hz", 4))
+        rows.append((*head, *cells, *total, mission_mark(run, best=k == found.best)))
+    columns = (
+        "strategy",
+        "modulator",
+        "carrier",
+        *(f"{part_label(PARTS[part])} Wh" for part in kinds),
+        "total Wh",
+    )
+    columns = (*columns, "junction max degC", "swing K", "")
+    first = found.runs[max(found.best, 0)]
+    length = float(mission.time[-1] - mission.time[0])
+    notes = [
+        f"{mission.length.size} intervals, {length:.6g} s; the mission follows itself",
+        (
+            f"at the shaft {_energy(first.driving)} Wh go out and {_energy(-first.braking)} Wh "
+            "come back"
+        ),
+    ]
+    notes += _bridge_notes(design) + _dead_time_notes(design, found.alternatives)
+    if len(found.runs) > _MOST_ROWS:
+        notes.append(f"{len(found.runs) - _MOST_ROWS} more alternatives are in the JSON")
+    if math.isfinite(first.winding_temperature):
+        notes.append(f"winding at {first.winding_temperature:.1f} degC by the mean copper loss")
+    if not all(run.within_tables for run in found.runs):
+        notes.append("in some alternatives the device tables are carried on beyond their ends")
+    notes += _missed_notes(found)
+    title = f"{design.name}: losses over the mission {mission.source}"
+    return [Table(title, columns, tuple(rows), (*notes, *mission.findings))]
+
+
+def plain_mission(found: MissionComparison) -> PlainData:
+    """Energies in J and temperatures of every alternative, and the course of the
+    best one's hottest junction.
+    """
+    rows = [
+        {
+            "strategy": run.strategy,
+            "modulation": run.modulation,
+            "frequency_Hz": run.frequency,
+            "energy_J": run.energy,
+            "total_J": run.total,
+            "input_J": run.input_energy,
+            "driving_J": run.driving,
+            "braking_J": run.braking,
+            "junction_max_degC": run.junction_max,
+            "junction_swing_K": run.swing,
+            "winding_degC": run.winding_temperature,
+            "lines_not_reached": run.missed,
+            "usable": run.usable,
+            "within_tables": run.within_tables,
+        }
+        for run in found.runs
+    ]
+    course = None
+    if found.best >= 0:
+        best = found.runs[found.best]
+        course = {"time_s": best.time, "junction_degC": best.junction}
+    best_index = None if found.best < 0 else found.best
+    return {
+        "source": found.mission.source,
+        "alternatives": rows,
+        "best": best_index,
+        "course": course,
+    }

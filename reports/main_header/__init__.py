@@ -1,0 +1,1 @@
+"""The main header of a design."""

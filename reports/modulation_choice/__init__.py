@@ -1,0 +1,1 @@
+"""The choice of modulator as tables, JSON, HTML, figures and C."""

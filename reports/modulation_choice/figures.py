@@ -1,0 +1,310 @@
+"""Figure of the choice of modulator and switching frequency: a map of the best, the rule upon it,
+and mean losses.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.modulation_choice.rule import Leaf, Rule
+from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
+from dqforge.reports.modulation_choice.text import alternative_text, hertz, question_text
+from dqforge.reports.pages.figures_style import FAINT, INK, MUTED, label_in_unit, new_figure, style
+from dqforge.reports.pages.map_drawing import WINNERS, cell_edges, draw_cells, inside
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+_RPM = 30.0 / math.pi
+
+
+_FREQUENCIES = (
+    "#eef3f8",
+    "#d5e3f0",
+    "#b5cfe5",
+    "#8fb8d9",
+    "#659dc9",
+    "#3f80b5",
+    "#24629a",
+    "#123f6b",
+)
+
+"""Colours of the switching frequency, low to high."""
+
+
+_EXTRA = ("#8a6d9e", "#6fa8a0", "#cfa0a0", "#7f8c5a")
+
+
+_NOTHING = "#d9d9d9"
+
+
+_BARS = {"best": "#2e7d5b", "rule": "#1f6fb2", "other": "#a9c6e6", "today": "#c3cad3"}
+
+
+_BOX = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+
+
+_ROW = 0.2
+
+
+Box = tuple[float, float, float, float]
+
+
+def _borders(values: FloatArray) -> FloatArray:
+    """Borders of the cells, the first at zero: a rule holds from there on."""
+    borders = cell_edges(values)
+    borders[0] = 0.0
+    return borders
+
+
+def leaf_boxes(rule: Rule, box: Box) -> list[tuple[Leaf, Box]]:
+    """Answers of a rule with the rectangles (speed from, to in rad/s, torque from,
+    to in N m) where they are given.
+    """
+    if isinstance(rule, Leaf):
+        return [(rule, box)]
+    left, right, low, high = box
+    if rule.quantity == "torque_Nm":
+        cut = min(max(rule.threshold, low), high)
+        parts = (left, right, low, cut), (left, right, cut, high)
+    else:
+        cut = min(max(rule.threshold, left), right)
+        parts = (left, cut, low, high), (cut, right, low, high)
+    return [*leaf_boxes(rule.below, parts[0]), *leaf_boxes(rule.above, parts[1])]
+
+
+def _draw_rule(axes: Axes, choice: ModulationChoice, *, named: bool) -> None:
+    """Borders of the emitted rule, and in each part what it takes."""
+    from matplotlib.patches import Rectangle
+
+    rule, box = choice.emitted, (0.0, *_ends(choice.omega_m), 0.0, *_ends(choice.torque))
+    wanted, speed = np.meshgrid(choice.torque, choice.omega_m, indexing="ij")
+    asked = choice.asked.reshape(wanted.shape)
+    boxes = leaf_boxes(rule.rule, box)
+    for leaf, (left, right, low, high) in boxes:
+        corner, size = (left * _RPM, low), ((right - left) * _RPM, high - low)
+        if len(boxes) > 1:
+            axes.add_patch(
+                Rectangle(corner, *size, fill=False, edgecolor=INK, linewidth=1.3, zorder=4)
+            )
+        here = asked & (speed >= left) & (speed < right) & (wanted >= low) & (wanted < high)
+        if named and np.any(here):
+            i, j = inside(here)
+            name, frequency = rule.alternatives[leaf.choice]
+            rows, columns = np.any(here, axis=1), np.any(here, axis=0)
+            layout = _layout(float(np.mean(columns)), float(np.mean(rows)))
+            axes.text(
+                choice.omega_m[j] * _RPM,
+                choice.torque[i],
+                f"{name}{layout.separator}{hertz(frequency)}",
+                ha="center",
+                va="center",
+                fontsize=layout.size,
+                fontweight="bold",
+                rotation=layout.rotation,
+                bbox=_BOX,
+                zorder=5,
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """How an answer is written into its part of the map."""
+
+    separator: str
+    rotation: float = 0.0
+    size: float = 7.0
+
+
+def _layout(width: float, height: float) -> _Layout:
+    """The first layout that fits into a part of the map, whose sides are shares of the map's."""
+    if width >= 0.24 and height >= 0.13:
+        return _Layout("\n")
+    if width >= 0.42 and height >= 0.07:
+        return _Layout(", ")
+    if height >= 0.42:
+        return _Layout(", ", 90.0)
+    return _Layout(", " if width >= 0.3 else "\n", size=5.0)
+
+
+def _ends(values: FloatArray) -> tuple[float]:
+    return (float(_borders(values)[-1]),)
+
+
+def _axes_of_map(axes: Axes, choice: ModulationChoice, title: str) -> None:
+    axes.set(
+        xlim=(0.0, _ends(choice.omega_m)[0] * _RPM),
+        ylim=(0.0, _ends(choice.torque)[0]),
+        xlabel="Speed in rpm",
+    )
+    axes.grid(visible=False)
+    axes.set_title(title)
+    label_in_unit(axes.yaxis, "Torque in {}", float(choice.torque[-1]), "N m")
+
+
+def _legend(axes: Axes, entries: list[tuple[str, str]], columns: int) -> None:
+    from matplotlib.patches import Patch
+
+    handles = [
+        Patch(facecolor=colour, edgecolor=FAINT, linewidth=0.5, label=label)
+        for colour, label in entries
+    ]
+    axes.legend(
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(0.0, -0.17),
+        ncols=columns,
+        frameon=False,
+        fontsize=6.8,
+        handlelength=1.0,
+        handletextpad=0.4,
+        columnspacing=0.9,
+        labelspacing=0.35,
+        borderaxespad=0.0,
+    )
+
+
+def _draw_modulators(axes: Axes, choice: ModulationChoice) -> None:
+    best = choice.best.modulation.reshape(choice.torque.size, -1)
+    names, counts = np.unique(best[best >= 0], return_counts=True)
+    ranked = [int(k) for k in names[np.argsort(-counts, kind="stable")]]
+    colours = [*WINNERS, *_EXTRA][: len(ranked)]
+    code = np.full(best.shape, -1)
+    for place, k in enumerate(ranked):
+        code[best == k] = place
+    idle = choice.reached.reshape(best.shape) & (best < 0)
+    code[idle] = len(ranked)
+    draw_cells(
+        axes, code, _borders(choice.omega_m) * _RPM, _borders(choice.torque), [*colours, _NOTHING]
+    )
+    entries: list[tuple[str, str]] = [
+        (colour, choice.best.modulations[k]) for colour, k in zip(colours, ranked, strict=True)
+    ]
+    entries += [(_NOTHING, "limits not kept")] if np.any(idle) else []
+    _legend(axes, entries, 4)
+
+
+def _draw_frequencies(axes: Axes, choice: ModulationChoice) -> None:
+    f_sw = choice.best.f_sw.reshape(choice.torque.size, -1)
+    known = np.isfinite(f_sw)
+    edges = _frequency_edges(f_sw[known])
+    code: NDArray[np.int64] = np.full(f_sw.shape, -1)
+    code[known] = np.clip(np.searchsorted(edges, f_sw[known], side="right") - 1, 0, len(edges) - 2)
+    step = len(_FREQUENCIES) / max(len(edges) - 1, 1)
+    colours = [
+        _FREQUENCIES[min(int((k + 0.5) * step), len(_FREQUENCIES) - 1)]
+        for k in range(len(edges) - 1)
+    ]
+    code[choice.reached.reshape(f_sw.shape) & ~known] = len(colours)
+    draw_cells(
+        axes, code, _borders(choice.omega_m) * _RPM, _borders(choice.torque), [*colours, _NOTHING]
+    )
+    if len(edges) == 2:
+        entries = [(colours[0], hertz(float(np.mean(f_sw[known]))))]
+    else:
+        entries = [
+            (colour, f"{low / 1e3:.3g} to {high / 1e3:.3g} kHz")
+            for colour, low, high in zip(colours, edges[:-1], edges[1:], strict=True)
+        ]
+    _legend(axes, entries, 3)
+
+
+def _frequency_edges(values: FloatArray) -> FloatArray:
+    """At most eight classes of frequencies in Hz, with round borders, even in the logarithm."""
+    low, high = float(np.min(values)), float(np.max(values))
+    if high < 1.02 * low:
+        return np.array([low * 0.99, high * 1.01])
+    edges = np.geomspace(low, high, len(_FREQUENCIES) + 1)
+    inner = np.unique([float(f"{edge:.2g}") for edge in edges[1:-1]])
+    return np.array([low, *inner[(inner > low) & (inner < high)], high])
+
+
+def _draw_losses(axes: Axes, choice: ModulationChoice) -> None:
+    """Bars of the mean losses: best choice, rules, design of today."""
+    rows: list[tuple[str, float, str, str]] = [
+        ("best at every point", choice.best_mean, "", _BARS["best"]),
+        *(_bar(choice, rule) for rule in reversed(choice.rules)),
+    ]
+    today = choice.today
+    if math.isfinite(today.mean_loss):
+        text = _price_text(choice, today)
+        rows.append(
+            (
+                f"today: {alternative_text(today.alternatives[0])}",
+                today.mean_loss,
+                text,
+                _BARS["today"],
+            )
+        )
+    largest = max(row[1] for row in rows)
+    for y, (_, loss, text, colour) in enumerate(rows):
+        axes.barh(-y, loss, height=0.72, color=colour, edgecolor="white", linewidth=0.5)
+        axes.annotate(
+            f"{loss:.4g} W{text}",
+            (loss, -y),
+            (4, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=7.0,
+            color=INK,
+        )
+    axes.set(
+        xlim=(0.0, 1.5 * largest),
+        ylim=(-len(rows) + 0.4, 0.6),
+        xlabel="Mean loss in W over the map",
+    )
+    axes.set_yticks([-y for y in range(len(rows))], [row[0] for row in rows])
+    axes.tick_params(axis="y", length=0.0, labelsize=7.0)
+    axes.spines["left"].set_color(MUTED)
+    axes.grid(visible=False, axis="y")
+
+
+def _bar(choice: ModulationChoice, rule: PricedRule) -> tuple[str, float, str, str]:
+    label = (
+        f"rule of {question_text(rule.questions)}"
+        if rule.questions
+        else alternative_text(rule.alternatives[0])
+    )
+    emitted = rule is choice.emitted
+    text = _price_text(choice, rule) + ("  \u25c0 in the header" if emitted else "")
+    return label, rule.mean_loss, text, _BARS["rule" if emitted else "other"]
+
+
+def _price_text(choice: ModulationChoice, rule: PricedRule) -> str:
+    price = 100.0 * choice.price(rule) + 0.0
+    sign = "+" if price >= 0.0 else "\u2212"
+    return f" ({sign}{abs(price):.3g} %)" + ("" if rule.permitted else ", breaks limits")
+
+
+def plot_choice(choice: ModulationChoice) -> Figure:
+    """Best modulator, best switching frequency with the rule of the header upon both,
+    and mean losses below.
+    """
+    below, legend = 5 * _ROW + 0.45, 0.85
+    height = 2.55 + legend + below + 0.35
+    bottom = (below + legend) / height
+    with style():
+        figure = new_figure(
+            "choice",
+            height,
+            "Best modulator and switching frequency over torque and speed, rule, and mean losses",
+        )
+        left = figure.add_axes((0.075, bottom, 0.405, 2.55 / height))
+        right = figure.add_axes((0.58, bottom, 0.405, 2.55 / height))
+        _draw_modulators(left, choice)
+        _draw_rule(left, choice, named=False)
+        _axes_of_map(left, choice, "Modulator with the least loss")
+        _draw_frequencies(right, choice)
+        _draw_rule(right, choice, named=True)
+        _axes_of_map(right, choice, "Its frequency, and the rule of the header")
+        lower = figure.add_axes((0.235, 0.36 / height, 0.75, (below - 0.45) / height))
+        _draw_losses(lower, choice)
+    return figure

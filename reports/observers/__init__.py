@@ -1,0 +1,1 @@
+"""Observers as tables, JSON, HTML and C."""

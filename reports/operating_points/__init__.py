@@ -1,0 +1,1 @@
+"""Operating points as tables, JSON, HTML and figures."""

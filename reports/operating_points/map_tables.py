@@ -1,0 +1,366 @@
+"""Tables and plain data of operating points under the voltage limit, of envelopes and of maps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dqforge.machines.design.design import Design
+from dqforge.optimizer.operating_points.characteristics import (
+    Characteristics,
+    Envelope,
+    Loci,
+    OperatingMap,
+    VoltageLimit,
+    efficiency,
+)
+from dqforge.optimizer.operating_points.loss_model import DriveLosses
+from dqforge.optimizer.operating_points.mtpa_locus import MtpaLocus
+from dqforge.optimizer.operating_points.point_problem import Active
+from dqforge.optimizer.operating_points.points import OptimalPoints
+from dqforge.reports.pages.table import Table
+from dqforge.reports.plain_data import PlainData
+
+_RPM = 30.0 / math.pi
+
+
+_ENVELOPE_ROWS = 13
+
+
+def _number(value: float) -> str:
+    """Four digits, no exponent up to ten millions."""
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value + 0.0:.4g}"
+
+
+def _limit_note(limit: VoltageLimit) -> str:
+    kept = f", {100.0 * limit.margin:.3g} % kept free" if limit.margin else ""
+    return (
+        f"voltage limit {limit.v_max:.4g} V (phase amplitude): {limit.modulation} at "
+        f"{limit.v_dc:.4g} V dc{kept}"
+    )
+
+
+def _point_row(points: OptimalPoints, losses: DriveLosses, k: int) -> tuple[str, ...]:
+    label = Active(int(points.active[k])).label
+    return (
+        _number(points.omega_m[k] * _RPM),
+        _number(points.torque_request[k]),
+        _number(points.torque[k])
+        if points.reached[k]
+        else f"{_number(points.torque[k])} (no more)",
+        _number(points.i_d[k]),
+        _number(points.i_q[k]),
+        _number(float(np.hypot(points.i_d[k], points.i_q[k]))),
+        _number(points.voltage[k]),
+        _number(losses.copper[k]),
+        _number(losses.total[k]),
+        label,
+    )
+
+
+def points_tables(
+    design: Design, points: OptimalPoints, losses: DriveLosses, limit: VoltageLimit, objective: str
+) -> list[Table]:
+    """One row per operating point: what was asked for, what can be had, what it loses,
+    and what holds it.
+
+    ``objective`` says which loss was minimised: ``copper`` or ``total``.
+    """
+    columns = (
+        "speed rpm",
+        "asked N m",
+        "torque N m",
+        "i_d A",
+        "i_q A",
+        "|i| A",
+        "voltage V",
+        "copper W",
+        "total W",
+        "held by",
+    )
+    rows = tuple(_point_row(points, losses, k) for k in range(points.torque.size))
+    worst = float(np.max(points.kkt_residual, initial=0.0))
+    violation = f"largest violation of the optimality conditions {worst:.1e} (relative)"
+    notes = (_limit_note(limit), violation, *_extrapolation_notes(points))
+    return [Table(f"{design.name}: least {objective} loss within the limits", columns, rows, notes)]
+
+
+def _extrapolation_notes(points: OptimalPoints) -> tuple[str, ...]:
+    beyond, held = (
+        int(np.count_nonzero(points.extrapolated)),
+        int(np.count_nonzero(points.active == Active.DATA)),
+    )
+    notes = (
+        [f"{beyond} of {points.extrapolated.size} points lie beyond the flux map: extrapolated"]
+        if beyond
+        else []
+    )
+    if held:
+        notes.append(
+            f"{held} of {points.active.size} points are held by the data: better ones may lie "
+            "beyond the flux map"
+        )
+    return tuple(notes)
+
+
+_HELD_BY = {
+    Active.NONE: "nothing: the unlimited optimum",
+    Active.VOLTAGE: "voltage: the field is weakened",
+    Active.CURRENT: "current",
+    Active.BOTH: "current and voltage",
+    Active.MTPV: "voltage: most torque per volt (MTPV)",
+    Active.UNREACHABLE: "voltage: no current keeps it",
+    Active.DATA: "the data: the flux map ends there",
+}
+
+
+def _watts(value: float) -> str:
+    return f"{value:.4g} W" if math.isfinite(value) else "none"
+
+
+def _loss_rows(losses: DriveLosses) -> list[tuple[str, str]]:
+    """Rows of the first point; without device data the inverter is left out."""
+    rows = [("copper loss", _watts(float(losses.copper[0])))]
+    if losses.iron[0] > 0.0:
+        rows.append(("iron loss", _watts(float(losses.iron[0]))))
+    if losses.with_inverter:
+        rows += [
+            ("conduction loss", _watts(float(losses.conduction[0]))),
+            ("switching loss", _watts(float(losses.switching[0]))),
+        ]
+    if len(rows) > 1:
+        rows.append(("total loss", _watts(float(losses.total[0]))))
+    if losses.with_inverter:
+        rows.append(("junction", f"{losses.junction_temperature[0]:.4g} degC"))
+    return rows
+
+
+def point_tables(
+    design: Design,
+    points: OptimalPoints,
+    losses: DriveLosses,
+    most: OptimalPoints,
+    limit: VoltageLimit,
+    objective: str,
+) -> list[Table]:
+    """One operating point in detail; ``most`` is the most torque in its direction at its speed."""
+    torque, voltage = float(points.torque[0]), float(points.voltage[0])
+    power = points.torque * points.omega_m
+    share = float(efficiency(power, losses.total)[0])
+    short = "" if points.reached[0] else " (no more)"
+    current = float(np.hypot(points.i_d[0], points.i_q[0]))
+    rows = [
+        ("speed", f"{_number(points.omega_m[0] * _RPM)} rpm"),
+        ("torque asked for", f"{_number(points.torque_request[0])} N m"),
+        ("torque", f"{_number(torque)} N m{short}"),
+        ("held by", _HELD_BY[Active(int(points.active[0]))]),
+        ("i_d, i_q", f"{_number(points.i_d[0])} A, {_number(points.i_q[0])} A"),
+        ("current", f"{current:.4g} A, {100.0 * current / design.i_max:.3g} % of the limit"),
+        ("phase voltage", f"{voltage:.4g} V, {100.0 * voltage / limit.v_max:.3g} % of the limit"),
+        ("mechanical power", f"{_number(float(power[0]) * 1e-3)} kW"),
+        *_loss_rows(losses),
+        ("efficiency", f"{100.0 * share:.2f} %" if math.isfinite(share) else "none"),
+        (
+            "most torque here",
+            f"{_number(most.torque[0])} N m, held by {_HELD_BY[Active(int(most.active[0]))]}",
+        ),
+        ("optimality residual", f"{points.kkt_residual[0]:.1e} (relative)"),
+    ]
+    notes = (
+        "currents and voltages are peak of phase",
+        _limit_note(limit),
+        *_extrapolation_notes(points),
+    )
+    return [
+        Table(
+            f"{design.name}: operating point of least {objective} loss",
+            ("", ""),
+            tuple(rows),
+            notes,
+        )
+    ]
+
+
+def _envelope_rows(envelope: Envelope) -> tuple[tuple[str, ...], ...]:
+    """Rows at even speeds and where what holds the most torque changes."""
+    points, braking = envelope.points, envelope.braking
+    even = np.linspace(points.omega_m[0], points.omega_m[-1], _ENVELOPE_ROWS)
+    near = np.abs(points.omega_m[:, np.newaxis] - even).argmin(axis=0)
+    changes = np.flatnonzero(np.diff(points.active)) + 1
+    return tuple(
+        (
+            _number(points.omega_m[k] * _RPM),
+            _number(points.torque[k]),
+            _number(envelope.power[k] * 1e-3),
+            _number(points.i_d[k]),
+            _number(points.i_q[k]),
+            _number(float(np.hypot(points.i_d[k], points.i_q[k]))),
+            _number(points.voltage[k]),
+            Active(int(points.active[k])).label,
+            _number(braking.torque[k]),
+        )
+        for k in np.unique(np.concatenate([near, changes]))
+    )
+
+
+def _held_text(figures: Characteristics, name: str) -> str:
+    return ", held by the data" if name in figures.held else ""
+
+
+def envelope_tables(
+    design: Design,
+    figures: Characteristics,
+    envelope: Envelope,
+    chart: OperatingMap,
+    limit: VoltageLimit,
+) -> list[Table]:
+    """Figures of the drive, and the largest torque over speed."""
+    current = figures.characteristic_current
+    end = figures.speed_max
+    power = f"{figures.power_max * 1e-3:.4g} kW at {_number(figures.power_speed * _RPM)} rpm"
+    last = "any speed" if end is None else f"{_number(end * _RPM)} rpm"
+    rows = (
+        ("largest torque", f"{figures.torque_max:.4g} N m{_held_text(figures, 'torque_max')}"),
+        (
+            "base speed",
+            f"{_number(figures.base_speed * _RPM)} rpm{_held_text(figures, 'base_speed')}",
+        ),
+        ("largest power", f"{power}{_held_text(figures, 'power_max')}"),
+        ("characteristic current", "none" if current is None else f"{current:.4g} A (peak)"),
+        ("voltage limit can be kept up to", f"{last}{_held_text(figures, 'speed_max')}"),
+    )
+    columns = (
+        "speed rpm",
+        "torque N m",
+        "power kW",
+        "i_d A",
+        "i_q A",
+        "|i| A",
+        "voltage V",
+        "held by",
+        "braking N m",
+    )
+    worst = float(np.max(chart.points.kkt_residual, initial=0.0))
+    reached = int(np.count_nonzero(chart.points.reached))
+    note = (
+        f"map: {reached} of {chart.points.reached.size} points can be had; largest violation "
+        f"{worst:.1e}"
+    )
+    best = float(np.nanmax(chart.efficiency)) if np.any(np.isfinite(chart.efficiency)) else math.nan
+    iron = ["iron"] if np.any(chart.losses.iron > 0.0) else []
+    parts = ["copper", *iron, *(["conduction", "switching"] if chart.with_inverter else [])]
+    losses = f"{', '.join(parts)} loss" if len(parts) > 1 else "copper loss alone"
+    best_text = f"best efficiency on the map {100.0 * best:.2f} % (with {losses})"
+    notes = (note, best_text, *_extrapolation_notes(chart.points))
+    return [
+        Table(f"{design.name}: limits", ("", ""), rows, (_limit_note(limit),)),
+        Table("Most torque over speed", columns, _envelope_rows(envelope), notes),
+    ]
+
+
+def _plain_points(points: OptimalPoints) -> PlainData:
+    return {
+        "torque_request_Nm": points.torque_request,
+        "torque_Nm": points.torque,
+        "omega_m_rad_per_s": points.omega_m,
+        "i_d_A": points.i_d,
+        "i_q_A": points.i_q,
+        "voltage_V": points.voltage,
+        "minimised_W": points.loss,
+        "held_by": [Active(int(code)).label for code in points.active],
+        "reached": points.reached,
+        "kkt_residual": points.kkt_residual,
+        "extrapolated": points.extrapolated,
+    }
+
+
+def _plain_limit(limit: VoltageLimit) -> PlainData:
+    return {
+        "modulation": limit.modulation,
+        "v_dc_V": limit.v_dc,
+        "margin": limit.margin,
+        "v_max_V": limit.v_max,
+    }
+
+
+def _plain_losses(losses: DriveLosses) -> PlainData:
+    """Losses as arrays; those of an inverter without device data are None."""
+    inverter = (losses.conduction, losses.switching, losses.junction_temperature)
+    conduction, switching, junction = inverter if losses.with_inverter else (None, None, None)
+    return {
+        "copper_W": losses.copper,
+        "iron_W": losses.iron,
+        "conduction_W": conduction,
+        "switching_W": switching,
+        "total_W": losses.total,
+        "junction_degC": junction,
+    }
+
+
+def _plain_locus(locus: MtpaLocus) -> PlainData:
+    return {
+        "torque_Nm": locus.torque,
+        "i_d_A": locus.i_d,
+        "i_q_A": locus.i_q,
+        "held_by_data": locus.held,
+    }
+
+
+def plain_points(
+    points: OptimalPoints,
+    losses: DriveLosses,
+    most: OptimalPoints,
+    limit: VoltageLimit,
+    objective: str,
+) -> PlainData:
+    """Operating points as arrays, their losses, the most torque at the speed,
+    and the voltage limit they keep.
+    """
+    return {
+        "limit": _plain_limit(limit),
+        "objective": objective,
+        "points": _plain_points(points),
+        "losses": _plain_losses(losses),
+        "most_torque": _plain_points(most),
+    }
+
+
+def plain_map(
+    figures: Characteristics,
+    envelope: Envelope,
+    chart: OperatingMap,
+    lines: Loci,
+    limit: VoltageLimit,
+) -> PlainData:
+    """Characteristics, envelope and map.
+
+    The map's points run through the speeds of the first torque, then the next.
+    """
+    return {
+        "limit": _plain_limit(limit),
+        "characteristics": {
+            "torque_max_Nm": figures.torque_max,
+            "base_speed_rad_per_s": figures.base_speed,
+            "power_max_W": figures.power_max,
+            "power_speed_rad_per_s": figures.power_speed,
+            "characteristic_current_A": figures.characteristic_current,
+            "speed_max_rad_per_s": figures.speed_max,
+            "held_by_data": figures.held,
+        },
+        "envelope": _plain_points(envelope.points),
+        "braking_envelope": _plain_points(envelope.braking),
+        "loci": {
+            "i_max_A": lines.i_max,
+            "mtpa": _plain_locus(lines.mtpa),
+            "mtpv": _plain_points(lines.mtpv),
+        },
+        "map": {
+            "torque_Nm": chart.torque,
+            "omega_m_rad_per_s": chart.omega_m,
+            "points": _plain_points(chart.points),
+            "losses": _plain_losses(chart.losses),
+            "loss_W": chart.loss,
+            "efficiency": chart.efficiency,
+        },
+    }

@@ -1,0 +1,31 @@
+"""Operating points as plain data."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dqforge.optimizer.operating_points.current_choice import OperatingPoints
+from dqforge.optimizer.operating_points.solve import Curves
+from dqforge.reports.plain_data import PlainData
+
+
+def _plain_points(points: OperatingPoints) -> PlainData:
+    return {
+        "torque_Nm": points.torque,
+        "i_d_A": points.i_d,
+        "i_q_A": points.i_q,
+        "limited": points.limited,
+        "held_by_data": points.held,
+        "torque_residual_largest": float(np.max(np.abs(points.torque_residual))),
+    }
+
+
+def plain_curves(curves: Curves) -> PlainData:
+    """Operating points over torque."""
+    return {
+        "chosen": _plain_points(curves.chosen),
+        "id0": None if curves.id0 is None else _plain_points(curves.id0),
+        "base": None
+        if curves.base is None
+        else {"current_A": curves.base.current, "torque_Nm": curves.base.torque},
+    }

@@ -1,0 +1,142 @@
+"""Two texts that must be the same: where they first differ, with both values,
+and what was compared, in numbers.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import Any
+
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+
+
+_CHECKSUM = re.compile(r"\b[0-9a-f]{64}\b")
+
+
+_NUMBER = re.compile(
+    r"(?<![A-Za-z0-9_.])(?<![A-Za-z]-)[-+]?(?:0x[0-9A-Fa-f]+|(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)[FfUuLl]*\b"
+)
+
+
+_MACRO = re.compile(r"^#define ([A-Za-z_]\w*)[ \t]+(\S.*)$", re.MULTILINE)
+
+
+_ROW = re.compile(r"^\s*\{.*\},?\s*$", re.MULTILINE)
+
+
+_KEY = re.compile(r'^\s*"([^"]+)": ')
+
+
+_TOKEN = re.compile(r"\s+|[-+]?(?:0x[0-9A-Fa-f]+|(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\w*|\w+|.")
+
+
+_LONGEST = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The first difference of two texts: one-based line, what stands there,
+    and what must stand there.
+    """
+
+    line: int
+    found: str
+    expected: str
+    name: str = ""
+
+    def __str__(self) -> str:
+        named = f"{self.name} is " if self.name else ""
+        return f"{self.line}: {named}{self.found}, the design gives {self.expected}"
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """What emitted files hold.
+
+    Macros with a value, literals in code and tables, rows of test vectors, figures in comments,
+    checksums of the input, and single values of the result.
+    """
+
+    files: int = 0
+    macros: int = 0
+    literals: int = 0
+    vectors: int = 0
+    figures: int = 0
+    checksums: int = 0
+    entries: int = 0
+
+    def __add__(self, other: Tally) -> Tally:
+        names = self.__dataclass_fields__
+        return Tally(**{name: getattr(self, name) + getattr(other, name) for name in names})
+
+
+def _shown(text: str) -> str:
+    """A piece of a line for a message, on one line and in quotes where it is
+    not a plain word or number.
+    """
+    if not text:
+        return "nothing"
+    if re.fullmatch(r"[-+\w.]+", text):
+        return text if len(text) <= _LONGEST else text[:_LONGEST] + "..."
+    return ascii(text if len(text) <= _LONGEST else text[:_LONGEST] + "...")
+
+
+def _name_of(line: str) -> str:
+    """What a line gives a value to, where it says so."""
+    macro = re.match(r"#define ([A-Za-z_]\w*)[ \t]", line)
+    key = _KEY.match(line)
+    return macro[1] if macro else key[1] if key else ""
+
+
+def _pieces(found: str, expected: str) -> tuple[str, str]:
+    """The first tokens that differ in two lines."""
+    pairs = zip_longest(_TOKEN.findall(found), _TOKEN.findall(expected), fillvalue="")
+    return next((pair for pair in pairs if pair[0] != pair[1]), ("", ""))
+
+
+def first_difference(found: str, expected: str) -> Difference | None:
+    """Where two texts first differ, None where they do not."""
+    if found == expected:
+        return None
+    lines = zip_longest(found.split("\n"), expected.split("\n"))
+    for number, (have, want) in enumerate(lines, 1):
+        if have == want:
+            continue
+        if have is None or want is None:
+            return Difference(
+                number,
+                *(("no such line", _shown(want)) if have is None else (_shown(have), "its end")),
+            )
+        pieces = _pieces(have, want)
+        return Difference(number, _shown(pieces[0]), _shown(pieces[1]), _name_of(want))
+    return None
+
+
+def _leaves(value: Any) -> int:
+    if isinstance(value, dict):
+        return sum(map(_leaves, value.values()))
+    if isinstance(value, list):
+        return sum(map(_leaves, value))
+    return 1
+
+
+def tally(name: str, text: str) -> Tally:
+    """What a file holds, by its name."""
+    if name.endswith(".json"):
+        return Tally(files=1, entries=_leaves(json.loads(text)))
+    comments = " ".join(_COMMENT.findall(text))
+    code = _COMMENT.sub(" ", text)
+    checksums = len(_CHECKSUM.findall(comments))
+    macros = len(_MACRO.findall(code))
+    code = _MACRO.sub("", code)
+    rows = _ROW.findall(code) if name.endswith("_vectors.h") else []
+    rest = _ROW.sub("", code) if rows else code
+    counted = Counter(
+        files=1, macros=macros, literals=len(_NUMBER.findall(rest)), vectors=len(rows)
+    )
+    figures = len(_NUMBER.findall(_CHECKSUM.sub("", comments)))
+    return Tally(**counted, figures=figures, checksums=checksums)

@@ -1,0 +1,1 @@
+"""What pages, tables and figures have in common."""

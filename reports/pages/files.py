@@ -1,0 +1,119 @@
+"""Writing results: whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from dqforge.machines.errors import InputError
+from dqforge.machines.files.input_files import read_regular_file
+
+LARGEST_FILE = 64_000_000
+
+"""Bytes of the largest file that dqforge writes, many times over."""
+
+
+LARGEST_JSON = 16_000_000
+
+"""Bytes of the largest JSON that is read: once decoded it takes some
+twenty times as much memory."""
+
+
+def read_output(path: Path, wanted: str, most_bytes: int = LARGEST_FILE) -> bytes:
+    """A file that dqforge wrote.
+
+    ``wanted`` says in the message what to give instead of one that cannot be read.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no regular file, or is far larger than
+        anything that dqforge writes.
+    """
+    try:
+        return read_regular_file(path, most_bytes)
+    except InputError as error:
+        reason = error.message.partition(";")[0]
+        raise InputError(f"cannot be read ({reason}); give {wanted}", source=str(path)) from None
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file through a temporary one beside it: flushed to disk, then renamed over the
+    target.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be written.
+    """
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    except OSError as error:
+        raise InputError(
+            f"cannot write {path}: {error.strerror}; choose another folder with -o"
+        ) from error
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise InputError(
+            f"cannot write {path}: {error.strerror}; choose another file with -o"
+        ) from error
+
+
+FIGURE_SUFFIXES = (".svg", ".png", ".pdf")
+
+
+def check_figure_path(path: Path, made: Path | None = None) -> None:
+    """Refuse a figure's file name before anything is computed for it.
+
+    Parameters
+    ----------
+    path:
+        The file.
+    made:
+        A folder that will be there by the time the figure is written.
+
+    Raises
+    ------
+    InputError
+        The suffix is not .svg, .png or .pdf, or the folder is not there.
+    """
+    if path.suffix.lower() not in FIGURE_SUFFIXES:
+        got = f"the suffix {path.suffix!r}" if path.suffix else "no suffix"
+        raise InputError(f"a figure is written as .svg, .png or .pdf; {path.name!r} has {got}")
+    if not path.parent.is_dir() and path.parent != made:
+        raise InputError(
+            f"cannot write {path}: there is no folder {path.parent}; make it, or choose another "
+            "file"
+        )
+
+
+def write_all(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
+    """Write several files into a folder, which is made if missing.
+
+    Nothing is written when the folder cannot be made.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be made or written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"cannot make the folder {folder}: {error.strerror}; choose another one with -o"
+        ) from error
+    paths = [folder / name for name in contents]
+    for path, content in zip(paths, contents.values(), strict=True):
+        write_atomically(path, content)
+    return paths

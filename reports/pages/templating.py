@@ -1,0 +1,49 @@
+"""The one Jinja2 environment: strict about names, silent about nothing, plain in white space."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from dqforge.reports.c_code.numbers import (
+    addend,
+    comment_text,
+    float_literal,
+    hexadecimal_word,
+    int32_addend,
+    int32_literal,
+    int64_literal,
+)
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("dqforge.reports", "templates"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=lambda name: name is not None and ".html" in name,
+    )
+    environment.filters.update(
+        f32=float_literal,
+        addend=addend,
+        comment=comment_text,
+        word=hexadecimal_word,
+        int32=int32_literal,
+        int32_addend=int32_addend,
+        int64=int64_literal,
+    )
+    return environment
+
+
+def render(template: str, context: Mapping[str, Any]) -> str:
+    """Render a template of the package; an unknown name in it is an error, not an empty string."""
+    return _environment().get_template(template).render(context)

@@ -1,0 +1,96 @@
+"""The papers by number: tables, plain data and figures of what can be computed of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from dqforge.machines.errors import InputError
+from dqforge.reports.pages.table import Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+PAPERS = ("000", "001", "002")
+
+
+@dataclass(frozen=True, slots=True)
+class Reproduced:
+    """Tables for people, plain data for programs, and figures by file name, drawn when called."""
+
+    tables: list[Table]
+    plain: dict[str, Any]
+    figures: dict[str, Callable[[], Figure]] = field(default_factory=dict)
+
+
+def _paper000(*, figures: bool) -> Reproduced:
+    from dqforge.reports.papers import paper000
+
+    found = paper000.reproduce_paper()
+    tables, plain = paper000.reproduction_tables(found), paper000.plain_reproduction(found)
+    if not figures:
+        return Reproduced(tables, plain)
+    from dqforge.reports.papers.figures_transients import plot_load_tests
+    from dqforge.reports.papers.paper000_transient import (
+        load_test_table,
+        load_tests,
+        plain_load_tests,
+    )
+
+    tests = load_tests()
+    plain = {**plain, "figure_5": plain_load_tests(tests)}
+    return Reproduced(
+        [*tables, load_test_table(tests)], plain, {"figure-5.svg": lambda: plot_load_tests(tests)}
+    )
+
+
+def _paper001(*, figures: bool) -> Reproduced:
+    from dqforge.reports.papers import paper001
+
+    found = paper001.reproduce_paper()
+    drawn: dict[str, Callable[[], Figure]] = {}
+    if figures:
+        from dqforge.reports.papers.figures_transients import plot_bench
+
+        drawn["figures-8.3-to-8.31.svg"] = lambda: plot_bench(found.runs)
+    return Reproduced(
+        paper001.reproduction_tables(found), paper001.plain_reproduction(found), drawn
+    )
+
+
+def _paper002(*, figures: bool) -> Reproduced:
+    from dqforge.reports.papers import paper002
+
+    found = paper002.reproduce_paper()
+    drawn: dict[str, Callable[[], Figure]] = {}
+    if figures:
+        from dqforge.reports.papers.paper002_figures import plot_drive, plot_frames
+
+        drawn = {
+            "figures-2.3-to-3.2.svg": plot_frames,
+            "figures-6.4-to-6.9.svg": lambda: plot_drive(found.drive),
+        }
+    return Reproduced(
+        paper002.reproduction_tables(found), paper002.plain_reproduction(found), drawn
+    )
+
+
+def reproduce(paper: str, *, figures: bool) -> Reproduced:
+    """Recompute a paper by its number; with ``figures`` also what is only drawn,
+    and simulated for that.
+
+    Raises
+    ------
+    InputError
+        There is no such paper.
+    VerificationError
+        A simulation needs a compiler that is not there.
+    """
+    made = dict(zip(PAPERS, (_paper000, _paper001, _paper002), strict=True))
+    if paper not in made:
+        raise InputError(
+            f"paper {paper!r} cannot be reproduced; write: dqforge reproduce 000, 001 or 002"
+        )
+    return made[paper](figures=figures)

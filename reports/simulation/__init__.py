@@ -1,0 +1,1 @@
+"""The emitted code in the loop with a compiled plant."""

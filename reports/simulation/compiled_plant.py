@@ -1,0 +1,387 @@
+"""Simulation in the time domain: a compiled plant around the emitted controller,
+run as often as wanted.
+
+The program is compiled once; machines, gains and scenarios are data that it reads, so that
+thousands of drives take one process. docs/simulation.md has the equations and the limits.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.plants.scenario import Scenario
+from dqforge.reports.observers.speed_header import REDUCED_ORDER
+from dqforge.reports.pages.templating import render
+from dqforge.reports.simulation.plant_input import (
+    COLUMNS,
+    PARAMETERS,
+    STATES,
+    SUMMARY,
+    Drive,
+    RunInput,
+    run_input,
+    share_tables,
+)
+
+_TIMEOUT_S = 60
+
+
+_COMPILER = "cc"
+
+
+_PACKAGE = "gcc"
+
+
+_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
+
+
+_EXITS = {
+    2: "its input is too short",
+    3: "the gains are not those of its header",
+    4: "there is not enough memory",
+}
+
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Summary:
+    """Figures of N runs, arrays of shape (N,).
+
+    ``status`` is 0, or 1 where the currents left all bounds and the run ended early, at ``t`` in s.
+    ``peak_current`` in A is the largest current vector of all integration steps; ``tail_error`` the
+    largest deviation from the reference over the last part of the run (rad/s, N m or A),
+    ``tail_current`` the largest current vector at the samples there. ``i_d``, ``i_q``, ``omega_m``
+    and ``torque`` are those at the end. Integrals over the run: ``i_square`` of the mean square of
+    the phase currents in A^2 s, and in J the energy from the inverter (``e_in``), into copper, from
+    the air gap (``e_shaft``), into the load and into friction.
+    """
+
+    status: NDArray[np.intp]
+    t: FloatArray
+    peak_current: FloatArray
+    tail_error: FloatArray
+    tail_current: FloatArray
+    i_d: FloatArray
+    i_q: FloatArray
+    omega_m: FloatArray
+    torque: FloatArray
+    i_square: FloatArray
+    e_in: FloatArray
+    e_copper: FloatArray
+    e_shaft: FloatArray
+    e_load: FloatArray
+    e_friction: FloatArray
+
+    @property
+    def bounded(self) -> NDArray[np.bool_]:
+        """Whether the run came to its end, shape (N,)."""
+        return np.asarray(self.status == 0)
+
+    @property
+    def rms_current(self) -> FloatArray:
+        """Root mean square of the phase currents in A, shape (N,)."""
+        return np.sqrt(self.i_square / np.maximum(self.t, 1e-300))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulation:
+    """A run as it was recorded, arrays of shape (N,) at the sampling instants,
+    and (N, 3) for phases a, b, c.
+
+    ``t`` in s; ``i_d``, ``i_q``, ``i_zero`` in A; ``omega_m`` in rad/s, ``theta_e`` in rad;
+    ``torque`` and ``torque_load`` in N m; ``duty`` acts until the next sample, shape (N, 3);
+    ``v_dc`` in V. ``reference`` and ``reference_d`` are those that the controller saw
+    (`Scenario.reference`), ``i_measured`` (N, 3), ``theta_e_measured`` and ``omega_m_measured``
+    what its sensors gave, ``i_d_reference``, ``i_q_reference`` and ``torque_reference`` what its
+    outer loops asked for. ``theta_e_observed`` and ``omega_m_observed`` are the estimates of the
+    design's observers (nan where there is none) from the measured currents and ``v_alpha``,
+    ``v_beta`` in V, which the controller made over the period that ends; ``sensorless`` is 1 where
+    the controller ran on them, and then ``theta_e_measured`` and ``omega_m_measured`` are theirs.
+    ``figures`` are those of the one run.
+    """
+
+    scenario: Scenario
+    t: FloatArray
+    i_d: FloatArray
+    i_q: FloatArray
+    i_zero: FloatArray
+    omega_m: FloatArray
+    theta_e: FloatArray
+    torque: FloatArray
+    torque_load: FloatArray
+    duty: FloatArray
+    v_dc: FloatArray
+    reference: FloatArray
+    reference_d: FloatArray
+    i_measured: FloatArray
+    theta_e_measured: FloatArray
+    omega_m_measured: FloatArray
+    i_d_reference: FloatArray
+    i_q_reference: FloatArray
+    torque_reference: FloatArray
+    v_alpha: FloatArray
+    v_beta: FloatArray
+    theta_e_observed: FloatArray
+    omega_m_observed: FloatArray
+    sensorless: FloatArray
+    figures: Summary
+
+
+@dataclass(frozen=True, slots=True)
+class Simulator:
+    """A compiled program; ``prefix`` is that of the controller, empty where there is none.
+
+    ``observers`` are the names in C of those that run in it: at most one of the position,
+    and ``reduced_order``.
+    """
+
+    program: Path
+    prefix: str
+    observers: tuple[str, ...] = ()
+
+
+def require_compiler() -> str:
+    """Path of the C compiler; raises `VerificationError` where there is none."""
+    program = shutil.which(_COMPILER)
+    if program is None:
+        raise VerificationError(
+            f"no C compiler found: a simulation needs the Debian package {_PACKAGE}"
+        )
+    return program
+
+
+def compile_simulator(
+    folder: Path,
+    files: Mapping[str, bytes] | None = None,
+    prefix: str = "",
+    observers: tuple[str, ...] = (),
+) -> Simulator:
+    """Compile the plant around a controller.
+
+    Parameters
+    ----------
+    folder:
+        Where sources and program are written; it must exist, and programs
+        must be allowed to run there.
+    files:
+        Emitted headers by name, ``<prefix>_control.h`` among them; None for a plant without
+        controller, which runs scenarios of the mode ``open-loop`` only.
+    prefix:
+        That of the headers.
+    observers:
+        Names in C of the observers to run: ``reduced_order`` of ``<prefix>_speed_observer.h``, any
+        other of ``<prefix>_observer.h``.
+
+    Raises
+    ------
+    VerificationError
+        There is no compiler, or the header does not compile.
+    """
+    compiler = require_compiler()
+    controller = prefix if files else ""
+    context = {
+        "prefix": controller,
+        "position": next((name for name in observers if name != REDUCED_ORDER), ""),
+        "reduced": REDUCED_ORDER in observers,
+        "parameters": PARAMETERS,
+        "columns": COLUMNS,
+        "summary": SUMMARY,
+        "states": STATES,
+    }
+    sources = {
+        "plant.c": render("simulation/plant.c.j2", context),
+        "main.c": render("simulation/simulate_main.c.j2", context),
+    }
+    for name, content in (files or {}).items():
+        (folder / name).write_bytes(content)
+    for name, text in sources.items():
+        (folder / name).write_text(text, encoding="ascii")
+    program = folder / "simulate"
+    command = [compiler, *_FLAGS, "-o", str(program), "main.c", "-lm"]
+    try:
+        done = subprocess.run(
+            command, cwd=folder, capture_output=True, timeout=_TIMEOUT_S, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise VerificationError(f"the C compiler did not end within {_TIMEOUT_S} s") from error
+    except OSError as error:
+        raise VerificationError(
+            f"the C compiler {compiler} cannot be started ({error.strerror})"
+        ) from error
+    if done.returncode != 0:
+        lines = done.stderr.decode("utf-8", "replace").splitlines()
+        first = next((line for line in lines if "error" in line), "; ".join(lines)[:200])
+        raise VerificationError(f"the simulation does not compile with {_COMPILER}: {first}")
+    return Simulator(program, controller, observers)
+
+
+@contextmanager
+def simulator(
+    files: Mapping[str, bytes] | None = None, prefix: str = "", observers: tuple[str, ...] = ()
+) -> Iterator[Simulator]:
+    """A compiled program in a folder that goes with the block.
+
+    Parameters and errors as `compile_simulator`.
+    """
+    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
+        yield compile_simulator(Path(name), files, prefix, observers)
+
+
+def _execute(program: Path, content: bytes, progress: Progress | None) -> bytes:
+    """Output of the program; its progress lines go to the callback as they come."""
+    with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as made:
+        given.write(content)
+        given.seek(0)
+        try:
+            process = subprocess.Popen(
+                [str(program)], stdin=given, stdout=made, stderr=subprocess.PIPE
+            )
+        except OSError as error:
+            raise VerificationError(
+                f"the compiled simulation cannot be started ({error.strerror}); "
+                "TMPDIR must name a folder whose programs may run"
+            ) from error
+        with process:
+            try:
+                _follow(process.stderr, progress)
+            except BaseException:
+                process.kill()
+                raise
+            code = process.wait()
+        if code != 0:
+            reason = _EXITS.get(code, f"exit code {code}")
+            raise VerificationError(f"the compiled simulation stopped: {reason}")
+        made.seek(0)
+        return made.read()
+
+
+def _follow(stream: IO[bytes] | None, progress: Progress | None) -> None:
+    for line in stream or ():
+        if progress is not None:
+            progress(float(line))
+
+
+def _runs(
+    simulator: Simulator, runs: Sequence[RunInput], progress: Progress | None
+) -> list[tuple[FloatArray, FloatArray]]:
+    """(figures, rows of shape (N, columns)) of each run."""
+    if progress is not None:
+        for run in runs:
+            run.parameters["progress"] = 1.0
+    content = np.array([float(len(runs))]).tobytes() + b"".join(
+        run.content() for run in share_tables(list(runs))
+    )
+    numbers = np.frombuffer(_execute(simulator.program, content, progress), dtype=np.float64)
+    found, place = [], 0
+    for _ in runs:
+        figures = numbers[place : place + len(SUMMARY)]
+        count, width, _size = numbers[place + len(SUMMARY) : place + len(SUMMARY) + 3].astype(
+            np.intp
+        )
+        place += len(SUMMARY) + 3
+        found.append((figures, numbers[place : place + count * width].reshape(count, width)))
+        place += count * width
+    return found
+
+
+def _summary(figures: Sequence[FloatArray]) -> Summary:
+    columns = dict(zip(SUMMARY, np.stack(list(figures)).T, strict=True))
+    status = columns.pop("status").astype(np.intp)
+    return Summary(status=status, **columns)
+
+
+def simulate(
+    simulator: Simulator,
+    drive: Drive,
+    scenario: Scenario,
+    *,
+    stride: int = 1,
+    tail: float = 0.9,
+    gains: bytes = b"",
+    progress: Progress | None = None,
+) -> Simulation:
+    """Run one drive through a scenario.
+
+    Parameters
+    ----------
+    simulator:
+        The compiled program.
+    drive, scenario:
+        What is simulated.
+    stride:
+        Samples per recorded row.
+    tail:
+        Share of the duration from which `Summary.tail_error` counts.
+    gains:
+        Bytes of the controller's C structure of gains; empty for those in its header.
+    progress:
+        Called with the share that is done.
+
+    Raises
+    ------
+    InputError
+        As `dqforge.reports.simulation.compiled_plant.plant_input.run_input`.
+    VerificationError
+        The program cannot be run.
+    """
+    _require_controller(simulator, scenario)
+    run = run_input(drive, scenario, stride=stride, tail=tail, gains=gains)
+    ((figures, rows),) = _runs(simulator, [run], progress)
+    columns = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(COLUMNS)}
+    duty = np.stack([columns.pop(f"duty_{phase}") for phase in "abc"], axis=1)
+    measured = np.stack([columns.pop(f"i_{phase}_measured") for phase in "abc"], axis=1)
+    return Simulation(
+        scenario=scenario, duty=duty, i_measured=measured, figures=_summary([figures]), **columns
+    )
+
+
+def simulate_many(
+    simulator: Simulator,
+    runs: Sequence[tuple[Drive, Scenario, bytes]],
+    *,
+    tail: float = 0.9,
+    progress: Progress | None = None,
+) -> Summary:
+    """Figures of many runs (drive, scenario, bytes of the gains) in one process.
+
+    Nothing is recorded.
+
+    Parameters and errors as `simulate`.
+    """
+    for _, scenario, _ in runs:
+        _require_controller(simulator, scenario)
+    inputs = [
+        run_input(drive, scenario, stride=0, tail=tail, gains=gains)
+        for drive, scenario, gains in runs
+    ]
+    return _summary([figures for figures, _ in _runs(simulator, inputs, progress)])
+
+
+def _require_controller(simulator: Simulator, scenario: Scenario) -> None:
+    if not simulator.prefix and scenario.mode != "open-loop":
+        raise ValueError(
+            f"a program without a controller cannot follow a {scenario.mode} reference"
+        )
+    if scenario.encoder.speed == "observer" and not simulator.observers:
+        raise InputError(
+            "the speed is to come from an observer; give the drive one (control.observer)"
+        )
+    if scenario.sensorless is not None and not set(simulator.observers) - {REDUCED_ORDER}:
+        raise InputError(
+            "the angle is to come from an observer; give the drive one of the position "
+            "(control.observer)"
+        )

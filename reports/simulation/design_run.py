@@ -1,0 +1,319 @@
+"""A design simulated with its emitted controller: the run, the figures of its steps,
+and the file of its samples.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.numerical import on_design
+from dqforge.machines.errors import InputError
+from dqforge.machines.names import NumberFormat
+from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.plants.scenario import Profile, Scenario
+from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.control.header import control_files
+from dqforge.reports.field_weakening.header import weakening_files
+from dqforge.reports.main_header.header import header_files
+from dqforge.reports.observers.position_header import observer_files
+from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
+from dqforge.reports.simulation.compiled_plant import (
+    Simulation,
+    require_compiler,
+    simulate,
+    simulator,
+)
+from dqforge.reports.simulation.number_format import in_float32, not_simulated
+from dqforge.reports.simulation.plant_input import Drive
+
+SETTLED = 0.02
+
+"""Share of a step within which the answer counts as settled."""
+
+
+_LAST = 0.1  # share of an interval over which its final error is averaged
+
+
+_MOST_STEPS = 12
+
+
+_MOST_ROWS = 2_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class StepFigures:
+    """The answer to one step of the reference.
+
+    ``time`` in s; ``before`` and ``after`` the value and its reference (rad/s, N m, A); ``rise``
+    from 10 to 90 % and ``settling`` into 2 % of the step in s, nan where that is not reached before
+    the next step; ``overshoot`` as a share of the step; ``error`` the mean of value less reference
+    over the last tenth of the interval.
+    """
+
+    time: float
+    before: float
+    after: float
+    rise: float
+    overshoot: float
+    settling: float
+    error: float
+
+
+@dataclass(frozen=True, slots=True)
+class ObservedFigures:
+    """Errors of the observers over a run: of the electrical angle in rad (None without one),
+    of the mechanical speed.
+
+    ``speed_largest`` in rad/s; ``sensorless_share`` is the share of the samples that were
+    controlled by the estimates.
+    """
+
+    angle_rms: float | None
+    angle_largest: float | None
+    speed_largest: float
+    sensorless_share: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveSimulation:
+    """A run with what is read off it.
+
+    ``unit`` is that of the reference and of `StepFigures`; ``steps`` are the answers to steps, none
+    where the reference does not step; ``tracking`` the largest and the r.m.s. deviation from the
+    reference over the run. ``copper`` is the mean copper loss in W. ``not_simulated`` are the
+    fixed-point formats that the design emits; what ran is float32.
+    """
+
+    design: Design
+    run: Simulation
+    unit: str
+    steps: tuple[StepFigures, ...]
+    tracking: tuple[float, float]
+    copper: float
+    not_simulated: tuple[NumberFormat, ...] = ()
+
+
+def drive_of(design: Design) -> Drive:
+    """What is simulated of a design.
+
+    Raises
+    ------
+    InputError
+        The inductances of its phases vary with the angle, which the simulated
+        machine has no equations for.
+    """
+    phases = design.phase_machine
+    if isinstance(phases, SalientPhaseMachine):
+        raise InputError(
+            "simulation: a machine with inductance_harmonics is not simulated, the simulated "
+            "phases have constant inductances; leave machine.inductance_harmonics out, or the "
+            "simulation"
+        )
+    speed = design.control.speed_loop
+    ratio = 1 if speed is None else speed.ratio
+    return Drive(design.machine, design.inverter, design.control.t_s, ratio, phases)
+
+
+def controller_files(solution: Solution) -> dict[str, bytes]:
+    """The headers that the controller consists of.
+
+    Raises
+    ------
+    InputError
+        The current references are in fixed point.
+    """
+    files = header_files(solution) | control_files(solution) | observers_of(solution)[0]
+    return (
+        files
+        if solution.weakening is None
+        else files | weakening_files(solution.design, solution.weakening)
+    )
+
+
+def observers_of(solution: Solution) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """Headers of the observers of a design, and their names in C."""
+    design, gains = solution.design, solution.gains
+    if gains.position is not None:
+        return observer_files(design, gains.position), (gains.position.method.code,)
+    if gains.observer is not None:
+        return speed_observer_files(design, gains.observer), (REDUCED_ORDER,)
+    return {}, ()
+
+
+@on_design("simulation")
+def require_scenario(design: Design, *, switched: bool = False) -> Scenario:
+    """The simulation that a design asks for.
+
+    Raises
+    ------
+    InputError
+        It asks for none.
+    """
+    if design.simulation is None:
+        raise InputError(
+            "the design asks for no simulation; add a section such as simulation: "
+            "{duration: 0.5 s, speed: {points: [{time: 0 s, speed: 1000 rpm}]}}"
+        )
+    return replace(design.simulation, inverter="switched") if switched else design.simulation
+
+
+@on_design("simulation")
+def simulate_design(
+    design: Design,
+    *,
+    switched: bool = False,
+    solution: Solution | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> DriveSimulation:
+    """Solve a design, emit its controller in float32, compile it with the plant,
+    and run the scenario.
+
+    Parameters
+    ----------
+    design:
+        With a section ``simulation``.
+    switched:
+        Whether every switching instant is simulated, whatever the section says.
+    solution:
+        That of the design, where it is there already.
+    progress:
+        Called with the share that is done.
+
+    Raises
+    ------
+    InputError
+        There is no such section, or it does not fit the design.
+    VerificationError
+        There is no C compiler, or the header does not compile.
+    """
+    scenario = require_scenario(design, switched=switched)
+    require_compiler()
+    whole = solve(design) if solution is None else solution
+    solved = in_float32(whole)
+    drive = drive_of(design)
+    stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
+    with simulator(
+        controller_files(solved), design.export.prefix, observers_of(solved)[1]
+    ) as program:
+        run = simulate(program, drive, scenario, stride=stride, progress=progress)
+    return replace(evaluate(design, run), not_simulated=not_simulated(whole))
+
+
+def evaluate(design: Design, run: Simulation) -> DriveSimulation:
+    """Read the figures off a run."""
+    value, unit = controlled(run)
+    deviation = value - run.reference
+    tracking = (float(np.max(np.abs(deviation))), float(np.sqrt(np.mean(deviation**2))))
+    copper = float(run.figures.e_copper[0]) / float(run.figures.t[0])
+    return DriveSimulation(
+        design, run, unit, step_figures(run.t, value, run.scenario.reference), tracking, copper
+    )
+
+
+def controlled(run: Simulation) -> tuple[FloatArray, str]:
+    """The value that follows the reference, shape (N,), and its SI unit."""
+    if run.scenario.mode == "speed":
+        return run.omega_m, "rad/s"
+    return (run.torque, "N m") if run.scenario.mode == "torque" else (run.i_q, "A")
+
+
+def angle_error(run: Simulation) -> FloatArray:
+    """Observed less true electrical angle in rad, wrapped to -pi to pi, shape (N,);
+    nan where none is observed.
+    """
+    gap = run.theta_e_observed - run.theta_e
+    return np.asarray((gap + np.pi) % (2.0 * np.pi) - np.pi, dtype=np.float64)
+
+
+def observed(run: Simulation) -> ObservedFigures | None:
+    """How well the observers did over the run, None where none ran."""
+    if not np.all(np.isfinite(run.omega_m_observed)):
+        return None
+    speed, error = float(np.max(np.abs(run.omega_m_observed - run.omega_m))), angle_error(run)
+    share = float(np.mean(run.sensorless))
+    if not np.all(np.isfinite(error)):
+        return ObservedFigures(None, None, speed, share)
+    return ObservedFigures(
+        float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error))), speed, share
+    )
+
+
+def step_figures(
+    time: FloatArray, value: FloatArray, reference: Profile
+) -> tuple[StepFigures, ...]:
+    """Answers to the steps of a held reference; none for lines and sines.
+
+    Parameters
+    ----------
+    time, value:
+        Samples in s, and of the controlled value, shape (N,).
+    reference:
+        What it follows.
+    """
+    if reference.shape != "hold" or reference.amplitude != 0.0:
+        return ()
+    ends = [*reference.times[1:], np.inf]
+    found: list[StepFigures] = []
+    for begin, end, after in zip(reference.times, ends, reference.values, strict=True):
+        inside = np.flatnonzero((time >= begin - 1e-9) & (time < end - 1e-9))
+        if inside.size < 3 or len(found) == _MOST_STEPS:
+            continue
+        before = float(value[inside[0]])
+        if abs(after - before) > 1e-3 * max(abs(after), abs(before)):
+            found.append(_step(time[inside], value[inside], before, after))
+    return tuple(found)
+
+
+def _step(time: FloatArray, value: FloatArray, before: float, after: float) -> StepFigures:
+    share = (value - before) / (after - before)
+    rise = _crossing(time, share, 0.9) - _crossing(time, share, 0.1)
+    outside = np.flatnonzero(np.abs(share - 1.0) > SETTLED)
+    last = int(outside[-1]) + 1 if outside.size else 0
+    settling = float(time[last] - time[0]) if last < time.size else np.nan
+    tail = value[-max(1, int(_LAST * value.size)) :]
+    overshoot = max(0.0, float(np.max(share)) - 1.0)
+    return StepFigures(
+        float(time[0]), before, after, rise, overshoot, settling, float(np.mean(tail)) - after
+    )
+
+
+def _crossing(time: FloatArray, share: FloatArray, level: float) -> float:
+    """Time in s at which a level is first reached, between samples by a line; nan if never."""
+    above = np.flatnonzero(share >= level)
+    if not above.size:
+        return float("nan")
+    k = int(above[0])
+    if k == 0:
+        return float(time[0])
+    part = (level - share[k - 1]) / (share[k] - share[k - 1])
+    return float(time[k - 1] + part * (time[k] - time[k - 1]))
+
+
+def npz_bytes(run: Simulation) -> bytes:
+    """The samples as a NumPy archive: float64 arrays by name, without a date,
+    the same bytes for the same run.
+    """
+    names = [name for name in type(run).__dataclass_fields__ if name not in ("scenario", "figures")]
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in names:
+            array = io.BytesIO()
+            np.lib.format.write_array(
+                array, np.ascontiguousarray(getattr(run, name)), allow_pickle=False
+            )
+            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+            entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            archive.writestr(entry, array.getvalue())
+    return content.getvalue()
+
+
+def simulation_files(found: DriveSimulation) -> dict[str, bytes]:
+    """Name and bytes of the file of samples."""
+    return {f"{found.design.export.prefix}_simulation.npz": npz_bytes(found.run)}

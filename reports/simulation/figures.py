@@ -1,0 +1,109 @@
+"""Figure of a simulation: speed, torque, currents and duty cycles over time."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.reports.pages.figures_style import (
+    AXIS_COLOURS,
+    BLUE,
+    FAINT,
+    INK,
+    MUTED,
+    ORANGE,
+    TEAL,
+    new_figure,
+    style,
+    thinned,
+)
+from dqforge.reports.simulation.compiled_plant import Simulation
+from dqforge.reports.simulation.design_run import DriveSimulation, angle_error, observed
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+_RPM = 30.0 / math.pi
+
+
+def _line(
+    axes: Axes, time: FloatArray, value: FloatArray, colour: str, label: str, width: float = 1.2
+) -> None:
+    axes.plot(*thinned(time, value, 600), color=colour, linewidth=width, label=label)
+
+
+def _reference(axes: Axes, time: FloatArray, value: FloatArray, label: str = "reference") -> None:
+    axes.plot(
+        *thinned(time, value, 600), color=INK, linewidth=0.8, linestyle=(0, (3.0, 2.0)), label=label
+    )
+
+
+def _angle(axes: Axes, time: FloatArray, run: Simulation) -> None:
+    """Error of the observed angle; a bar on top where the controller ran on it."""
+    _line(axes, time, np.degrees(angle_error(run)), BLUE, "error of the observed angle", 0.9)
+    if run.scenario.sensorless is not None:
+        axes.fill_between(
+            time, 0.0, 1.0, where=run.sensorless > 0.5, transform=axes.get_xaxis_transform(), color=FAINT, alpha=0.35,
+            linewidth=0.0, label="control without encoder", zorder=0,
+        )  # fmt: skip
+    axes.set_ylabel("angle error in deg")
+
+
+def plot_simulation(found: DriveSimulation) -> Figure:
+    """Speed, torque, currents and duty cycles, with their references where they have some."""
+    run = found.run
+    factor, unit = (1e3, "ms") if run.t[-1] < 0.5 else (1.0, "s")
+    time = run.t * factor
+    with style():
+        seen = observed(run)
+        angle = seen is not None and seen.angle_rms is not None
+        ratios = (1.3, 1.0, 1.3, 0.8, 0.9) if angle else (1.3, 1.0, 1.3, 0.9)
+        figure = new_figure(
+            "simulation",
+            7.9 if angle else 6.6,
+            "Speed, torque, currents and duty cycles of the simulated drive",
+        )
+        axes = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
+        speed, torque, currents, duty = axes[0], axes[1], axes[2], axes[-1]
+        if angle:
+            _angle(axes[3], time, run)
+        _line(speed, time, run.omega_m * _RPM, TEAL, "speed")
+        if seen is not None:
+            _line(speed, time, run.omega_m_observed * _RPM, ORANGE, "observed", 0.7)
+        elif run.scenario.encoder.speed != "exact" and run.scenario.encoder.lines > 0:
+            _line(speed, time, run.omega_m_measured * _RPM, FAINT, "measured", 0.7)
+        speed.set_ylabel("speed in rpm")
+        _line(torque, time, run.torque, ORANGE, "torque")
+        _line(torque, time, run.torque_load, MUTED, "load", 0.9)
+        torque.set_ylabel("torque in N m")
+        for axis, value, wanted in (
+            ("d", run.i_d, run.i_d_reference),
+            ("q", run.i_q, run.i_q_reference),
+        ):
+            _line(currents, time, value, AXIS_COLOURS[axis], f"$i_{axis}$")
+            _reference(currents, time, wanted, f"reference of $i_{axis}$" if axis == "q" else "_")
+        currents.set_ylabel("currents in A")
+        for k, (phase, colour) in enumerate(zip("abc", (BLUE, ORANGE, TEAL), strict=True)):
+            _line(duty, time, run.duty[:, k], colour, phase, 0.7)
+        duty.set(
+            ylabel="duty cycles",
+            ylim=(-0.02, 1.02),
+            xlabel=f"time in {unit}",
+            xlim=(0.0, float(time[-1])),
+        )
+        wanted_of = {"speed": (speed, run.reference * _RPM), "torque": (torque, run.reference)}
+        if run.scenario.mode in wanted_of:
+            _reference(wanted_of[run.scenario.mode][0], time, wanted_of[run.scenario.mode][1])
+        for panel in axes:
+            panel.legend(frameon=False, loc="upper right", ncols=4, fontsize=7.0)
+            low, high = panel.get_ylim()
+            if panel is not duty and np.isfinite(high - low):
+                panel.set_ylim(low, high + 0.18 * (high - low))  # room for the legend
+        figure.align_ylabels(axes)
+        figure.subplots_adjust(left=0.1, right=0.985, top=0.985, bottom=0.065, hspace=0.14)
+    return figure

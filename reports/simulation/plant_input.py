@@ -1,0 +1,441 @@
+"""Drives and scenarios as the numbers that the compiled simulation reads (templates plant.c.j2,
+simulate_main.c.j2).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
+from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
+from dqforge.machines.errors import InputError
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.plants.scenario import ControlMode, Profile, Scenario
+
+STATES = (
+    "i_x",
+    "i_y",
+    "i_zero",
+    "omega_m",
+    "theta_m",
+    "e_in",
+    "e_copper",
+    "e_shaft",
+    "e_load",
+    "e_friction",
+    "i_square",
+)
+
+
+PARAMETERS = (
+    *("mode", "t_s", "samples", "stride", "sub_steps", "tail", "progress", "seed", "i_stop"),
+    *(
+        "kind",
+        "pole_pairs",
+        "r_s",
+        "l_d",
+        "l_q",
+        "psi_pm",
+        "l_zero",
+        "neutral",
+        "scale_d",
+        "scale_q",
+        "scale_pm",
+    ),
+    *("inertia", "friction", "driven", "omega_m_0", "theta_m_0"),
+    *("switched", "halves", "dead_time", "dead_band", "ripple_l_d", "ripple_l_q"),
+    *("counts", "speed_ratio", "angle_error"),
+    *(
+        "adc_bits",
+        "adc_full_scale",
+        "noise",
+        "offset_a",
+        "offset_b",
+        "offset_c",
+        "gain_a",
+        "gain_b",
+        "gain_c",
+    ),
+    *("v_bits", "v_full_scale"),
+    *("observed_speed", "sensorless", "sensor_above", "sensor_below"),
+)
+
+"""Fields of the C structure ``parameters_t``, all doubles, in this order."""
+
+
+COLUMNS = (
+    *(
+        "t",
+        "i_d",
+        "i_q",
+        "i_zero",
+        "omega_m",
+        "theta_e",
+        "torque",
+        "torque_load",
+        "duty_a",
+        "duty_b",
+        "duty_c",
+    ),
+    *("v_dc", "reference", "reference_d", "i_a_measured", "i_b_measured", "i_c_measured"),
+    *("theta_e_measured", "omega_m_measured", "i_d_reference", "i_q_reference", "torque_reference"),
+    *("v_alpha", "v_beta", "theta_e_observed", "omega_m_observed", "sensorless"),
+)
+
+"""What is recorded at a sampling instant, in this order."""
+
+
+SUMMARY = (
+    *(
+        "status",
+        "t",
+        "peak_current",
+        "tail_error",
+        "tail_current",
+        "i_d",
+        "i_q",
+        "omega_m",
+        "torque",
+        "i_square",
+    ),
+    *("e_in", "e_copper", "e_shaft", "e_load", "e_friction"),
+)
+
+"""Figures of a run, in this order."""
+
+
+TABLES = 8
+
+
+_MODES: dict[ControlMode, float] = {"speed": 0.0, "torque": 1.0, "current": 2.0, "open-loop": 3.0}
+
+
+_RELATIVE_STEP = 0.05
+
+
+_LEAST_STEPS = 2
+
+
+# the averaged dead time is a damping of up to four times the carrier frequency around zero current
+_DEAD_STEPS = 4
+
+
+_MOST_STEPS = 200
+
+
+_STOP = 100.0
+
+
+_NEGLIGIBLE = 1e-13
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """What is simulated: a machine or a phase machine, its inverter, and the
+    periods of the controllers.
+
+    Parameters
+    ----------
+    machine:
+        Machine in dq coordinates: constant inductances or a flux map.
+        Its mechanics hold for the phase machine, too.
+    inverter:
+        DC link, carrier and dead time.
+    t_s:
+        Sampling period in s.
+    ratio:
+        Current samples per sample of the speed controller.
+    phases:
+        Machine with another back-EMF than a sine, None for others.
+    """
+
+    machine: Machine
+    inverter: Inverter
+    t_s: float
+    ratio: int = 10
+    phases: PhaseMachine | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunInput:
+    """One run: the parameters by name, and the tables (None: as in the run before)."""
+
+    parameters: dict[str, float]
+    tables: tuple[FloatArray | None, ...]
+
+    def content(self) -> bytes:
+        """What the program reads."""
+        sizes = [-1.0 if table is None else float(table.size) for table in self.tables]
+        head = np.array([*(self.parameters[name] for name in PARAMETERS), *sizes], dtype=np.float64)
+        return head.tobytes() + b"".join(
+            table.tobytes() for table in self.tables if table is not None
+        )
+
+
+def profile_table(profile: Profile | None) -> FloatArray:
+    """Shape, amplitude, frequency, and the points in turn; empty for no profile."""
+    if profile is None:
+        return np.zeros(0)
+    points = np.stack([np.array(profile.times), np.array(profile.values)], axis=1).reshape(-1)
+    linear = 1.0 if profile.shape == "linear" else 0.0
+    return np.concatenate([[linear, profile.amplitude, profile.frequency], points]).astype(
+        np.float64
+    )
+
+
+def map_table(flux_map: FluxMap) -> FloatArray:
+    """Numbers of cells, where the cells count from, and 32 coefficients per cell,
+    rows of i_d first.
+    """
+    rows, columns = flux_map.i_d.size + 1, flux_map.i_q.size + 1
+    row, column = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    cubics, corner_d, corner_q = flux_map.cubics(row.ravel(), column.ravel())
+    cells = np.moveaxis(cubics, -1, 0).reshape(-1)
+    corners = np.concatenate(
+        [corner_d.reshape(rows, columns)[:, 0], corner_q.reshape(rows, columns)[0]]
+    )
+    return np.concatenate([[float(rows), float(columns)], corners, cells])
+
+
+def emf_table(phases: PhaseMachine, scale: float = 1.0) -> FloatArray:
+    """Harmonics of the back-EMF over electrical speed: order, then cosine and sine of alpha,
+    beta and zero.
+
+    They are those of the interpolating trigonometric polynomial of the machine's table,
+    without what is rounding.
+    """
+    a, b, c = phases.flux * scale
+    stator = np.stack([(2.0 * a - b - c) / 3.0, (b - c) / math.sqrt(3.0), (a + b + c) / 3.0])
+    spectrum = np.fft.rfft(stator, axis=1) * (2.0 / phases.angles)
+    spectrum[:, 0] *= 0.5
+    orders = np.arange(
+        (phases.angles + 1) // 2
+    )  # without the highest, whose phase the table does not tell
+    kept = orders[
+        np.max(np.abs(spectrum[:, orders]), axis=0) > _NEGLIGIBLE * np.max(np.abs(spectrum))
+    ]
+    terms = np.empty((kept.size, 7))
+    terms[:, 0] = kept
+    terms[:, 1::2], terms[:, 2::2] = spectrum[:, kept].real.T, -spectrum[:, kept].imag.T
+    return terms.reshape(-1)
+
+
+def _machine_parameters(drive: Drive, scenario: Scenario) -> dict[str, float]:
+    """Electrical constants of the plant, the relative errors applied."""
+    machine, errors, phases = drive.machine, scenario.errors, drive.phases
+    scale_d, scale_q = 1.0 + errors.l_d, 1.0 + errors.l_q
+    values = {
+        "pole_pairs": float(machine.pole_pairs),
+        "r_s": machine.r_s * (1.0 + errors.r_s),
+        "l_d": machine.l_d * scale_d,
+        "l_q": machine.l_q * scale_q,
+        "psi_pm": machine.psi_pm,
+        "l_zero": 1.0,
+        "neutral": 0.0,
+        "scale_d": scale_d,
+        "scale_q": scale_q,
+        "scale_pm": 1.0 + errors.psi_pm,
+    }
+    if phases is not None:
+        inductance = (phases.l_s - phases.m_s) * scale_d
+        wired = drive.inverter.topology == "split-capacitor"
+        zero = (phases.l_s + 2.0 * phases.m_s) * scale_d
+        return values | {
+            "kind": 2.0,
+            "l_d": inductance,
+            "l_q": inductance,
+            "l_zero": zero,
+            "neutral": 1.0 if wired else 0.0,
+        }
+    if isinstance(machine, SaturatedMachine):
+        return values | {"kind": 1.0}
+    if not isinstance(machine, LinearMachine):
+        raise InputError(
+            f"a machine of the kind {type(machine).__name__} cannot be simulated; write it as a "
+            "flux map"
+        )
+    return values | {"kind": 0.0, "psi_pm": machine.psi_pm * (1.0 + errors.psi_pm)}
+
+
+def _observer_parameters(scenario: Scenario) -> dict[str, float]:
+    """What of the observers reaches the controller; speeds mechanical, in rad/s."""
+    wanted = scenario.sensorless
+    return {
+        "observed_speed": 1.0 if scenario.encoder.speed == "observer" else 0.0,
+        "sensorless": 0.0 if wanted is None else 1.0,
+        "sensor_above": 0.0 if wanted is None else wanted.above,
+        "sensor_below": 0.0 if wanted is None else wanted.below,
+    }
+
+
+def carrier_halves(drive: Drive, scenario: Scenario) -> int:
+    """Half carrier periods per control period.
+
+    Raises
+    ------
+    InputError
+        The sampling and the carrier of a switched inverter do not fit.
+    """
+    exact = 2.0 * drive.inverter.f_sw * drive.t_s
+    halves = max(1, round(exact))
+    if scenario.inverter == "switched" and abs(exact - halves) > 1e-6:
+        raise InputError(
+            "simulation.inverter: switched needs a sampling frequency of one or two times the "
+            f"switching frequency, or a whole part of it; they are {1.0 / drive.t_s:g} Hz and "
+            f"{drive.inverter.f_sw:g} Hz"
+        )
+    return halves
+
+
+def sub_steps(drive: Drive, scenario: Scenario) -> int:
+    """Integration steps per control period: 1/20 of the fastest time constant,
+    or of a radian of the highest speed.
+    """
+    if scenario.sub_steps is not None:
+        return scenario.sub_steps
+    machine = drive.machine
+    speed = (
+        machine.omega_m_max or scenario.reference.largest
+        if scenario.mode == "speed"
+        else machine.omega_m_max
+    )
+    turning = machine.pole_pairs * max(speed or 0.0, abs(scenario.omega_m))
+    if scenario.shaft is not None:
+        turning = max(turning, machine.pole_pairs * scenario.shaft.largest)
+    if drive.phases is not None:
+        # Harmonics above the thirteenth are small wherever a machine turns fast.
+        turning *= min(13.0, float(emf_table(drive.phases)[::7].max()))
+    rate = max(
+        machine.r_s * (1.0 + scenario.errors.r_s) / min(_least_inductances(drive.machine)), turning
+    )
+    dead_time = drive.inverter.dead_time if scenario.dead_time is None else scenario.dead_time
+    least = _DEAD_STEPS if dead_time > 0.0 else _LEAST_STEPS
+    return int(min(max(math.ceil(rate * drive.t_s / _RELATIVE_STEP), least), _MOST_STEPS))
+
+
+def _least_inductances(machine: Machine) -> tuple[float, float]:
+    """Least incremental inductances in H within the current limit, on a grid."""
+    if isinstance(machine, LinearMachine):
+        return machine.l_d, machine.l_q
+    line = np.linspace(-machine.i_max, machine.i_max, 21)
+    i_d, i_q = (grid.ravel() for grid in np.meshgrid(line, line))
+    jet = machine.jet(i_d, i_q)
+    return float(np.min(jet.l_dd)), float(np.min(jet.l_qq))
+
+
+def run_input(
+    drive: Drive, scenario: Scenario, *, stride: int = 1, tail: float = 0.9, gains: bytes = b""
+) -> RunInput:
+    """Numbers of one run.
+
+    Parameters
+    ----------
+    drive, scenario:
+        What is simulated.
+    stride:
+        Samples per recorded row; 0 for no record.
+    tail:
+        Share of the duration from which the largest error and current are kept.
+    gains:
+        Bytes of the C structure of gains; empty for those of the header.
+
+    Raises
+    ------
+    InputError
+        The machine has no inertia and the shaft is free, or what `carrier_halves` refuses.
+    """
+    machine, errors, sensor = drive.machine, scenario.errors, scenario.sensor
+    if machine.inertia is None and scenario.shaft is None:
+        raise InputError(
+            "a simulation with a free shaft needs machine.inertia; write it, or simulation.shaft"
+        )
+    v_dc = drive.inverter.v_dc
+    dead_time = drive.inverter.dead_time if scenario.dead_time is None else scenario.dead_time
+    samples = max(1, round(scenario.duration / drive.t_s))
+    electrical = _machine_parameters(drive, scenario)
+    inductance = (
+        _least_inductances(machine)
+        if drive.phases is None
+        else (electrical["l_d"], electrical["l_d"])
+    )
+    speed = scenario.encoder.speed
+    parameters = (
+        electrical
+        | {
+            "mode": _MODES[scenario.mode],
+            "t_s": drive.t_s,
+            "samples": float(samples),
+            "stride": float(stride),
+            "sub_steps": float(sub_steps(drive, scenario)),
+            "tail": tail * samples * drive.t_s,
+            "progress": 0.0,
+            "seed": float(scenario.seed),
+            "i_stop": _STOP * machine.i_max,
+            "inertia": (machine.inertia or 1.0) * (1.0 + errors.inertia),
+            "friction": machine.friction,
+            "driven": 0.0 if scenario.shaft is None else 1.0,
+            "omega_m_0": scenario.omega_m,
+            "theta_m_0": scenario.theta_e / machine.pole_pairs,
+            "switched": 1.0 if scenario.inverter == "switched" else 0.0,
+            "halves": float(carrier_halves(drive, scenario)),
+            "dead_time": dead_time,
+            # Half of what a third of the link changes a current by in a dead time:
+            # so near to zero it may come to rest.
+            "dead_band": max(v_dc * dead_time / (6.0 * min(inductance)), 1e-9 * machine.i_max),
+            "ripple_l_d": inductance[0],
+            "ripple_l_q": inductance[1],
+            "counts": 4.0 * scenario.encoder.lines,
+            "speed_ratio": float(drive.ratio) if speed == "difference" else 0.0,
+            "angle_error": scenario.encoder.misalignment,
+            "adc_bits": float(sensor.bits),
+            "adc_full_scale": sensor.full_scale,
+            "noise": sensor.noise,
+            "v_bits": 0.0,
+            "v_full_scale": 1.0,
+        }
+        | _observer_parameters(scenario)
+    )
+    for index, phase in enumerate("abc"):
+        parameters[f"offset_{phase}"], parameters[f"gain_{phase}"] = (
+            sensor.offset[index],
+            sensor.gain_error[index],
+        )
+    link = (Profile((0.0,), (v_dc,)) if scenario.v_dc is None else scenario.v_dc).scaled(
+        1.0 + errors.v_dc
+    )
+    flux_map = (
+        machine.flux_map if isinstance(machine, SaturatedMachine) and drive.phases is None else None
+    )
+    tables = (
+        profile_table(scenario.reference),
+        profile_table(scenario.reference_d),
+        profile_table(scenario.load),
+        profile_table(scenario.shaft),
+        profile_table(link),
+        np.zeros(0) if flux_map is None else map_table(flux_map),
+        np.zeros(0) if drive.phases is None else emf_table(drive.phases, 1.0 + errors.psi_pm),
+        np.frombuffer(gains + bytes(-len(gains) % 8), dtype=np.float64),
+    )
+    return RunInput(parameters, tables)
+
+
+def share_tables(runs: list[RunInput]) -> list[RunInput]:
+    """The runs without tables that equal those of the run before, so that a flux map is sent
+    once.
+    """
+    shared = runs[:1]
+    for before, run in pairwise(runs):
+        tables = tuple(
+            None
+            if old is new or (old is not None and new is not None and np.array_equal(old, new))
+            else new
+            for old, new in zip(before.tables, run.tables, strict=True)
+        )
+        shared.append(replace(run, tables=tables))
+    return shared

@@ -1,0 +1,174 @@
+"""A simulation as tables for the terminal and the report, and as plain data."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+
+import numpy as np
+
+from dqforge.machines.units.quantities import format_quantity
+from dqforge.reports.pages.html_table import HtmlTable, Row
+from dqforge.reports.pages.html_text import symbols
+from dqforge.reports.pages.table import Table
+from dqforge.reports.plain_data import PlainData
+from dqforge.reports.simulation.design_run import DriveSimulation, observed
+from dqforge.reports.simulation.number_format import SIMULATED, format_text
+
+_SHOWN = {"rad/s": "rpm"}
+
+
+_STEP_COLUMNS = ("at", "from", "to", "rise time", "overshoot", "settled after", "error at the end")
+
+
+def _value(value: float, unit: str, digits: int = 4) -> str:
+    return format_quantity(value, _SHOWN.get(unit, unit), digits) if math.isfinite(value) else "-"
+
+
+def _step_rows(found: DriveSimulation) -> tuple[tuple[str, ...], ...]:
+    return tuple(
+        (
+            _value(step.time, "s"),
+            _value(step.before, found.unit),
+            _value(step.after, found.unit),
+            _value(step.rise, "s", 3),
+            f"{100.0 * step.overshoot:.3g} %",
+            _value(step.settling, "s", 3),
+            _value(step.error, found.unit, 3),
+        )
+        for step in found.steps
+    )
+
+
+def _figure_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
+    run, figures = found.run, found.run.figures
+    return (
+        ("simulated", f"{_value(float(figures.t[0]), 's')}, {run.scenario.inverter} inverter"),
+        *((("arithmetic", format_text(found.not_simulated)),) if found.not_simulated else ()),
+        ("largest deviation from the reference", _value(found.tracking[0], found.unit)),
+        ("r.m.s. deviation from the reference", _value(found.tracking[1], found.unit)),
+        ("largest speed", _value(float(np.max(np.abs(run.omega_m))), "rad/s")),
+        ("largest torque", _value(float(np.max(np.abs(run.torque))), "N m")),
+        ("largest current vector", _value(float(figures.peak_current[0]), "A")),
+        ("phase current, r.m.s.", _value(float(figures.rms_current[0]), "A")),
+        ("mean copper loss", _value(found.copper, "W")),
+    )
+
+
+def _observer_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
+    """Estimates beside the truth, nothing where no observer ran."""
+    seen = observed(found.run)
+    if seen is None:
+        return ()
+    rows = [("largest error of the observed speed", _value(seen.speed_largest, "rad/s", 3))]
+    if seen.angle_rms is not None and seen.angle_largest is not None:
+        rows = [
+            (
+                "angle of the observer, largest error",
+                f"{math.degrees(seen.angle_largest):.3g} deg (electrical)",
+            ),
+            (
+                "angle of the observer, r.m.s. error",
+                f"{math.degrees(seen.angle_rms):.3g} deg (electrical)",
+            ),
+            *rows,
+        ]
+    if found.run.scenario.sensorless is not None:
+        rows.append(
+            ("control without encoder", f"{100.0 * seen.sensorless_share:.3g} % of the time")
+        )
+    return tuple(rows)
+
+
+def _notes(found: DriveSimulation) -> tuple[str, ...]:
+    if found.run.figures.bounded[0]:
+        return (
+            ("rise from 10 to 90 % of the step; settled within 2 % of it",) if found.steps else ()
+        )
+    return (
+        (
+            f"the currents left all bounds at {_value(float(found.run.figures.t[0]), 's')}: the "
+            "drive is unstable"
+        ),
+    )
+
+
+def simulation_tables(found: DriveSimulation) -> list[Table]:
+    """Figures of the run and of each step of its reference."""
+    rows = (*_figure_rows(found), *_observer_rows(found))
+    tables = [Table(f"{found.design.name}: simulation", ("", ""), rows, _notes(found))]
+    if found.steps:
+        tables.append(
+            Table(f"Steps of the {found.run.scenario.mode}", _STEP_COLUMNS, _step_rows(found))
+        )
+    return tables
+
+
+def simulation_html(found: DriveSimulation) -> list[HtmlTable]:
+    """The same for the report."""
+    lines = (*_figure_rows(found), *_observer_rows(found))
+    figures = tuple(Row((symbols(label), symbols(value))) for label, value in lines)
+    tables = [HtmlTable("Figures of the run", ("", "value"), figures)]
+    if found.steps:
+        rows = tuple(Row(cells) for cells in _step_rows(found))
+        title = f"Steps of the {found.run.scenario.mode}; settled within 2 % of the step"
+        tables.append(HtmlTable(title, _STEP_COLUMNS, rows))
+    return tables
+
+
+def simulation_part(found: DriveSimulation | None) -> PlainData | None:
+    """What the report's template prints of a simulation: tables, figure and file names;
+    None where there is none.
+    """
+    if found is None:
+        return None
+    from markupsafe import Markup
+
+    from dqforge.reports.pages.figures_style import to_svg
+    from dqforge.reports.simulation.figures import plot_simulation
+
+    prefix = found.design.export.prefix
+    return {
+        "tables": simulation_html(found),
+        "figure": Markup(to_svg(plot_simulation(found))),
+        "file": f"{prefix}_simulation.npz",
+        "controller": f"{prefix}_control.h",
+    }
+
+
+def plain_simulation(found: DriveSimulation) -> PlainData:
+    """Figures as plain data, in SI units; the samples are in the archive."""
+    run, figures, seen = found.run, found.run.figures, observed(found.run)
+    return {
+        "mode": run.scenario.mode,
+        "inverter": run.scenario.inverter,
+        "format": SIMULATED,
+        "not_simulated": list(found.not_simulated),
+        "unit": found.unit,
+        "duration_s": float(figures.t[0]),
+        "bounded": bool(figures.bounded[0]),
+        "deviation_largest": found.tracking[0],
+        "deviation_rms": found.tracking[1],
+        "peak_current_A": float(figures.peak_current[0]),
+        "rms_current_A": float(figures.rms_current[0]),
+        "copper_W": found.copper,
+        "energy_J": {
+            name: float(getattr(figures, f"e_{name}")[0])
+            for name in ("in", "copper", "shaft", "load", "friction")
+        },
+        "end": {
+            "omega_m_rad_per_s": float(figures.omega_m[0]),
+            "torque_Nm": float(figures.torque[0]),
+            "i_d_A": float(figures.i_d[0]),
+            "i_q_A": float(figures.i_q[0]),
+        },
+        "steps": [asdict(step) for step in found.steps],
+        "observer": None
+        if seen is None
+        else {
+            "angle_error_rms_rad": seen.angle_rms,
+            "angle_error_largest_rad": seen.angle_largest,
+            "speed_error_largest_rad_per_s": seen.speed_largest,
+            "sensorless_share": seen.sensorless_share,
+        },
+    }

@@ -1,0 +1,175 @@
+"""Proof by execution on an emulated Cortex-M: the emitted headers compiled for it,
+run on their vectors, and costed.
+
+The vectors hold the bits of the float32 model; the emulated core must give
+them without any difference.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.errors import VerificationError
+from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
+from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.reports.c_code.harness import Programme
+from dqforge.reports.pages.templating import render
+from dqforge.reports.verification.cross_tools import TARGETS, build, emulate, target_of
+from dqforge.reports.verification.cycle_model import Span
+from dqforge.reports.verification.host import WARNINGS
+from dqforge.reports.verification.measured_cost import cost_on_target
+from dqforge.reports.verification.target_programmes import (
+    TargetRun,
+    harness_of,
+    reached,
+    run_on_target,
+)
+
+__all__ = ["TARGETS", "TargetVerification", "target_of", "verify_on_target"]
+
+
+_DIFFERS = {
+    101: "current reference",
+    102: "phase currents",
+    103: "current reference with field weakening",
+    104: "choice of modulator",
+    105: "gains over the current",
+    106: "control functions in fixed point",
+}
+
+"""Exit codes of the program on the target; the emulator's own failures end with 1."""
+
+
+_VECTOR_TORQUE = re.compile(rb"\{ 0x([0-9A-F]{8})U, 0x[0-9A-F]{8}U, 0x[0-9A-F]{8}U \}")
+
+
+_FIXED = re.compile(rb"_current_reference_(q15|q31)\(")
+
+
+_VECTOR_CODE = re.compile(rb"\{ (-?[0-9]+|\(-2147483647 - 1\)), [-0-9() ]+, [-0-9() ]+ \}")
+
+
+_LARGEST_TRACE = 1024
+
+"""Vectors that are run in single steps; those with special values come first."""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetVerification:
+    """Outcome on a target that found no difference.
+
+    ``vectors`` were run. What the reference costs as a called function, both currents stored and
+    the return included: ``instructions`` is the mean number executed over the first ``costed``
+    vectors, ``cycles`` the mean of the estimated (lo, hi) at zero wait states, ``cycles_largest``
+    their largest; ``flash`` is the code with its constants in bytes. ``runs`` are the harnesses
+    that gave the bits of their models, ``not_run`` the headers of which nothing was run.
+    """
+
+    target: str
+    vectors: int
+    costed: int
+    instructions: float
+    cycles: tuple[float, float]
+    cycles_largest: Span
+    flash: int
+    runs: tuple[TargetRun, ...] = ()
+    not_run: tuple[str, ...] = ()
+
+
+def _codes(vectors: bytes, number_format: str) -> NDArray[Any]:
+    found = [
+        -(2**31) if text.startswith(b"(") else int(text) for text in _VECTOR_CODE.findall(vectors)
+    ]
+    return np.array(found, dtype=np.int16 if number_format == "q15" else np.int32)
+
+
+def _torques(vectors: bytes) -> SingleArray:
+    words = [int(word, 16) for word in _VECTOR_TORQUE.findall(vectors)]
+    return np.array(words, dtype=np.uint32).view(np.float32)
+
+
+def verify_on_target(
+    files: Mapping[str, bytes], prefix: str, target: str, programmes: Sequence[Programme] = ()
+) -> TargetVerification:
+    """Compile the headers for a target, run them on its emulation, and cost the current reference.
+
+    Their test vectors are run, and the harnesses of ``programmes`` on their inputs.
+
+    Parameters
+    ----------
+    files:
+        Contents of the headers and of their vectors by name.
+    prefix:
+        Checked C identifier.
+    target:
+        One of `TARGETS`.
+    programmes:
+        Harnesses of the headers; what has neither these nor test vectors is named in the outcome.
+
+    Raises
+    ------
+    InputError
+        There is no such target.
+    VerificationError
+        A tool is missing (its Debian package is named), the headers do not compile,
+        or a result differs.
+    """
+    target_of(target)
+    fixed = _FIXED.search(files[f"{prefix}.h"])
+    number_format = "" if fixed is None else fixed.group(1).decode("ascii")
+    vectors, function = files[f"{prefix}_vectors.h"], f"{prefix}_current_reference"
+    torques = _codes(vectors, number_format) if number_format else _torques(vectors)
+    if torques.size == 0:
+        raise VerificationError(f"{prefix}_vectors.h holds no test vectors; run the design again")
+    context = {
+        "prefix": prefix,
+        "waveform": f"{prefix}_waveform_vectors.h" in files,
+        "weakening": f"{prefix}_weakening_vectors.h" in files,
+        "fixed": [name for name in FIXED_WIDTHS if f"{prefix}_control_{name}_vectors.h" in files],
+        "modulation": f"{prefix}_modulation_vectors.h" in files,
+        "gains": f"{prefix}_gains_vectors.h" in files,
+        "differs": dict(
+            zip(
+                ("reference", "phases", "weakening", "modulation", "gains", "fixed"),
+                _DIFFERS,
+                strict=True,
+            )
+        ),
+    }
+    main = render("verification/main.c.j2", context).encode("ascii")
+    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
+        build(
+            {**files, "target_main.c": main},
+            (*WARNINGS, "-Wno-overlength-strings"),
+            target,
+            Path(name),
+        )
+        code = emulate(target, Path(name))
+    if code in _DIFFERS:
+        raise VerificationError(
+            f"on {target} the {_DIFFERS[code]} do not give the results of their test vectors"
+        )
+    runs = run_on_target(files, prefix, programmes, target)
+    seen = reached(files, [main, *(harness_of(part, prefix) for part in programmes)])
+    costed = torques[:_LARGEST_TRACE]
+    named = f"{function}_{number_format}" if number_format else function
+    cost = cost_on_target(files, f"{prefix}.h", named, target, costed)
+    return TargetVerification(
+        target,
+        torques.size,
+        costed.size,
+        cost.instructions,
+        cost.cycles,
+        cost.cycles_largest,
+        cost.flash,
+        runs,
+        tuple(sorted(name for name in files if name.endswith(".h") and name not in seen)),
+    )

@@ -1,0 +1,216 @@
+"""Proof by execution: the emitted header is compiled as C and as C++, run,
+and compared bit for bit with the model.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.errors import VerificationError
+from dqforge.optimizer.current_reference.forms import Emitted
+from dqforge.reports.c_code.harness import Programme
+from dqforge.reports.current_reference.programme import reference_programme
+from dqforge.reports.pages.templating import render
+
+WARNINGS = (
+    "-Wall",
+    "-Wextra",
+    "-Wpedantic",
+    "-Wconversion",
+    "-Wdouble-promotion",
+    "-Wfloat-conversion",
+    "-Werror",
+)
+
+"""Warning flags of the header contract (docs/header.md)."""
+
+
+_TIMEOUT_S = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Compiler:
+    """A compiler of the host: language and standard, the program, and the
+    Debian package that brings it.
+    """
+
+    standard: str
+    program: str
+    language: str
+    package: str
+
+
+COMPILERS = (Compiler("c99", "cc", "c", "gcc"), Compiler("c++11", "c++", "c++", "g++"))
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One language: how many results were compared, or why none was. ``missing`` names
+    the absent Debian package.
+    """
+
+    standard: str
+    compared: int
+    missing: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """Outcome of a verification that found no difference: one check per language."""
+
+    vectors: int
+    sweep: int
+    checks: tuple[Check, ...]
+
+    @property
+    def languages(self) -> tuple[str, ...]:
+        """Standards that were really compiled and run."""
+        return tuple(check.standard for check in self.checks if not check.missing)
+
+
+def _execute(
+    command: list[str], what: str, *, cwd: Path | None = None, content: bytes = b""
+) -> subprocess.CompletedProcess[bytes]:
+    """Run a program to its end.
+
+    One that cannot be started or does not end is a failed verification.
+    """
+    environment = os.environ | {"LC_ALL": "C"}  # whose messages are searched for "error"
+    try:
+        return subprocess.run(
+            command,
+            cwd=cwd,
+            env=environment,
+            input=content,
+            capture_output=True,
+            timeout=_TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise VerificationError(f"{what} did not end within {_TIMEOUT_S} s") from error
+    except OSError as error:
+        raise VerificationError(
+            f"{what} cannot be started ({error.strerror}); TMPDIR must name a folder whose "
+            "programs may run"
+        ) from error
+
+
+def _compile(compiler: Compiler, program: str, folder: Path) -> Path:
+    target = folder / f"harness-{compiler.language.replace('+', 'x')}"
+    command = [
+        program,
+        "-x",
+        compiler.language,
+        f"-std={compiler.standard}",
+        "-O2",
+        "-ffp-contract=off",
+        *WARNINGS,
+        "-o",
+        str(target),
+        "harness.c",
+        "-lm",
+    ]
+    done = _execute(command, f"the {compiler.standard} compiler {compiler.program}", cwd=folder)
+    if done.returncode != 0:
+        lines = done.stderr.decode("utf-8", "replace").splitlines()
+        first = next((line for line in lines if "error" in line), "; ".join(lines)[:200])
+        raise VerificationError(
+            f"the header does not compile as {compiler.standard} with {compiler.program}: {first}"
+        )
+    return target
+
+
+def _run(program: Path, inputs: NDArray[Any], model: NDArray[Any], standard: str) -> NDArray[Any]:
+    """Results of the compiled evaluator for inputs of shape (N,) or (N, M),
+    of the shape and type of the model.
+    """
+    done = _execute([str(program)], f"the compiled {standard} program", content=inputs.tobytes())
+    if done.returncode not in (0, 1) or len(done.stdout) != model.nbytes:
+        raise VerificationError(
+            f"the compiled {standard} program stopped with exit code {done.returncode}"
+        )
+    if done.returncode == 1:
+        raise VerificationError(
+            f"compiled as {standard}, the header does not give the results of its test vectors"
+        )
+    return np.frombuffer(done.stdout, dtype=model.dtype).reshape(model.shape)
+
+
+def _compare(compiled: NDArray[Any], part: Programme, standard: str) -> None:
+    inputs, model = part.inputs, part.model
+    bits = np.dtype(f"u{model.dtype.itemsize}")
+    differing = np.any(compiled.view(bits) != np.ascontiguousarray(model).view(bits), axis=1)
+    if differing.any():
+        first = int(np.argmax(differing))
+        raise VerificationError(
+            f"compiled as {standard}, {int(differing.sum())} of {inputs.shape[0]} results of the "
+            f"{part.name} differ from the {model.dtype} model; first at {inputs[first]!s}: C gives "
+            f"{compiled[first].tolist()}, model {model[first].tolist()}"
+        )
+
+
+def verify_files(
+    files: Mapping[str, bytes],
+    prefix: str,
+    reference: Emitted,
+    vectors: int,
+    further: Sequence[Programme] = (),
+) -> Verification:
+    """Compile a header and its vectors as C99 and as C++11, run both, and compare
+    every bit with the model.
+
+    Parameters
+    ----------
+    files:
+        Contents of the headers and of their vectors by name.
+    prefix:
+        Checked C identifier.
+    reference:
+        The model.
+    vectors:
+        Number of test vectors that were asked for.
+    further:
+        Harnesses of the further headers.
+
+    Raises
+    ------
+    VerificationError
+        No C compiler is there, the header does not compile, or a result differs.
+    """
+    programme, chosen = reference_programme(reference, vectors)
+    parts = [programme, *further]
+    checks = []
+    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
+        folder = Path(name)
+        for file_name, content in files.items():
+            (folder / file_name).write_bytes(content)
+        for compiler in COMPILERS:
+            program = shutil.which(compiler.program)
+            if program is None:
+                checks.append(Check(compiler.standard, 0, compiler.package))
+                continue
+            for part in parts:
+                harness = render(
+                    part.template, {"prefix": prefix, "macro": prefix.upper()} | part.context
+                )
+                (folder / "harness.c").write_text(harness, encoding="ascii")
+                built = _compile(compiler, program, folder)
+                compiled = _run(built, part.inputs, part.model, compiler.standard)
+                _compare(compiled, part, compiler.standard)
+            checks.append(Check(compiler.standard, sum(part.inputs.shape[0] for part in parts)))
+    if checks[0].missing:
+        raise VerificationError(
+            "no C compiler found: install the Debian package gcc, or give --no-verify"
+        )
+    compared = sum(part.inputs.shape[0] for part in parts)
+    return Verification(chosen, compared - chosen, tuple(checks))

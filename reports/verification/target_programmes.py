@@ -1,0 +1,138 @@
+"""The harnesses of the emitted headers on an emulated core: the inputs and results of the host's,
+through its files.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.errors import VerificationError
+from dqforge.reports.c_code.harness import Programme
+from dqforge.reports.pages.templating import render
+from dqforge.reports.verification.cross_tools import build, emulate
+from dqforge.reports.verification.host import WARNINGS
+
+_INCLUDE = re.compile(rb'^#include "([^"]+)"', re.MULTILINE)
+
+
+_VECTORS_DIFFER = 101
+
+
+_NO_OUTPUT = 102
+
+
+_MAIN = f"""int harness_main(void);
+int main(void);
+
+int main(void)
+{{
+    const int code = harness_main();
+
+    return (code == 0) ? 0 : (code == 1) ? {_VECTORS_DIFFER} : {_NO_OUTPUT};
+}}
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetRun:
+    """A harness that ran on a core and gave what its model gives: what it runs, and how many
+    results were compared.
+    """
+
+    name: str
+    compared: int
+
+
+def harness_of(part: Programme, prefix: str) -> bytes:
+    """C source of a harness, its ``main`` renamed."""
+    text = render(part.template, {"prefix": prefix, "macro": prefix.upper()} | part.context)
+    return f"#define main harness_main\n{text}".encode("ascii")
+
+
+def reached(files: Mapping[str, bytes], sources: Iterable[bytes]) -> set[str]:
+    """Names of the files that sources include, also by way of each other."""
+    found: set[str] = set()
+    open_ends = list(sources)
+    while open_ends:
+        names = {name.decode("ascii", "replace") for name in _INCLUDE.findall(open_ends.pop())}
+        new = [name for name in names if name in files and name not in found]
+        found.update(new)
+        open_ends += [files[name] for name in new]
+    return found
+
+
+def _differing(made: NDArray[np.generic], part: Programme) -> NDArray[np.bool_]:
+    """Rows that are not bit for bit those of the model; one not-a-number is as good as another."""
+    bits = np.dtype(f"u{part.model.dtype.itemsize}")
+    model = np.ascontiguousarray(part.model)
+    differs = made.view(bits) != model.view(bits)
+    if model.dtype.kind == "f":
+        differs &= ~(np.isnan(made) & np.isnan(model))
+    found: NDArray[np.bool_] = np.any(differs, axis=1)
+    return found
+
+
+def _run(
+    files: Mapping[str, bytes], prefix: str, part: Programme, target: str, folder: Path
+) -> TargetRun:
+    made = {"harness.c": harness_of(part, prefix), "target_main.c": _MAIN.encode("ascii")}
+    made["stdio.h"] = render("verification/stdio.h.j2", {}).encode("ascii")
+    (folder / "target.in").write_bytes(part.inputs.tobytes())
+    build(
+        {**files, **made}, (*WARNINGS, "-Wno-overlength-strings", "-isystem", "."), target, folder
+    )
+    code = emulate(target, folder)
+    if code == _VECTORS_DIFFER:
+        raise VerificationError(
+            f"on {target} the {part.name} do not give the results of their test vectors"
+        )
+    content = (folder / "target.out").read_bytes() if (folder / "target.out").is_file() else b""
+    if code != 0 or len(content) != part.model.nbytes:
+        raise VerificationError(
+            f"on {target} the harness of the {part.name} stopped with exit code {code}"
+        )
+    results = np.frombuffer(content, dtype=part.model.dtype).reshape(part.model.shape)
+    differing = _differing(results, part)
+    if differing.any():
+        first = int(np.argmax(differing))
+        raise VerificationError(
+            f"on {target} {int(differing.sum())} of {len(results)} results of the {part.name} "
+            f"differ from the model; first at {part.inputs[first]!s}: the core gives "
+            f"{results[first].tolist()}, model {part.model[first].tolist()}"
+        )
+    return TargetRun(part.name, len(results))
+
+
+def run_on_target(
+    files: Mapping[str, bytes], prefix: str, parts: Sequence[Programme], target: str
+) -> tuple[TargetRun, ...]:
+    """Run harnesses on an emulated core and compare every bit with the model.
+
+    Parameters
+    ----------
+    files:
+        Contents of the headers and of their vectors by name.
+    prefix:
+        Checked C identifier.
+    parts:
+        Harnesses with inputs and results.
+    target:
+        One of `target_tools.TARGETS`.
+
+    Raises
+    ------
+    VerificationError
+        A tool is missing, a harness does not compile, or a result differs.
+    """
+    done = []
+    for part in parts:
+        with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
+            done.append(_run(files, prefix, part, target, Path(name)))
+    return tuple(done)

@@ -1,0 +1,1 @@
+"""Phase currents as tables, JSON, HTML, figures and C."""

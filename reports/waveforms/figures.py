@@ -1,0 +1,137 @@
+"""Figure of phase currents: back-EMF, currents by rule, torque, and spectra."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
+from dqforge.optimizer.waveforms.phase_currents import spectrum
+from dqforge.reports.pages.figures_style import (
+    BLUE,
+    INK,
+    MUTED,
+    ORANGE,
+    TEAL,
+    new_figure,
+    prefixed,
+    style,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+PHASE_COLOURS = {"a": BLUE, "b": ORANGE, "c": TEAL}
+
+
+RULE_COLOURS = {"dq": MUTED, "dqx": ORANGE, "dqy": BLUE, "limited": INK}
+
+
+_TITLES = {"dq": "dq", "dqx": "dqx", "dqy": "dqy", "limited": "within all limits"}
+
+
+_ORDERS = 13
+
+
+def _closed(values: FloatArray) -> FloatArray:
+    """Values over the period with the first repeated at its end."""
+    return np.concatenate([values, values[..., :1]], axis=-1)
+
+
+def _draw_phases(axes: Axes, values: FloatArray, title: str, *, neutral: bool) -> None:
+    theta = np.linspace(0.0, 360.0, values.shape[1] + 1)
+    for (phase, colour), line in zip(PHASE_COLOURS.items(), values, strict=True):
+        axes.plot(theta, _closed(line), color=colour, linewidth=1.0, label=phase)
+    if neutral and np.max(np.abs(np.sum(values, axis=0))) > 1e-6 * np.max(np.abs(values)):
+        axes.plot(
+            theta,
+            _closed(np.sum(values, axis=0)),
+            color=MUTED,
+            linewidth=0.9,
+            linestyle="dashed",
+            label="neutral",
+        )
+    axes.set(title=title, xlim=(0.0, 360.0), xticks=np.arange(0, 360, 120))
+
+
+def _draw_torque(axes: Axes, rules: tuple[RuleCurrents, ...]) -> None:
+    for found in rules:
+        theta = np.linspace(0.0, 360.0, found.torque.size + 1)
+        axes.plot(
+            theta,
+            _closed(found.torque),
+            color=RULE_COLOURS[found.rule],
+            linewidth=1.0,
+            label=_TITLES[found.rule],
+        )
+    low, high = axes.get_ylim()
+    middle, half = 0.5 * (low + high), max(0.5 * (high - low), 0.1 * abs(0.5 * (low + high)))
+    axes.set(
+        title="Torque",
+        xlabel="Electrical angle in deg",
+        ylabel="N m",
+        xlim=(0.0, 360.0),
+        xticks=np.arange(0, 361, 120),
+        ylim=(middle - 1.5 * half, middle + 1.5 * half),
+    )
+
+
+def _draw_spectra(axes: Axes, rules: tuple[RuleCurrents, ...]) -> None:
+    orders = np.arange(1, _ORDERS + 1)
+    for place, found in enumerate(rules):
+        lines = spectrum(found.currents)[0][0][1 : _ORDERS + 1]
+        shift = 0.2 * (place - 0.5 * (len(rules) - 1))
+        axes.bar(
+            orders + shift, lines, 0.19, color=RULE_COLOURS[found.rule], label=_TITLES[found.rule]
+        )
+    axes.set(
+        title="Harmonics of phase a", xlabel="Order", ylabel="A", xticks=orders[::2], yscale="log"
+    )
+    largest = max(float(np.max(spectrum(found.currents)[0][0])) for found in rules)
+    axes.set_ylim(1e-3 * largest, 2.0 * largest)
+    axes.legend(frameon=False, loc="upper right", ncols=2, fontsize=6.5)
+
+
+def plot_waveforms(comparison: WaveformComparison) -> Figure:
+    """Back-EMF and the currents of every rule over the angle, the torque they make,
+    and their harmonics.
+    """
+    rules = comparison.rules
+    with style():
+        figure = new_figure(
+            "waveforms", 5.0, "Back-EMF, phase currents by rule, torque and harmonics"
+        )
+        width = 0.87 / (len(rules) + 1)
+        largest = max(float(np.max(np.abs(found.currents))) for found in rules)
+        factor, unit = prefixed(float(np.max(np.abs(comparison.machine.flux))), "Wb")
+        emf = figure.add_axes((0.085, 0.59, width - 0.035, 0.31))
+        _draw_phases(
+            emf, comparison.machine.flux * factor, f"e / $\u03c9_e$ in {unit}", neutral=False
+        )
+        for place, found in enumerate(rules, start=1):
+            axes = figure.add_axes((0.11 + place * width, 0.59, width - 0.035, 0.31))
+            _draw_phases(axes, found.currents, f"{_TITLES[found.rule]}: A", neutral=True)
+            axes.set_ylim(-1.15 * largest, 1.15 * largest)
+            if place > 1:
+                axes.set_yticklabels([])
+            if place == len(rules):
+                handles, labels = axes.get_legend_handles_labels()
+                figure.legend(
+                    handles,
+                    labels,
+                    frameon=False,
+                    loc="upper center",
+                    ncols=4,
+                    bbox_to_anchor=(0.5, 1.0),
+                )
+        left, right = (
+            figure.add_axes((0.085, 0.1, 0.385, 0.34)),
+            figure.add_axes((0.57, 0.1, 0.4, 0.34)),
+        )
+        _draw_torque(left, rules)
+        _draw_spectra(right, rules)
+    return figure

@@ -1,0 +1,105 @@
+"""Headers of a folder that was written before, read back from its ``result.json``."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dqforge.machines.entries.c_names import check_prefix
+from dqforge.machines.entries.rules import EntryError
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.current_reference.forms import Emitted
+from dqforge.reports.c_code.harness import Programme
+from dqforge.reports.capabilities import programmes
+from dqforge.reports.current_reference.plain import from_plain
+from dqforge.reports.current_reference.programme import reference_programme
+from dqforge.reports.pages.files import LARGEST_FILE, LARGEST_JSON, read_output
+from dqforge.reports.verification.host import Verification, verify_files
+
+
+def _read(path: Path, most_bytes: int = LARGEST_FILE) -> bytes:
+    return read_output(path, "the folder that 'dqforge run' or 'dqforge export' wrote", most_bytes)
+
+
+def _load_result(path: Path) -> dict[str, Any]:
+    """A result that describes a header."""
+    content = _read(path, LARGEST_JSON)
+    try:
+        loaded = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise InputError("is not JSON; run the design again", source=str(path)) from error
+    if not isinstance(loaded, dict) or not isinstance(loaded.get("header"), dict):
+        raise InputError("holds no header; run the design again", source=str(path))
+    return loaded
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenHeaders:
+    """What an earlier run wrote: files by name, prefix, model, number of test vectors,
+    harnesses of further headers.
+    """
+
+    files: dict[str, bytes]
+    prefix: str
+    reference: Emitted
+    vectors: int
+    further: tuple[Programme, ...] = ()
+
+    @property
+    def programmes(self) -> tuple[Programme, ...]:
+        """Harnesses of all headers."""
+        return (reference_programme(self.reference, self.vectors)[0], *self.further)
+
+
+def read_folder(folder: Path) -> WrittenHeaders:
+    """Headers and models of an earlier run, by what its ``result.json`` describes.
+
+    Raises
+    ------
+    InputError
+        A file is missing or is not what dqforge writes.
+    """
+    path = folder / "result.json"
+    loaded = _load_result(path)
+    header = loaded["header"]
+    vectors = header.get("vectors")
+    try:
+        prefix = check_prefix(str(header.get("prefix", "")))
+    except EntryError as error:
+        raise InputError(
+            f"header.prefix: {error.message}; run the design again", source=str(path)
+        ) from error
+    if not isinstance(vectors, int) or not isinstance(header.get("reference"), dict):
+        raise InputError(
+            "header.vectors or header.reference is missing; run the design again", source=str(path)
+        )
+    try:
+        reference = from_plain(header["reference"])
+        kinds, further = programmes(loaded)
+    except InputError as error:
+        raise InputError(error.message, source=str(path)) from error
+    names = [f"{prefix}.h", f"{prefix}_vectors.h"]
+    names += [name for kind in kinds.values() for name in kind.files(prefix)]
+    return WrittenHeaders(
+        {name: _read(folder / name) for name in names}, prefix, reference, vectors, tuple(further)
+    )
+
+
+def verify_written(found: WrittenHeaders) -> Verification:
+    """Compile and run what an earlier run wrote; raises VerificationError as `verify_files`."""
+    return verify_files(found.files, found.prefix, found.reference, found.vectors, found.further)
+
+
+def verify_folder(folder: Path) -> Verification:
+    """Compile and run what an earlier run wrote into a folder.
+
+    Raises
+    ------
+    InputError
+        As `read_folder`.
+    VerificationError
+        As `verify_files`.
+    """
+    return verify_written(read_folder(folder))

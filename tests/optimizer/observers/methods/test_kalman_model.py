@@ -1,0 +1,190 @@
+"""Kalman filter: Jacobian by differences, correction against the textbook's,
+consistency on 20 seeds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import IPM, RELUCTANCE
+from scipy.stats import chi2
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.optimizer.observers.methods.ekf_tuning import (
+    DriveNoise,
+    band,
+    consistency,
+    first_guess,
+    noisy_trial,
+    tuned_ekf,
+    usual_noise,
+)
+from dqforge.optimizer.observers.methods.kalman_model import (
+    Ekf,
+    angle_error,
+    correct,
+    ekf,
+    run,
+    transition,
+)
+from dqforge.optimizer.observers.trials import (
+    CurrentSensor,
+    simulate,
+    usual_sensor,
+    wandering_speed,
+)
+
+T_S = 200e-6
+SENSOR = CurrentSensor(12, 8.0, 0.004)
+NOISE = DriveNoise(SENSOR, 1.0, 400.0)
+I_REF = np.array([0.0, 2.0])
+SPEED = 600.0
+
+
+@pytest.fixture(scope="module")
+def tuned(bench001: LinearMachine) -> Ekf:
+    return tuned_ekf(bench001, T_S, NOISE, SPEED, I_REF)
+
+
+@pytest.mark.parametrize("machine", [IPM, RELUCTANCE])
+@pytest.mark.parametrize("omega", [-900.0, 0.0, 700.0])
+def test_jacobians_are_differences(machine: LinearMachine, omega: float) -> None:
+    model = ekf(machine, T_S, 1e-4, 1e4, 1e-4, 1500.0).model
+    x, v = np.array([-3.0, 5.0, omega, 0.7]), np.array([20.0, -8.0])
+    step = np.array([1e-4, 1e-4, 1e-2, 1e-6])
+    columns = [
+        (transition(model, x + h, v)[0] - transition(model, x - h, v)[0]) / (2.0 * np.sum(h))
+        for h in np.diag(step)
+    ]
+    scale = np.max(np.abs(columns), axis=0, keepdims=True).T + 1e-12
+    np.testing.assert_allclose(
+        transition(model, x, v)[1] / scale, np.stack(columns, axis=1) / scale, atol=2e-6
+    )
+
+
+def test_correction_is_the_textbook_one_in_stator_coordinates() -> None:
+    """y = R(theta) i with its own Jacobian by differences: the turned form must give the
+    same state and covariance.
+    """
+    x = np.array([-3.0, 5.0, 300.0, 0.7])
+    root = np.random.default_rng(3).normal(size=(4, 4)) * np.array([[0.1], [0.1], [20.0], [0.05]])
+    p, r, y = root @ root.T, 0.01, np.array([-5.0, 2.5])
+
+    def output(state: FloatArray) -> FloatArray:
+        c, s = np.cos(state[3]), np.sin(state[3])
+        return np.array([c * state[0] - s * state[1], s * state[0] + c * state[1]])
+
+    h = np.stack([(output(x + d) - output(x - d)) / 2e-6 for d in 1e-6 * np.eye(4)], axis=1)
+    s = h @ p @ h.T + r * np.eye(2)
+    gain = p @ h.T @ np.linalg.inv(s)
+    found, left, innovation, covariance = correct(x[None], p[None], y[None], r)
+    np.testing.assert_allclose(found[0], x + gain @ (y - output(x)), rtol=1e-7)
+    np.testing.assert_allclose(left[0], (np.eye(4) - gain @ h) @ p, rtol=1e-5, atol=1e-7)
+    nis = innovation[0] @ np.linalg.solve(covariance[0], innovation[0])
+    assert nis == pytest.approx((y - output(x)) @ np.linalg.solve(s, y - output(x)), rel=1e-7)
+
+
+def test_without_noise_the_right_state_stays(bench001: LinearMachine) -> None:
+    trial = simulate(bench001, T_S, np.full((201, 2), 800.0), I_REF)
+    filter_ = ekf(bench001, T_S, 1e-6, 1.0, 1e-6)
+    result = run(filter_, trial)
+    assert np.max(np.abs(result.innovation)) < 3e-6  # of the Runge-Kutta steps
+    assert np.max(np.abs(angle_error(result.theta, trial))) < 1e-6
+
+
+@pytest.mark.slow
+def test_innovations_are_consistent_on_twenty_seeds(bench001: LinearMachine, tuned: Ekf) -> None:
+    """The requirement: inside the 95 % band for at least 90 % of the time,
+    by each of the three ways to say so.
+    """
+    nis = run(
+        tuned, noisy_trial(bench001, T_S, NOISE, SPEED, I_REF, 1000, 20, 1000), theta_error=0.1
+    ).nis
+    assert nis.shape == (1000, 20)
+    found = consistency(nis)
+    assert found.mean == pytest.approx(2.0, abs=0.08)
+    assert found.samples > 0.92
+    assert found.drives > 0.90
+    assert found.window > 0.90
+    low, high = chi2.ppf([0.025, 0.975], 2)
+    per_seed = np.mean((nis[100:] > low) & (nis[100:] < high), axis=0)
+    assert np.min(per_seed) > 0.90  # every single seed, not only their mean
+
+
+@pytest.mark.slow
+def test_the_search_finds_the_stated_noise_from_a_wrong_start(
+    bench001: LinearMachine, tuned: Ekf
+) -> None:
+    first = first_guess(bench001, T_S, NOISE)
+    wrong = replace(first, q_i=50.0 * first.q_i, q_a=first.q_a / 50.0, r=30.0 * first.r)
+    trial = noisy_trial(bench001, T_S, NOISE, SPEED, I_REF, 600, 8, 77)
+    assert tuned.q_i == pytest.approx(first.q_i, rel=0.15)  # Gamma is not the same on both axes
+    assert tuned.q_a == pytest.approx(NOISE.acceleration**2, rel=0.5)
+    likelihood = float(np.mean(run(tuned, trial).log_likelihood))
+    assert likelihood > float(np.mean(run(wrong, trial).log_likelihood)) + 0.5
+    assert not 0.9 < consistency(run(wrong, trial).nis).samples < 1.0
+    again = tuned_ekf(bench001, T_S, NOISE, SPEED, I_REF, start=wrong)
+    assert float(np.mean(run(again, trial).log_likelihood)) == pytest.approx(likelihood, abs=3e-3)
+
+
+def test_covariance_tells_the_angle_error(bench001: LinearMachine, tuned: Ekf) -> None:
+    trial = noisy_trial(bench001, T_S, NOISE, SPEED, I_REF, 400, 200, 5)
+    result = run(tuned, trial)
+    spread = np.std(angle_error(result.theta, trial)[-1])
+    assert spread == pytest.approx(np.sqrt(np.mean(result.p[:, 3, 3])), rel=0.2)
+    assert np.std((result.omega - trial.omega)[-1]) == pytest.approx(
+        np.sqrt(np.mean(result.p[:, 2, 2])), rel=0.2
+    )
+
+
+@pytest.mark.slow
+def test_resistance_and_inductance_errors_shift_the_angle(
+    bench001: LinearMachine, tuned: Ekf
+) -> None:
+    """Steady, surface machine: the current model balances its voltages at an angle off by
+    some -(L_hat - L) i_q/psi.
+    """
+    true = replace(bench001, l_d=1.6e-3, l_q=1.6e-3)
+    wrong = replace(true, l_d=1.92e-3, l_q=1.92e-3)
+    trial = simulate(true, T_S, np.full((3001, 1), SPEED), I_REF)
+    result = run(replace(tuned, model=ekf(wrong, T_S, 1.0, 1.0, 1.0, 2000.0).model), trial)
+    assert float(angle_error(result.theta, trial)[-1, 0]) == pytest.approx(
+        -0.32e-3 * 2.0 / 0.06, rel=0.1
+    )
+
+
+def test_sensor_noise_is_what_it_says() -> None:
+    current = np.linspace(-7.0, 7.0, 200_001)
+    error = SENSOR.read(current, np.random.default_rng(1)) - current
+    assert np.var(error) == pytest.approx(SENSOR.variance, rel=0.02)
+    assert abs(float(np.mean(error))) < 1e-4
+    assert SENSOR.read(np.array([50.0]), np.random.default_rng(1))[0] == pytest.approx(
+        8.0 - SENSOR.step
+    )
+    with pytest.raises(InputError, match="current sensor"):
+        CurrentSensor(12, 0.0, 0.1)
+
+
+def test_band_and_speeds() -> None:
+    assert band(1) == pytest.approx((0.0506, 7.3778), abs=1e-4)
+    assert band(20)[0] == pytest.approx(chi2.ppf(0.025, 40) / 20.0)
+    speeds = wandering_speed(100.0, 50.0, T_S, 500, 4000, 2)
+    assert np.std(speeds[-1]) == pytest.approx(50.0 * np.sqrt(500 * T_S), rel=0.05)
+
+
+def test_usual_noise(bench001: LinearMachine) -> None:
+    noise = usual_noise(bench001, 180.0, T_S, 5e-6)
+    assert noise.voltage_rms == pytest.approx(90.0 * 0.035)
+    assert noise.sensor == usual_sensor(bench001)
+    assert noise.acceleration == pytest.approx(0.1 * 3 * 0.27 * 2.263 / 200e-6)
+
+
+def test_refusals(bench001: LinearMachine) -> None:
+    with pytest.raises(InputError, match="r of the Kalman filter"):
+        ekf(bench001, T_S, 1.0, 1.0, 0.0)
+    with pytest.raises(NoSolutionError, match="shows no angle"):
+        ekf(replace(bench001, psi_pm=0.0, l_q=bench001.l_d), T_S, 1.0, 1.0, 1.0)

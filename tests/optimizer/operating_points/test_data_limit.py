@@ -1,0 +1,150 @@
+"""Operating points where a flux map ends before the current limit, against brute
+force over what is measured.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from one_sided import INDUCTANCES, KINDS, measured_currents, one_sided
+
+from dqforge.machines.design.settings import FitSettings
+from dqforge.machines.errors import NoSolutionError
+from dqforge.optimizer.certificates.current_reference import certify
+from dqforge.optimizer.current_reference.data_use import data_use
+from dqforge.optimizer.current_reference.fit import fit_reference
+from dqforge.optimizer.operating_points.characteristics import characteristics
+from dqforge.optimizer.operating_points.current_choice import CurrentChoice
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
+from dqforge.optimizer.operating_points.point_problem import Active
+from dqforge.optimizer.operating_points.points import optimal_points
+
+_V_MAX = 25.0
+
+
+@pytest.mark.thinned
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("inductances", INDUCTANCES)
+def test_points_are_the_best_that_is_measured(
+    kind: str, inductances: tuple[float, float, float]
+) -> None:
+    machine = one_sided(kind, *inductances)
+    i_d, i_q = measured_currents(machine)
+    torque, loss = machine.torque(i_d, i_q), i_d**2 + i_q**2
+    most = float(torque.max())
+    generator = np.random.default_rng(7)
+    request, speed = (
+        generator.uniform(-1.3, 1.3, 16) * most,
+        generator.uniform(0.0, 1.0, 16) ** 2 * 220.0,
+    )
+    found = optimal_points(machine, request, speed, v_max=_V_MAX)
+    assert np.all(machine.flux_map.region.beyond(found.i_d, found.i_q) <= 1e-6)
+    assert not np.any(found.extrapolated)
+    assert np.max(found.kkt_residual) < 1e-6
+    near = 0.006 * most
+    for k in range(request.size):
+        sign = -1.0 if request[k] < 0.0 else 1.0
+        volts = np.hypot(
+            *machine.voltage(i_d, i_q, np.full_like(i_d, machine.pole_pairs * speed[k]))
+        )
+        kept = volts <= _V_MAX
+        if not kept.any():
+            assert found.active[k] == Active.UNREACHABLE
+            continue
+        wanted, made = abs(request[k]), sign * torque[kept]
+        if not found.reached[k]:
+            here = sign * float(found.torque[k])
+            spare = here - made.max() if here < wanted else made.min() - here
+            assert spare >= -1e-9 * most
+            continue
+        mine = found.i_d[k] ** 2 + found.i_q[k] ** 2
+        above = loss[kept][(made >= wanted) & (made <= wanted + near)]
+        # Measured currents of a little more torque cannot lose less than the optimum for this one.
+        assert above.size == 0 or mine <= above.min() * (1.0 + 1e-9) + 1e-9
+
+
+def test_optimum_beyond_the_data_is_named() -> None:
+    # With l_d > l_q and i_d <= 0 measured alone, MTPA wants i_d > 0:
+    # the best that is measured is i_d = 0.
+    machine = one_sided("ends at i_d = 0", 0.5e-3, 0.25e-3, 0.0)
+    found = optimal_points(machine, np.linspace(1.0, 11.0, 6), 0.0, v_max=1e6)
+    assert np.allclose(found.i_d, 0.0, atol=1e-7)
+    assert np.allclose(found.i_q, np.linspace(1.0, 11.0, 6) / (1.5 * 3 * 0.05))
+    assert [Active(code).label for code in found.active] == ["data"] * 6
+
+
+def test_data_that_cover_the_optimum_change_nothing() -> None:
+    whole, cut = (
+        one_sided(kind, 0.25e-3, 0.6e-3, 0.0) for kind in ("everywhere", "ends at i_d = 0")
+    )
+    torque, speed = np.linspace(-14.0, 14.0, 41), np.linspace(0.0, 190.0, 41)
+    one, other = (optimal_points(machine, torque, speed, v_max=_V_MAX) for machine in (whole, cut))
+    assert not np.any(other.active == Active.DATA)
+    assert np.array_equal(one.active, other.active)
+    assert np.allclose(one.i_d, other.i_d, atol=1e-7)
+
+
+def test_permitted_extrapolation_leaves_the_data_and_says_so() -> None:
+    machine = one_sided("ends at i_d = 0", 0.5e-3, 0.25e-3, 0.0, extrapolate=True)
+    found = optimal_points(machine, 5.0, 0.0, v_max=1e6)
+    assert found.i_d[0] > 1.0
+    assert found.extrapolated[0]
+    choice = CurrentChoice(machine, "mtpa", machine.i_max)
+    use = data_use(choice, choice.largest_torque())
+    assert use.held is None
+    assert use.extrapolated is not None
+    assert np.allclose(use.extrapolated, [0.0, choice.largest_torque()])
+
+
+@pytest.mark.thinned
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("inductances", INDUCTANCES)
+def test_mtpa_locus_and_figures_stay_inside(
+    kind: str, inductances: tuple[float, float, float]
+) -> None:
+    machine = one_sided(kind, *inductances)
+    locus = mtpa_locus(machine, machine.i_max)
+    assert np.all(machine.flux_map.region.beyond(locus.i_d, locus.i_q) <= 1e-6)
+    i_d, i_q = measured_currents(machine)
+    torque = machine.torque(i_d, i_q)
+    assert locus.torque[-1] == pytest.approx(float(torque.max()), rel=2e-3)
+    for k in range(0, locus.torque.size, 20):
+        inside = np.hypot(i_d, i_q) <= locus.current[k] * (1.0 + 1e-9)
+        assert locus.torque[k] >= float(torque[inside].max()) * (1.0 - 1e-9)
+    figures = characteristics(machine, _V_MAX)
+    assert ("torque_max" in figures.held) == ("base_speed" in figures.held) == bool(locus.held[-1])
+    slow = np.hypot(
+        *machine.voltage(locus.i_d[-1:], locus.i_q[-1:], np.array([3.0 * figures.base_speed]))
+    )
+    assert slow[0] == pytest.approx(_V_MAX, rel=1e-9)
+    if figures.speed_max is not None:
+        slower, faster = (
+            np.full_like(i_d, 3.0 * factor * figures.speed_max) for factor in (0.99, 1.001)
+        )
+        assert np.any(np.hypot(*machine.voltage(i_d, i_q, slower)) <= _V_MAX)
+        if "speed_max" in figures.held:
+            assert not np.any(np.hypot(*machine.voltage(i_d, i_q, faster)) <= _V_MAX)
+
+
+@pytest.mark.parametrize("strategy", ["mtpa", "id0"])
+@pytest.mark.parametrize("kind", ["ends at i_d = 0", "small disc"])
+def test_reference_stays_inside_the_data(kind: str, strategy: str) -> None:
+    machine = one_sided(kind, *INDUCTANCES[0])
+    choice = CurrentChoice(machine, "mtpa" if strategy == "mtpa" else "id0", machine.i_max)
+    fit = fit_reference(choice, FitSettings(form="polynomial"))
+    i_d, i_q = fit.reference.currents(np.linspace(0.0, fit.torque_max, 400))
+    beyond = machine.flux_map.region.beyond(
+        np.asarray(i_d, dtype=np.float64), np.asarray(i_q, dtype=np.float64)
+    )
+    assert float(np.max(beyond)) <= 1.01 * (fit.errors.i_d + fit.errors.i_q)
+    use = data_use(choice, fit.torque_max)
+    assert use.extrapolated is None
+    if strategy == "mtpa":
+        assert use.held is not None
+        assert use.held[1] == pytest.approx(fit.torque_max)
+        # What is proven are currents of least loss; on the edge of the data they are none.
+        assert certify(choice, fit.reference, fit.errors) is None
+    with pytest.raises(
+        NoSolutionError, match=r"held by the data.*extrapolate: true|ask for less torque"
+    ):
+        fit_reference(choice, FitSettings(form="polynomial", torque_max=1.2 * fit.torque_max))
