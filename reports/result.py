@@ -9,6 +9,7 @@ from dataclasses import asdict
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.flux_maps.evidence import FluxEvidence
+from dqforge.optimizer.operating_points.current_choice import SpeedPoint
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.control.fixed_header import (
     plain_fixed,
@@ -28,7 +29,7 @@ from dqforge.reports.observers.speed_header import plain_speed_observer
 from dqforge.reports.operating_points.plain import plain_curves
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.waveforms.header import plain_phase_reference
-from dqforge.reports.waveforms.tables import plain_waveforms
+from dqforge.reports.waveforms.tables import plain_phase_fit, plain_waveforms
 
 
 def plain_design(design: Design) -> PlainData:
@@ -92,6 +93,11 @@ def plain_drive(design: Design) -> PlainData:
     }
 
 
+def plain_speed(speed: SpeedPoint | None) -> PlainData | None:
+    """The speed for which currents weaken the field, and the voltage that they keep there."""
+    return None if speed is None else {"omega_m_rad_per_s": speed.omega_m, "v_max_V": speed.v_max}
+
+
 def plain_solution(solution: Solution) -> PlainData:
     """Everything that a run found, with what `dqforge verify` needs under ``header``."""
     design, weakening, gains = solution.design, solution.weakening, solution.loops
@@ -119,6 +125,7 @@ def plain_solution(solution: Solution) -> PlainData:
         "losses": plain_losses(solution.losses),
         "mission": None if solution.mission is None else plain_mission(solution.mission),
         "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),
+        "waveform_fit": None if solution.phases is None else plain_phase_fit(solution.phases),
         "waveform_header": None
         if solution.phases is None
         else plain_phase_reference(solution.phases.reference),

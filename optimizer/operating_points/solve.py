@@ -16,6 +16,7 @@ from dqforge.optimizer.operating_points.current_choice import (
     domain_end,
 )
 from dqforge.optimizer.operating_points.mtpa import PerUnitBase, per_unit_base
+from dqforge.optimizer.solution import CopperSaving, copper_saving
 
 _CURVE_POINTS = 201
 
@@ -26,12 +27,16 @@ class Curves:
     strategy and for i_d = 0.
 
     ``id0`` is None for a machine without magnet and at a speed; ``base`` is None where the MTPA
-    curve has no scale of its own.
+    curve has no scale of its own. ``speed`` is the one speed for which the field is weakened, with
+    the voltage limit there, None without. ``saving`` is None where the strategy is i_d = 0 or
+    nothing else than it.
     """
 
     chosen: OperatingPoints
     id0: OperatingPoints | None
     base: PerUnitBase | None
+    speed: SpeedPoint | None
+    saving: CopperSaving | None
 
 
 def current_choice(design: Design) -> CurrentChoice:
@@ -58,8 +63,10 @@ def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     id0 = CurrentChoice(machine, "id0", design.i_max).points(torque) if compared else None
     linear = choice.closed_form
     has_base = linear is not None and linear.psi_pm > 0.0 and linear.saliency != 0.0
-    return Curves(
+    chosen, base = (
         choice.points(torque),
-        id0,
         per_unit_base(linear) if linear is not None and has_base else None,
     )
+    differs = design.strategy != "id0" and machine.saliency != 0.0
+    saving = copper_saving(chosen, id0) if id0 is not None and differs else None
+    return Curves(chosen, id0, base, choice.speed, saving)
