@@ -6,8 +6,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
@@ -29,9 +27,6 @@ from dqforge.optimizer.losses.point_comparison import LossComparison
 from dqforge.optimizer.losses.solve import solve_losses, solve_mission
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, solve_choice
 from dqforge.optimizer.negative_torques import NegativeHalf, solve_negative
-from dqforge.optimizer.operating_points.current_choice import (
-    OperatingPoints,
-)
 from dqforge.optimizer.operating_points.solve import Curves, current_choice, solve_curves
 from dqforge.optimizer.waveforms.comparison import (
     WaveformComparison,
@@ -39,22 +34,6 @@ from dqforge.optimizer.waveforms.comparison import (
 )
 from dqforge.optimizer.waveforms.firmware_form import PhaseFit
 from dqforge.optimizer.waveforms.solve import solve_phases
-
-
-@dataclass(frozen=True, slots=True)
-class CopperSaving:
-    """Copper loss in W of the chosen strategy and of i_d = 0 at the largest torque
-    in N m that both can make.
-    """
-
-    torque: float
-    chosen: float
-    id0: float
-
-    @property
-    def relative(self) -> float:
-        """What is saved, as a share of the loss at i_d = 0."""
-        return 1.0 - self.chosen / self.id0
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,18 +93,6 @@ class Solution:
         if self.loops is None:
             raise InputError(f"this needs gains, and there are none: {self.gains_left_out}")
         return self.loops
-
-
-def copper_saving(chosen: OperatingPoints, id0: OperatingPoints) -> CopperSaving | None:
-    """What currents save against those of i_d = 0 for the same torques.
-
-    None where those lose nothing.
-    """
-    last = int(np.flatnonzero(~id0.limited & ~chosen.limited)[-1])
-    found = CopperSaving(
-        float(chosen.torque[last]), float(chosen.copper[last]), float(id0.copper[last])
-    )
-    return found if found.id0 > 0.0 else None
 
 
 @on_design("machine")

@@ -9,7 +9,6 @@ from dataclasses import asdict
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.flux_maps.evidence import FluxEvidence
-from dqforge.optimizer.operating_points.current_choice import SpeedPoint
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.control.fixed_header import (
     plain_fixed,
@@ -91,11 +90,6 @@ def plain_drive(design: Design) -> PlainData:
         "strategy": design.strategy,
         "reference_omega_m_rad_per_s": design.operation.omega_m,
     }
-
-
-def plain_speed(speed: SpeedPoint | None) -> PlainData | None:
-    """The speed for which currents weaken the field, and the voltage that they keep there."""
-    return None if speed is None else {"omega_m_rad_per_s": speed.omega_m, "v_max_V": speed.v_max}
 
 
 def plain_solution(solution: Solution) -> PlainData:

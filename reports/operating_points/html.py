@@ -15,7 +15,6 @@ from dqforge.reports.pages.labels import (
     watts,
 )
 
-
 _SHARES_OF_TORQUE = (0.1, 0.25, 0.5, 0.75, 1.0)
 
 

@@ -26,8 +26,7 @@ class Reproduced:
 
 
 def _paper000(*, figures: bool) -> Reproduced:
-    from dqforge.reports import paper000_tables
-    from dqforge.reports.papers import paper000
+    from dqforge.reports.papers import paper000, paper000_tables
 
     found = paper000.reproduce_paper()
     tables, plain = (
@@ -49,8 +48,7 @@ def _paper000(*, figures: bool) -> Reproduced:
 
 
 def _paper001(*, figures: bool) -> Reproduced:
-    from dqforge.reports import paper001_tables
-    from dqforge.reports.papers import paper001
+    from dqforge.reports.papers import paper001, paper001_tables
 
     found = paper001.reproduce_paper()
     drawn: dict[str, Callable[[], Figure]] = {}
@@ -64,8 +62,7 @@ def _paper001(*, figures: bool) -> Reproduced:
 
 
 def _paper002(*, figures: bool) -> Reproduced:
-    from dqforge.reports import paper002_tables
-    from dqforge.reports.papers import paper002
+    from dqforge.reports.papers import paper002, paper002_tables
 
     found = paper002.reproduce_paper()
     drawn: dict[str, Callable[[], Figure]] = {}

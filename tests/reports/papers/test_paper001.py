@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dqforge.reports import paper000_tables, paper001_tables
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.papers import paper000_transient, paper001
+from dqforge.reports.papers import paper000_tables, paper000_transient, paper001, paper001_tables
 from dqforge.reports.papers import paper001_sensorless as sensorless001
 from dqforge.reports.papers.figures_transients import plot_bench, plot_load_tests
 from dqforge.reports.papers.paper000_transient import LoadTest
