@@ -9,6 +9,8 @@ from dataclasses import asdict
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.flux_maps.evidence import FluxEvidence
+from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad, ObserverError, SpeedErrorSlopes
+from dqforge.optimizer.operating_points.current_choice import SpeedPoint
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.control.fixed_header import (
     plain_fixed,
@@ -21,14 +23,25 @@ from dqforge.reports.loops.header import plain_evaluator
 from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.losses.map_tables import plain_mission
 from dqforge.reports.losses.plain import plain_losses
-from dqforge.reports.modulation_choice.header import choice_model, plain_emitted
+from dqforge.reports.modulation_choice.header import choice_model
 from dqforge.reports.modulation_choice.tables import plain_choice
 from dqforge.reports.observers.position_header import emitted, plain_observer
 from dqforge.reports.observers.speed_header import plain_speed_observer
 from dqforge.reports.operating_points.plain import plain_curves
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.waveforms.header import plain_phase_reference
-from dqforge.reports.waveforms.tables import plain_waveforms
+from dqforge.reports.rule_model import plain_emitted
+from dqforge.reports.waveform_model import plain_phase_reference
+from dqforge.reports.waveforms.tables import plain_phase_fit, plain_waveforms
+
+SIMULATION = "simulation"
+
+"""Last key of ``result.json``, there where a run has simulated its drive."""
+
+
+def without_simulation(text: str) -> str:
+    """The text of a result less what its simulation found, which no solving again gives."""
+    before, found, _ = text.partition(f',\n "{SIMULATION}": {{')
+    return f"{before}\n}}\n" if found else text
 
 
 def plain_design(design: Design) -> PlainData:
@@ -92,6 +105,40 @@ def plain_drive(design: Design) -> PlainData:
     }
 
 
+def plain_speed(speed: SpeedPoint | None) -> PlainData | None:
+    """The speed for which currents weaken the field, and the voltage that they keep there."""
+    return None if speed is None else {"omega_m_rad_per_s": speed.omega_m, "v_max_V": speed.v_max}
+
+
+def plain_observer_errors(
+    slopes: SpeedErrorSlopes | None, steady: tuple[ErrorsAtLoad, ...]
+) -> PlainData:
+    """Errors of the speed observer per unit of their causes and at loads; nothing without one."""
+    if slopes is None:
+        return {}
+
+    def plain(error: ObserverError) -> PlainData:
+        return {"i_q_A": error.i_q, "speed_rad_per_s": error.total, "relative": error.relative}
+
+    at_loads = [
+        {
+            "omega_m_rad_per_s": found.exact.omega_m,
+            "load_Nm": found.torque_load,
+            "exact": plain(found.exact),
+            "resistance_too_high": plain(found.resistance),
+        }
+        for found in steady
+    ]
+    return {
+        "observer_errors": {
+            "load_rad_per_s_per_Nm": slopes.load,
+            "resistance_error": slopes.r_error,
+            "resistance_rad_per_s_per_A": slopes.resistance,
+            **({"steady": at_loads} if at_loads else {}),
+        }
+    }
+
+
 def plain_solution(solution: Solution) -> PlainData:
     """Everything that a run found, with what `dqforge verify` needs under ``header``."""
     design, weakening, gains = solution.design, solution.weakening, solution.loops
@@ -114,11 +161,12 @@ def plain_solution(solution: Solution) -> PlainData:
             solution.data,
         ),
         **plain_negative(solution.negative),
-        "gains": None if gains is None else plain_gains(design, gains),
+        "gains": None if gains is None else plain_gains(design, gains, solution.observer_errors),
         **({} if gains is not None else {"gains_left_out": solution.gains_left_out}),
         "losses": plain_losses(solution.losses),
         "mission": None if solution.mission is None else plain_mission(solution.mission),
         "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),
+        "waveform_fit": None if solution.phases is None else plain_phase_fit(solution.phases),
         "waveform_header": None
         if solution.phases is None
         else plain_phase_reference(solution.phases.reference),

@@ -100,6 +100,15 @@ class OperatingMap:
         """Whether conduction and switching loss are counted."""
         return self.losses.with_inverter
 
+    @property
+    def best_efficiency(self) -> float:
+        """Largest efficiency of all points; NaN where none has one."""
+        return (
+            float(np.nanmax(self.efficiency))
+            if np.any(np.isfinite(self.efficiency))
+            else float("nan")
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
@@ -387,8 +396,9 @@ def voltage_limit(
     """Largest phase amplitude of a modulator's linear range, less a margin (0 to 1)
     that is kept for control.
     """
-    v_max = float(linear_limit(modulation, inverter.v_dc)) * (1.0 - margin)
-    return VoltageLimit(modulation, inverter.v_dc, margin, v_max)
+    return VoltageLimit(
+        modulation, inverter.v_dc, margin, linear_limit(modulation, inverter.v_dc, margin)
+    )
 
 
 def efficiency(power: FloatArray, loss: FloatArray) -> FloatArray:

@@ -8,7 +8,6 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
-from dqforge.optimizer.operating_points.characteristics import voltage_limit
 from dqforge.optimizer.operating_points.current_choice import (
     CurrentChoice,
     OperatingPoints,
@@ -16,6 +15,7 @@ from dqforge.optimizer.operating_points.current_choice import (
     domain_end,
 )
 from dqforge.optimizer.operating_points.mtpa import PerUnitBase, per_unit_base
+from dqforge.optimizer.solution import CopperSaving, copper_saving
 
 _CURVE_POINTS = 201
 
@@ -26,12 +26,16 @@ class Curves:
     strategy and for i_d = 0.
 
     ``id0`` is None for a machine without magnet and at a speed; ``base`` is None where the MTPA
-    curve has no scale of its own.
+    curve has no scale of its own. ``speed`` is the one speed for which the field is weakened, with
+    the voltage limit there, None without. ``saving`` is None where the strategy is i_d = 0 or
+    nothing else than it.
     """
 
     chosen: OperatingPoints
     id0: OperatingPoints | None
     base: PerUnitBase | None
+    speed: SpeedPoint | None
+    saving: CopperSaving | None
 
 
 def current_choice(design: Design) -> CurrentChoice:
@@ -39,8 +43,7 @@ def current_choice(design: Design) -> CurrentChoice:
     operation = design.operation
     if operation.omega_m is None:
         return CurrentChoice(design.machine, operation.strategy, design.i_max)
-    limit = voltage_limit(design.inverter, operation.modulation, operation.voltage_margin)
-    point = SpeedPoint(operation.omega_m, limit.v_max)
+    point = SpeedPoint(operation.omega_m, design.v_max)
     return CurrentChoice(design.machine, operation.strategy, design.i_max, point)
 
 
@@ -58,8 +61,10 @@ def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     id0 = CurrentChoice(machine, "id0", design.i_max).points(torque) if compared else None
     linear = choice.closed_form
     has_base = linear is not None and linear.psi_pm > 0.0 and linear.saliency != 0.0
-    return Curves(
+    chosen, base = (
         choice.points(torque),
-        id0,
         per_unit_base(linear) if linear is not None and has_base else None,
     )
+    differs = design.strategy != "id0" and machine.saliency != 0.0
+    saving = copper_saving(chosen, id0) if id0 is not None and differs else None
+    return Curves(chosen, id0, base, choice.speed, saving)

@@ -8,7 +8,6 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
-from dqforge.reports.modulation_choice.header import as_emitted, plain_rule
 from dqforge.reports.modulation_choice.text import (
     alternative_text,
     binding_shares,
@@ -20,6 +19,7 @@ from dqforge.reports.modulation_choice.text import (
 from dqforge.reports.pages.labels import letter
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
+from dqforge.reports.rule_model import as_emitted, plain_rule
 
 _RPM = 30.0 / math.pi
 
@@ -84,17 +84,12 @@ def choice_notes(choice: ModulationChoice) -> list[str]:
         *limits_text(choice.settings),
         f"limits that bind the best choice: {bound} of the points",
     ]
-    count = choice.asked.size
-    unreached, idle = int(np.sum(~choice.reached)), int(np.sum(choice.reached & ~choice.asked))
-    if unreached:
+    unreached, idle = 100.0 * choice.unreached_share, 100.0 * choice.idle_share
+    if unreached > 0.0:
+        notes.append(f"{unreached:.0f} % of the map lies beyond what current and voltage allow")
+    if idle > 0.0:
         notes.append(
-            f"{100.0 * unreached / count:.0f} % of the map lies beyond what current and voltage "
-            "allow"
-        )
-    if idle:
-        notes.append(
-            f"at {100.0 * idle / count:.1f} % of the map nothing keeps all limits; rule and means "
-            "leave it out"
+            f"at {idle:.1f} % of the map nothing keeps all limits; rule and means leave it out"
         )
     return notes
 
@@ -174,6 +169,11 @@ def plain_choice(choice: ModulationChoice) -> PlainData:
         "binding": {
             name.replace(" ", "_"): mark.reshape(shape) for name, mark in best.binding.items()
         },
+        "binding_share": {
+            name.replace(" ", "_"): share for name, share in choice.binding_shares.items()
+        },
+        "unreached_share": choice.unreached_share,
+        "idle_share": choice.idle_share,
         "asked": choice.asked.reshape(shape),
         "best_mean_W": choice.best_mean,
         "rules": [_plain_priced(choice, rule) for rule in choice.rules],

@@ -87,8 +87,10 @@ class DriveSimulation:
 
     ``unit`` is that of the reference and of `StepFigures`; ``steps`` are the answers to steps, none
     where the reference does not step; ``tracking`` the largest and the r.m.s. deviation from the
-    reference over the run. ``copper`` is the mean copper loss in W. ``not_simulated`` are the
-    fixed-point formats that the design emits; what ran is float32.
+    reference over the run. ``copper`` is the mean copper loss in W; ``speed_largest`` in rad/s and
+    ``torque_largest`` in N m are the largest magnitudes of the run; ``observed`` says how well
+    observers did, None where none ran. ``not_simulated`` are the fixed-point formats that the
+    design emits; what ran is float32.
     """
 
     design: Design
@@ -97,7 +99,15 @@ class DriveSimulation:
     steps: tuple[StepFigures, ...]
     tracking: tuple[float, float]
     copper: float
+    speed_largest: float
+    torque_largest: float
+    observed: ObservedFigures | None
     not_simulated: tuple[NumberFormat, ...] = ()
+
+    @property
+    def angle_error(self) -> FloatArray:
+        """Observed less true electrical angle in rad, as `angle_error` has it, shape (N,)."""
+        return angle_error(self.run)
 
 
 def drive_of(design: Design) -> Drive:
@@ -213,7 +223,15 @@ def evaluate(design: Design, run: Simulation) -> DriveSimulation:
     tracking = (float(np.max(np.abs(deviation))), float(np.sqrt(np.mean(deviation**2))))
     copper = float(run.figures.e_copper[0]) / float(run.figures.t[0])
     return DriveSimulation(
-        design, run, unit, step_figures(run.t, value, run.scenario.reference), tracking, copper
+        design=design,
+        run=run,
+        unit=unit,
+        steps=step_figures(run.t, value, run.scenario.reference),
+        tracking=tracking,
+        copper=copper,
+        speed_largest=float(np.max(np.abs(run.omega_m))),
+        torque_largest=float(np.max(np.abs(run.torque))),
+        observed=observed(run),
     )
 
 

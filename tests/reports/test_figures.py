@@ -48,7 +48,7 @@ FIGURES: dict[str, tuple[Draw, tuple[str, ...]]] = {
         ("Torque in N m", "Current in A (peak)", "i_d error in mA", "i_q error in mA"),
     ),
     "errors": (
-        lambda s: plot_errors(s.design, s.fit),
+        lambda s: plot_errors(s.fit),
         (
             "Torque in N m",
             "Torque error in \u00b5N m",
@@ -57,7 +57,7 @@ FIGURES: dict[str, tuple[Draw, tuple[str, ...]]] = {
         ),
     ),
     "loops": (
-        lambda s: plot_gains(s.design, s.gains),
+        lambda s: plot_gains(s.gains),
         (
             "Time in ms",
             "Response per unit step",

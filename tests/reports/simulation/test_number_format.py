@@ -120,4 +120,5 @@ def test_through_the_command_line(
         assert (stop.value.code, captured.err) == (0, "")
         assert "runs the float32 control" in captured.out
     assert "runs the float32 control" in (out / "report.html").read_text(encoding="utf-8")
-    assert "simulation" not in json.loads((out / "result.json").read_text(encoding="ascii"))
+    simulated = json.loads((out / "result.json").read_text(encoding="ascii"))["simulation"]
+    assert (simulated["format"], len(simulated["not_simulated"])) == ("float32", 1)
