@@ -11,7 +11,7 @@ from dqforge.optimizer.loops.gains import LoopGains
 from dqforge.reports.loops.robustness_text import ROBUST_COLUMNS, robust_notes, robust_rows
 from dqforge.reports.loops.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
 from dqforge.reports.observers.speed_loop_text import observed_notes
-from dqforge.reports.pages.html_table import HtmlTable, Row, headings
+from dqforge.reports.pages.html_table import HtmlTable, Row, heading_cells
 from dqforge.reports.pages.html_text import (
     NARROW,
     decibel,
@@ -91,7 +91,7 @@ def loop_table(gains: GainSet) -> HtmlTable:
     loops = [loop for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None]
     columns = [_loop_cells(loop, gains.per_unit[loop.loop]) for loop in loops]
     names = [f"{loop.loop} loop" for loop in loops]
-    labels = headings(
+    labels = heading_cells(
         "method",
         "sampled every",
         "proportional gain k_p",
@@ -111,7 +111,7 @@ def loop_table(gains: GainSet) -> HtmlTable:
     rows = tuple(
         Row((label, *cells)) for label, *cells in zip(labels, *columns, strict=True) if any(cells)
     )
-    return HtmlTable("Gains and margins of the sampled loops", ("", *headings(*names)), rows)
+    return HtmlTable("Gains and margins of the sampled loops", ("", *heading_cells(*names)), rows)
 
 
 def _table(

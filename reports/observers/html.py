@@ -9,18 +9,14 @@ from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.observers.reduced_order import (
     ErrorsAtLoad,
     ObserverError,
+    ReducedOrderObserver,
 )
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.reports.observers.text import position_parts
-from dqforge.reports.pages.html_table import (
-    HtmlTable,
-    Row,
-    coefficients_table,
-    headings,
-    speed_error_table,
-)
+from dqforge.reports.pages.html_table import HtmlTable, Row, heading_cells
 from dqforge.reports.pages.html_text import (
     NARROW,
+    number,
     quantity,
     share,
     symbols,
@@ -40,22 +36,57 @@ def observer_tables(gains: GainSet, errors: Sequence[ErrorsAtLoad]) -> list[Html
     ``errors`` are the steady errors of the speed: without load, and with half the largest torque.
     """
     if gains.observer is not None:
-        return [coefficients_table(gains.observer), speed_error_table(errors)]
+        return [_coefficients_table(gains.observer), _speed_error_table(errors)]
     return [] if gains.position is None else _position_tables(gains.position)
+
+
+def _coefficients_table(observer: ReducedOrderObserver) -> HtmlTable:
+    coefficients = (
+        ("A", f"{number(observer.a, 8)}", "pole in the z plane"),
+        ("B_u", f"{number(observer.b_u, 8)}{NARROW}rad/(s V)", "factor of the voltage u_q"),
+        ("B_i", f"{number(observer.b_i, 8)}{NARROW}rad/(s A)", "factor of the current i_q"),
+        ("C", f"{number(observer.c, 8)}{NARROW}rad/(s A)", "current taken off the estimate"),
+    )
+    return HtmlTable(
+        symbols(
+            "Speed observer: \u03c9\u0302[k] = \u03b6[k] \u2212 C i_q[k], "
+            "\u03b6[k+1] = A \u03b6[k] + B_u u_q[k] + B_i i_q[k]"
+        ),
+        ("", "", "value"),
+        tuple(Row((symbols(name), symbols(text), value)) for name, value, text in coefficients),
+        2,
+    )
+
+
+def _speed_error_table(errors: Sequence[ErrorsAtLoad]) -> HtmlTable:
+    """Steady errors of the speed at half the base speed."""
+    rows = []
+    for label, found in zip(("no load", "half the largest torque"), errors, strict=True):
+        cells = [_speed_error_text(error) for error in (found.exact, found.resistance)]
+        rows.append(Row((label, quantity(found.torque_load, "N m"), *cells)))
+    speed = quantity(errors[0].exact.omega_m, "rpm")
+    caption = f"Steady speed error at {speed}, half the base speed, with an unknown load at i_d = 0"
+    columns = (
+        "",
+        "load torque",
+        "exact values",
+        f"resistance {100.0 * errors[0].r_error:.0f} % too large",
+    )
+    return HtmlTable(symbols(caption), heading_cells(*columns), tuple(rows))
 
 
 def _position_tables(position: PositionObserver) -> list[HtmlTable]:
     return [
         HtmlTable(
             symbols(f"{title}: {'; '.join(notes)}"),
-            headings(*columns),
+            heading_cells(*columns),
             tuple(Row(cells) for cells in rows),
         )
         for title, columns, rows, notes in position_parts(position)
     ]
 
 
-def speed_error_text(error: ObserverError) -> str:
+def _speed_error_text(error: ObserverError) -> str:
     if abs(error.relative) < NEGLIGIBLE:
         return f"0{NARROW}rpm"
     return f"{quantity(error.total, 'rpm', 3)} ({share(error.relative, 2)})"

@@ -9,6 +9,7 @@ from dqforge.reports.pages.table import Table
 
 
 def observer_table(observer: ReducedOrderObserver, slopes: SpeedErrorSlopes) -> Table:
+    """The speed observer as a table of the terminal."""
     rows = (
         ("A", f"{observer.a:.7g}", ""),
         ("B_U", f"{observer.b_u:.7g}", "rad/(s V)"),

@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dqforge.optimizer.current_reference.forms import ReferenceErrors
-from dqforge.optimizer.observers.reduced_order import (
-    ErrorsAtLoad,
-    ReducedOrderObserver,
-)
-from dqforge.reports.observers.html import speed_error_text
 from dqforge.reports.pages.html_text import (
-    NARROW,
     ceiling,
-    number,
     quantity,
     share,
     symbols,
@@ -46,11 +38,13 @@ class HtmlTable:
     text_columns: int = 1
 
 
-def headings(*texts: str) -> tuple[Markup, ...]:
+def heading_cells(*texts: str) -> tuple[Markup, ...]:
+    """Headings of a table, with their symbols set."""
     return tuple(symbols(text) for text in texts)
 
 
 def error_cells(errors: ReferenceErrors) -> tuple[str, ...]:
+    """Errors of a current reference as cells."""
     return (
         quantity(ceiling(errors.torque), "N m", 3),
         share(ceiling(errors.torque_relative), 3),
@@ -60,38 +54,3 @@ def error_cells(errors: ReferenceErrors) -> tuple[str, ...]:
         share(ceiling(errors.loss_relative), 3),
         quantity(ceiling(errors.step_at_zero), "A", 3),
     )
-
-
-def coefficients_table(observer: ReducedOrderObserver) -> HtmlTable:
-    coefficients = (
-        ("A", f"{number(observer.a, 8)}", "pole in the z plane"),
-        ("B_u", f"{number(observer.b_u, 8)}{NARROW}rad/(s V)", "factor of the voltage u_q"),
-        ("B_i", f"{number(observer.b_i, 8)}{NARROW}rad/(s A)", "factor of the current i_q"),
-        ("C", f"{number(observer.c, 8)}{NARROW}rad/(s A)", "current taken off the estimate"),
-    )
-    return HtmlTable(
-        symbols(
-            "Speed observer: \u03c9\u0302[k] = \u03b6[k] \u2212 C i_q[k], "
-            "\u03b6[k+1] = A \u03b6[k] + B_u u_q[k] + B_i i_q[k]"
-        ),
-        ("", "", "value"),
-        tuple(Row((symbols(name), symbols(text), value)) for name, value, text in coefficients),
-        2,
-    )
-
-
-def speed_error_table(errors: Sequence[ErrorsAtLoad]) -> HtmlTable:
-    """Steady errors of the speed at half the base speed."""
-    rows = []
-    for label, found in zip(("no load", "half the largest torque"), errors, strict=True):
-        cells = [speed_error_text(error) for error in (found.exact, found.resistance)]
-        rows.append(Row((label, quantity(found.torque_load, "N m"), *cells)))
-    speed = quantity(errors[0].exact.omega_m, "rpm")
-    caption = f"Steady speed error at {speed}, half the base speed, with an unknown load at i_d = 0"
-    columns = (
-        "",
-        "load torque",
-        "exact values",
-        f"resistance {100.0 * errors[0].r_error:.0f} % too large",
-    )
-    return HtmlTable(symbols(caption), headings(*columns), tuple(rows))
