@@ -6,11 +6,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
-from dqforge.machines.design.settings import ControlSettings
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.certificates.current_reference import Certificate, certify
 from dqforge.optimizer.control_design.gain_set import GainSet, gains_or_reason
@@ -25,8 +22,6 @@ from dqforge.optimizer.field_weakening.fit import WeakeningFit
 from dqforge.optimizer.field_weakening.solve import solve_weakening
 from dqforge.optimizer.fixed_control.design import FixedControlFit
 from dqforge.optimizer.fixed_control.solve import solve_fixed
-from dqforge.optimizer.integer_gains import PerUnitGains, per_unit_gains
-from dqforge.optimizer.loops.gains import LoopGains, LoopName
 from dqforge.optimizer.losses.mission_budget import MissionComparison
 from dqforge.optimizer.losses.point_comparison import LossComparison
 from dqforge.optimizer.losses.solve import solve_losses, solve_mission
@@ -36,9 +31,6 @@ from dqforge.optimizer.observers.reduced_order import (
     ErrorsAtLoad,
     errors_at_loads,
 )
-from dqforge.optimizer.operating_points.current_choice import (
-    OperatingPoints,
-)
 from dqforge.optimizer.operating_points.solve import Curves, current_choice, solve_curves
 from dqforge.optimizer.waveforms.comparison import (
     WaveformComparison,
@@ -46,22 +38,6 @@ from dqforge.optimizer.waveforms.comparison import (
 )
 from dqforge.optimizer.waveforms.firmware_form import PhaseFit
 from dqforge.optimizer.waveforms.solve import solve_phases
-
-
-@dataclass(frozen=True, slots=True)
-class CopperSaving:
-    """Copper loss in W of the chosen strategy and of i_d = 0 at the largest torque
-    in N m that both can make.
-    """
-
-    torque: float
-    chosen: float
-    id0: float
-
-    @property
-    def relative(self) -> float:
-        """What is saved, as a share of the loss at i_d = 0."""
-        return 1.0 - self.chosen / self.id0
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,32 +100,6 @@ class Solution:
         if self.loops is None:
             raise InputError(f"this needs gains, and there are none: {self.gains_left_out}")
         return self.loops
-
-
-def copper_saving(chosen: OperatingPoints, id0: OperatingPoints) -> CopperSaving | None:
-    """What currents save against those of i_d = 0 for the same torques.
-
-    None where those lose nothing.
-    """
-    last = int(np.flatnonzero(~id0.limited & ~chosen.limited)[-1])
-    found = CopperSaving(
-        float(chosen.torque[last]), float(chosen.copper[last]), float(id0.copper[last])
-    )
-    return found if found.id0 > 0.0 else None
-
-
-def per_unit(
-    control: ControlSettings, loops: tuple[LoopGains, LoopGains, LoopGains | None]
-) -> dict[LoopName, PerUnitGains]:
-    """Gains of every loop per unit, with the integers that its section asks for."""
-    found = {}
-    for loop in loops:
-        if loop is not None:
-            section = control.speed_loop if loop.loop == "speed" else control.current_loop
-            found[loop.loop] = per_unit_gains(
-                loop, control.bases, None if section is None else section.q_formats
-            )
-    return found
 
 
 def _observer_errors(

@@ -14,14 +14,15 @@ from dqforge.machines.errors import InputError
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import FurtherHeader
 from dqforge.reports.control.fixed_header import control_fixed_programme
+from dqforge.reports.control.fixed_reading import fixed_control_from
 from dqforge.reports.control.header import control_from, control_programme
-from dqforge.reports.control_fixed_reading import fixed_control_from
 from dqforge.reports.field_weakening.header import (
     weakening_from,
     weakening_programme,
 )
 from dqforge.reports.loops.header import evaluator_from, gains_programme
 from dqforge.reports.modulation_choice.header import rule_programme
+from dqforge.reports.modulation_choice.rule_model import emitted_from
 from dqforge.reports.observers.position_header import (
     observer_from,
     observer_programme,
@@ -30,8 +31,7 @@ from dqforge.reports.observers.speed_header import (
     speed_observer_from,
     speed_observer_programme,
 )
-from dqforge.reports.rule_model import emitted_from
-from dqforge.reports.waveform_model import phase_reference_from
+from dqforge.reports.waveforms.float32_model import phase_reference_from
 from dqforge.reports.waveforms.header import waveform_programme
 
 FURTHER_HEADERS = (

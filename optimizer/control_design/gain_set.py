@@ -8,14 +8,15 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
+from dqforge.machines.design.settings import ControlSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
-from dqforge.optimizer.integer_gains import PerUnitGains
-from dqforge.optimizer.loop_responses import LoopResponse, loop_responses
 from dqforge.optimizer.loops.gain_schedule import GainSchedule, schedule_gains
 from dqforge.optimizer.loops.gains import LoopGains, LoopName, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loops.inductances import inductance_range
+from dqforge.optimizer.loops.integer_gains import PerUnitGains, per_unit_gains
 from dqforge.optimizer.loops.loop_batch import PlantBatch
+from dqforge.optimizer.loops.responses import LoopResponse, loop_responses
 from dqforge.optimizer.loops.robustness import (
     RobustSet,
     current_robustness,
@@ -30,7 +31,6 @@ from dqforge.optimizer.observers.reduced_order import (
 )
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.optimizer.solution import per_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,11 +110,25 @@ def solve_gains(design: Design) -> GainSet:
     if speed is not None and (observer is not None or position is not None):
         speed = judge_observed(design, (i_d, i_q, speed), observer, position)
         robust = None if robust is None else replace(robust, speed=None)
-    scaled = per_unit(control, (i_d, i_q, speed))
+    scaled = _per_unit(control, (i_d, i_q, speed))
     slopes = (
         None if observer is None else speed_error_slopes(machine, observer, control.bases.speed)
     )
     return GainSet(i_d, i_q, speed, scaled, observer, slopes, robust, schedule, position)
+
+
+def _per_unit(
+    control: ControlSettings, loops: tuple[LoopGains, LoopGains, LoopGains | None]
+) -> dict[LoopName, PerUnitGains]:
+    """Gains of every loop per unit, with the integers that its section asks for."""
+    found = {}
+    for loop in loops:
+        if loop is not None:
+            section = control.speed_loop if loop.loop == "speed" else control.current_loop
+            found[loop.loop] = per_unit_gains(
+                loop, control.bases, None if section is None else section.q_formats
+            )
+    return found
 
 
 def gains_or_reason(design: Design) -> tuple[GainSet | None, str]:

@@ -1,4 +1,4 @@
-"""What the rounding of gains to integers (`dqforge.optimizer.integer_gains`) does to the loop."""
+"""What the rounding of gains to integers (`dqforge.optimizer.loops.integer_gains`) does to the loop."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, C, N, rounded
-from dqforge.optimizer.integer_gains import FixedGain, quantise, rounded_mantissa
 from dqforge.optimizer.loops.gains import (
     LoopGains,
     analyse_current_loop,
@@ -16,6 +15,7 @@ from dqforge.optimizer.loops.gains import (
     loop_bases,
     per_unit,
 )
+from dqforge.optimizer.loops.integer_gains import FixedGain, quantise, rounded_mantissa
 
 
 def scaled(o: Arithmetic[N, C], name: str, gain: FixedGain, argument: N) -> N:

@@ -37,7 +37,7 @@ from dqforge.optimizer.fixed_control.transforms import (
     park_inverse,
     rotation,
 )
-from dqforge.optimizer.integer_gains import FixedGain
+from dqforge.optimizer.loops.integer_gains import FixedGain
 
 
 @dataclass(frozen=True, slots=True)

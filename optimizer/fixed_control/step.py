@@ -23,7 +23,7 @@ from dqforge.optimizer.fixed_control.transforms import (
     rotation,
     sine_steps,
 )
-from dqforge.optimizer.integer_gains import FixedGain
+from dqforge.optimizer.loops.integer_gains import FixedGain
 
 PiForm = Literal["parallel", "velocity"]
 

@@ -2,7 +2,7 @@
 its sampled loop really has.
 
 Gains are physical (current loops V/A and V/(A s), speed loop N m s/rad and N m/rad); `per_unit` and
-`dqforge.optimizer.fixed_control.q_numbers.to_q` turn them into the numbers of a firmware. A set
+`dqforge.optimizer.loops.q_numbers.to_q` turn them into the numbers of a firmware. A set
 that is unstable or misses the required phase margin is refused.
 """
 

@@ -15,9 +15,24 @@ from dqforge.optimizer.operating_points.current_choice import (
     domain_end,
 )
 from dqforge.optimizer.operating_points.mtpa import PerUnitBase, per_unit_base
-from dqforge.optimizer.solution import CopperSaving, copper_saving
 
 _CURVE_POINTS = 201
+
+
+@dataclass(frozen=True, slots=True)
+class CopperSaving:
+    """Copper loss in W of the chosen strategy and of i_d = 0 at the largest torque
+    in N m that both can make.
+    """
+
+    torque: float
+    chosen: float
+    id0: float
+
+    @property
+    def relative(self) -> float:
+        """What is saved, as a share of the loss at i_d = 0."""
+        return 1.0 - self.chosen / self.id0
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,5 +81,17 @@ def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
         per_unit_base(linear) if linear is not None and has_base else None,
     )
     differs = design.strategy != "id0" and machine.saliency != 0.0
-    saving = copper_saving(chosen, id0) if id0 is not None and differs else None
+    saving = _copper_saving(chosen, id0) if id0 is not None and differs else None
     return Curves(chosen, id0, base, choice.speed, saving)
+
+
+def _copper_saving(chosen: OperatingPoints, id0: OperatingPoints) -> CopperSaving | None:
+    """What currents save against those of i_d = 0 for the same torques.
+
+    None where those lose nothing.
+    """
+    last = int(np.flatnonzero(~id0.limited & ~chosen.limited)[-1])
+    found = CopperSaving(
+        float(chosen.torque[last]), float(chosen.copper[last]), float(id0.copper[last])
+    )
+    return found if found.id0 > 0.0 else None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loop_responses import LoopResponse
+from dqforge.optimizer.loops.responses import LoopResponse
 from dqforge.reports.pages.figures_style import (
     INK,
     LOOP_COLOURS,

@@ -12,9 +12,7 @@ from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.c_code.title import title
-from dqforge.reports.modulation_choice.text import limits_text
-from dqforge.reports.pages.templating import render
-from dqforge.reports.rule_model import (
+from dqforge.reports.modulation_choice.rule_model import (
     Alternative,
     EmittedRule,
     asked_thresholds,
@@ -23,6 +21,8 @@ from dqforge.reports.rule_model import (
     rule_inputs,
     rule_results,
 )
+from dqforge.reports.modulation_choice.text import limits_text
+from dqforge.reports.pages.templating import render
 
 _SEED = 20_261_121
 

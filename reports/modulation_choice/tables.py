@@ -8,6 +8,7 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
+from dqforge.reports.modulation_choice.rule_model import as_emitted, plain_rule
 from dqforge.reports.modulation_choice.text import (
     alternative_text,
     binding_shares,
@@ -19,7 +20,6 @@ from dqforge.reports.modulation_choice.text import (
 from dqforge.reports.pages.labels import letter
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.rule_model import as_emitted, plain_rule
 
 _RPM = 30.0 / math.pi
 

@@ -17,7 +17,7 @@ from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.c_code.title import title
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
-from dqforge.reports.waveform_model import (
+from dqforge.reports.waveforms.float32_model import (
     model_currents,
     plain_phase_reference,
     waveform_inputs,

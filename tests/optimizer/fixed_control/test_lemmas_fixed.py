@@ -40,7 +40,7 @@ from dqforge.optimizer.fixed_control.step import (
     ObserverState,
     VelocityState,
 )
-from dqforge.optimizer.integer_gains import FixedGain, given, quantise
+from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
 
 SPANS = [Range(low, high) for low in range(-4, 5) for high in range(low, 5)]
 POSITIVE = [Range(low, high) for low in range(1, 5) for high in range(low, 5)]

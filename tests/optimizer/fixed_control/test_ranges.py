@@ -31,7 +31,7 @@ from dqforge.optimizer.fixed_control.ranges import (
 )
 from dqforge.optimizer.fixed_control.step import FixedPi, pi_step
 from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS
-from dqforge.optimizer.integer_gains import FixedGain, given, quantise
+from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
 from dqforge.reports.control.fixed_model import row_inputs, row_results
 
 

@@ -44,7 +44,7 @@ from dqforge.optimizer.fixed_control.transforms import (
     park_inverse,
     rotation,
 )
-from dqforge.optimizer.integer_gains import given, quantise
+from dqforge.optimizer.loops.integer_gains import given, quantise
 from dqforge.optimizer.observers.reduced_order import estimate_speed, simulate_observer
 
 EXACT = Integers()

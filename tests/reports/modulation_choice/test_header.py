@@ -15,7 +15,7 @@ from drives import make_design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.modulation_choice.rule import Leaf, Question, Rule, SimplifiedChoice, decide
 from dqforge.reports.modulation_choice.header import rule_header
-from dqforge.reports.rule_model import (
+from dqforge.reports.modulation_choice.rule_model import (
     Alternative,
     EmittedRule,
     as_emitted,

@@ -18,7 +18,7 @@ from dqforge.optimizer.fixed_control.step import (
     PiForm,
 )
 from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS, full_scale
-from dqforge.optimizer.integer_gains import FixedGain
+from dqforge.optimizer.loops.integer_gains import FixedGain
 
 _FAULT = InputError(
     "control_q15_header or control_q31_header is not what dqforge writes; run the design again"
