@@ -9,8 +9,6 @@ from dataclasses import asdict
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.flux_maps.evidence import FluxEvidence
-from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad, ObserverError, SpeedErrorSlopes
-from dqforge.optimizer.operating_points.current_choice import SpeedPoint
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.control.fixed_header import (
     plain_fixed,
@@ -34,7 +32,6 @@ from dqforge.reports.waveforms.float32_model import plain_phase_reference
 from dqforge.reports.waveforms.tables import plain_phase_fit, plain_waveforms
 
 SIMULATION = "simulation"
-
 """Last key of ``result.json``, there where a run has simulated its drive."""
 
 
@@ -102,40 +99,6 @@ def plain_drive(design: Design) -> PlainData:
         "t_s_s": design.control.t_s,
         "strategy": design.strategy,
         "reference_omega_m_rad_per_s": design.operation.omega_m,
-    }
-
-
-def plain_speed(speed: SpeedPoint | None) -> PlainData | None:
-    """The speed for which currents weaken the field, and the voltage that they keep there."""
-    return None if speed is None else {"omega_m_rad_per_s": speed.omega_m, "v_max_V": speed.v_max}
-
-
-def plain_observer_errors(
-    slopes: SpeedErrorSlopes | None, steady: tuple[ErrorsAtLoad, ...]
-) -> PlainData:
-    """Errors of the speed observer per unit of their causes and at loads; nothing without one."""
-    if slopes is None:
-        return {}
-
-    def plain(error: ObserverError) -> PlainData:
-        return {"i_q_A": error.i_q, "speed_rad_per_s": error.total, "relative": error.relative}
-
-    at_loads = [
-        {
-            "omega_m_rad_per_s": found.exact.omega_m,
-            "load_Nm": found.torque_load,
-            "exact": plain(found.exact),
-            "resistance_too_high": plain(found.resistance),
-        }
-        for found in steady
-    ]
-    return {
-        "observer_errors": {
-            "load_rad_per_s_per_Nm": slopes.load,
-            "resistance_error": slopes.r_error,
-            "resistance_rad_per_s_per_A": slopes.resistance,
-            **({"steady": at_loads} if at_loads else {}),
-        }
     }
 
 
