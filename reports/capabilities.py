@@ -27,10 +27,8 @@ from dqforge.reports.observers.position_header import (
     observer_from,
     observer_programme,
 )
-from dqforge.reports.observers.speed_header import (
-    speed_observer_from,
-    speed_observer_programme,
-)
+from dqforge.reports.observers.speed_float32_model import speed_observer_from
+from dqforge.reports.observers.speed_header import speed_observer_programme
 from dqforge.reports.waveforms.float32_model import phase_reference_from
 from dqforge.reports.waveforms.header import waveform_programme
 

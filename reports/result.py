@@ -25,7 +25,7 @@ from dqforge.reports.modulation_choice.header import choice_model
 from dqforge.reports.modulation_choice.rule_model import plain_emitted
 from dqforge.reports.modulation_choice.tables import plain_choice
 from dqforge.reports.observers.position_header import emitted, plain_observer
-from dqforge.reports.observers.speed_header import plain_speed_observer
+from dqforge.reports.observers.speed_float32_model import plain_speed_observer
 from dqforge.reports.operating_points.plain import plain_curves
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.waveforms.float32_model import plain_phase_reference
