@@ -1,4 +1,4 @@
-"""The emitted speed observer: its gains as plain data, its float32 model, and sequences to try it."""
+"""The emitted speed observer: its gains as plain data, its model, and sequences to try it."""
 
 from __future__ import annotations
 
@@ -75,7 +75,8 @@ def speed_observer_from(plain: Mapping[str, Any]) -> ReducedOrderGains:
 
 
 def observed_speeds(
-    gains: ReducedOrderGains, v: tuple[SingleArray, SingleArray], i: tuple[SingleArray, SingleArray],
+    gains: ReducedOrderGains,
+    v: tuple[SingleArray, SingleArray], i: tuple[SingleArray, SingleArray],
     theta_e: SingleArray, first: tuple[SingleArray, SingleArray],
 ) -> SingleArray:  # fmt: skip
     """What the C functions find over N sequences, operation by operation.
