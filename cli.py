@@ -441,7 +441,7 @@ def tune(design: DesignArgument, json: JsonOption = False, plot: PlotOption = No
     if plot is not None:
         from dqforge.reports.loops.figures import plot_gains
 
-        _plot(lambda: plot_gains(loaded, gains), plot)
+        _plot(lambda: plot_gains(gains), plot)
     if json:
         evidence = (
             {"control_fixed": {fit.control.format: plain_fixed_evidence(fit) for fit in fixed}}

@@ -22,8 +22,9 @@ from dqforge.reports.observers.speed_header import speed_observer_files
 from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.report import render_report
-from dqforge.reports.result import plain_solution
+from dqforge.reports.result import SIMULATION, plain_solution
 from dqforge.reports.simulation.design_run import simulate_design, simulation_files
+from dqforge.reports.simulation.tables import plain_simulation
 from dqforge.reports.verification.host import Verification, verify_files
 from dqforge.reports.waveforms.header import waveform_files
 
@@ -32,11 +33,14 @@ from dqforge.reports.waveforms.header import waveform_files
 class RunOutput:
     """What a run made: the solution, the outcome of the verification (None if it was skipped),
     and the files.
+
+    ``plain`` is what ``result.json`` holds.
     """
 
     solution: Solution
     verification: Verification | None
     files: dict[str, bytes]
+    plain: PlainData
 
 
 def _verified(solution: Solution, files: dict[str, bytes], plain: PlainData) -> Verification:
@@ -84,7 +88,7 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
     plain = plain_solution(solution)
     verification = _verified(solution, files, plain) if verify else None
     files["result.json"] = to_text("run", design.name, plain).encode("ascii")
-    return RunOutput(solution, verification, files)
+    return RunOutput(solution, verification, files, plain)
 
 
 @on_design("machine")
@@ -100,6 +104,8 @@ def run_design(design: Design, *, verify: bool) -> RunOutput:
     simulation = None
     if verify and design.simulation is not None:
         simulation = simulate_design(design, solution=output.solution)
+        plain = output.plain | {SIMULATION: plain_simulation(simulation)}
+        output.files["result.json"] = to_text("run", design.name, plain).encode("ascii")
         output.files.update(simulation_files(simulation))
     output.files["report.html"] = render_report(
         output.solution, output.verification, simulation
