@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("machines", "optimizer", "reports")
+PACKAGES = ("machines", "optimizer", "reports", "reports/session")
 
 
 @pytest.fixture(scope="module")
