@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
-    from dqforge.machines.design_from_machine import make_design
+    from dqforge.machines.design.from_machine import make_design
     from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
     from dqforge.machines.dq_machines.synchronous import LinearMachine
     from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError, VerificationError
-    from dqforge.machines.flux_map_inputs import make_flux_map, read_flux_map
+    from dqforge.machines.flux_map_files.inputs import make_flux_map, read_flux_map
     from dqforge.machines.phase_machines.phase_machine import PhaseMachine
     from dqforge.reports.session.control import SimulatedDrive, Tuning, simulate, tune
     from dqforge.reports.session.drives import library, load_design
@@ -78,13 +78,13 @@ __all__ = [
 ]
 
 _HOMES = {
-    "machines.design": ("Design",),
-    "machines.design_from_machine": ("make_design",),
+    "machines.design.design": ("Design",),
+    "machines.design.from_machine": ("make_design",),
     "machines.errors": ("DqforgeError", "InputError", "NoSolutionError", "VerificationError"),
-    "machines.flux_map": ("FluxMap", "SaturatedMachine"),
-    "machines.flux_map_inputs": ("make_flux_map", "read_flux_map"),
-    "machines.phase_machine": ("PhaseMachine",),
-    "machines.synchronous": ("LinearMachine",),
+    "machines.dq_machines.flux_map": ("FluxMap", "SaturatedMachine"),
+    "machines.flux_map_files.inputs": ("make_flux_map", "read_flux_map"),
+    "machines.phase_machines.phase_machine": ("PhaseMachine",),
+    "machines.dq_machines.synchronous": ("LinearMachine",),
     "reports.session.control": ("SimulatedDrive", "Tuning", "simulate", "tune"),
     "reports.session.drives": ("library", "load_design"),
     "reports.session.emission": ("Emission", "Solution", "Verified", "emit", "solve", "verify"),

@@ -23,8 +23,8 @@ from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import ModulationName
-from dqforge.optimizer.limited_drive import LimitedDrive, limited_drive
 from dqforge.optimizer.operating_points.characteristics import voltage_limit
+from dqforge.optimizer.operating_points.limited_drive import LimitedDrive, limited_drive
 
 DqMachine = LinearMachine | SaturatedMachine
 

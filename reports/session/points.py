@@ -11,15 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.limited_drive import (
+from dqforge.optimizer.operating_points import characteristics as of_machines
+from dqforge.optimizer.operating_points.characteristics import VoltageLimit
+from dqforge.optimizer.operating_points.limited_drive import (
     DriveMap,
     DrivePoints,
     Objective,
     drive_map,
     drive_points,
 )
-from dqforge.optimizer.operating_points import characteristics as of_machines
-from dqforge.optimizer.operating_points.characteristics import VoltageLimit
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.reports.operating_points.map_tables import plain_map
 from dqforge.reports.plain_data import PlainData

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dqforge.machines.design.from_machine import MAP_FILE, make_design
 from dqforge.machines.design.loader import load_design
-from dqforge.machines.design_from_machine import MAP_FILE, make_design
 from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError

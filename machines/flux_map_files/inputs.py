@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.reading import MAX_FILE_BYTES
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.names import FluxAxes, FluxFitName, FluxScaling
 
 SOURCE = "flux map from arrays"
+_MOST_BYTES = 256_000_000
 
 
 _QUANTITIES = ("i_d", "i_q", "psi_d", "psi_q")
@@ -98,7 +98,7 @@ def read_flux_map(
     from dqforge.machines.flux_map_files.files import read_flux_points
     from dqforge.machines.flux_maps.building import FluxTreatment, build_flux_map
 
-    points = read_flux_points(read_regular_file(file, MAX_FILE_BYTES), str(file))
+    points = read_flux_points(read_regular_file(file, _MOST_BYTES), str(file))
     treatment = FluxTreatment(fit)
     return build_flux_map(
         points, axes=axes, scaling=scaling, extrapolate=extrapolate, treatment=treatment
