@@ -27,6 +27,7 @@ from dqforge.optimizer.operating_points.characteristics import (
     efficiency,
     envelope,
     envelope_speeds,
+    fastest_speed,
     loci,
     operating_map,
     voltage_limit,
@@ -187,25 +188,6 @@ def most_torque(drive: LimitedDrive, omega_m: float, sign: float = 1.0) -> Optim
     )
 
 
-def fastest_of(drive: LimitedDrive, figures: Characteristics) -> float:
-    """Speed in rad/s at which a map ends: that of the mechanics, or three times the base speed.
-
-    Raises
-    ------
-    NoSolutionError
-        The resistance drop takes the whole voltage even at standstill.
-    """
-    if drive.machine.omega_m_max is not None:
-        return drive.machine.omega_m_max
-    if figures.base_speed == 0.0:
-        raise NoSolutionError(
-            f"the resistance drop at {drive.i_max:.4g} A takes more than the voltage limit of"
-            f" {drive.limit.v_max:.4g} V even at standstill; give machine.max_speed, or a higher "
-            "voltage"
-        )
-    return 3.0 * figures.base_speed
-
-
 def drive_map(
     drive: LimitedDrive, torques: int, speeds: int, objective: Objective = "copper"
 ) -> DriveMap:
@@ -224,11 +206,11 @@ def drive_map(
     Raises
     ------
     NoSolutionError
-        As `fastest_of`.
+        The resistance drop takes the whole voltage even at standstill.
     """
     machine, v_max, i_max = drive.machine, drive.limit.v_max, drive.i_max
     figures = characteristics(machine, v_max, i_max)
-    fastest = fastest_of(drive, figures)
+    fastest = fastest_speed(machine, figures, drive.limit, i_max)
     omega_m = np.linspace(0.0, fastest, speeds)
     chart = operating_map(
         machine,
