@@ -5,6 +5,7 @@ and the design in SI units.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -57,22 +58,32 @@ from dqforge.machines.entries.complaints import read_model
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.files.positioned_yaml import YamlDocument, parse_yaml, read_bytes
+from dqforge.machines.overrides import overridden
 from dqforge.machines.places import Places, about
 from dqforge.machines.units.quantities import format_quantity
 
 
-def load_design(path: str | Path) -> Design:
+def load_design(path: str | Path, settings: Sequence[str] = ()) -> Design:
     """Design in a file.
+
+    Parameters
+    ----------
+    path:
+        The file.
+    settings:
+        Keys that are set instead of what the file says, such as ``machine.resistance=12 mOhm``.
 
     Raises
     ------
     InputError
         The file cannot be read, or its content is wrong; with the position where there is one.
     """
-    return load_text(read_bytes(path), str(path), Path(path).parent)
+    return load_text(read_bytes(path), str(path), Path(path).parent, settings)
 
 
-def load_text(text: bytes, source: str, folder: Path | None = None) -> Design:
+def load_text(
+    text: bytes, source: str, folder: Path | None = None, settings: Sequence[str] = ()
+) -> Design:
     """Design in the bytes of a file.
 
     Parameters
@@ -83,14 +94,21 @@ def load_text(text: bytes, source: str, folder: Path | None = None) -> Design:
         File name for messages.
     folder:
         Where the files lie that the design names; None where it may name none.
+    settings:
+        Keys that are set instead of what the file says, such as ``machine.resistance=12 mOhm``.
 
     Raises
     ------
     InputError
-        The content is wrong; with the position of the first fault.
+        The content is wrong; with the position of the first fault, or the option that is at fault.
     """
     document = parse_yaml(text, source)
-    places = Places(source, document.keys, document.values, tuple(DesignFile.model_fields))
+    if settings:
+        document, changed = overridden(document, text.decode("utf-8-sig"), settings)
+        text = changed.encode("utf-8")
+    places = Places(
+        source, document.keys, document.values, tuple(DesignFile.model_fields), document.options
+    )
     try:
         with located(places, "machine"):
             return _Build(

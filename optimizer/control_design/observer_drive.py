@@ -76,10 +76,7 @@ class PositionEstimator:
     machine: LinearMachine
 
     def start(
-        self,
-        i: ComplexArray,
-        v: ComplexArray,  # noqa: ARG002
-        omega: float,
+        self, i: ComplexArray, v: ComplexArray, omega: float
     ) -> tuple[FloatArray, FloatArray]:
         """From the fixed point of the judgement, with exact parameters."""
         speed = np.array([omega])

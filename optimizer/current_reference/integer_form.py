@@ -79,10 +79,7 @@ class FixedReference:
         return np.minimum(np.rint(share * self.scale.one), self.scale.one - 1.0).astype(np.int64)
 
     def currents(
-        self,
-        torque: NDArray[Any],
-        *,
-        fused: bool = False,  # noqa: ARG002
+        self, torque: NDArray[Any], *, fused: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """(i_d, i_q) in A at the codes nearest to torques in N m, shape (N,).
 

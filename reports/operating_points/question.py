@@ -32,6 +32,7 @@ from dqforge.optimizer.operating_points.loss_model import drive_losses, loss_coe
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
+from dqforge.reports.answer import Answer
 from dqforge.reports.operating_points.map_tables import (
     envelope_tables,
     plain_map,
@@ -40,7 +41,6 @@ from dqforge.reports.operating_points.map_tables import (
     points_tables,
 )
 from dqforge.reports.pages.options import map_size
-from dqforge.reports.pages.reply import Reply
 
 _CURVE_ROWS = 11
 
@@ -55,6 +55,11 @@ class Request:
     modulation: str
     margin: str
     objective: str = "copper"
+
+    @property
+    def within_voltage(self) -> bool:
+        """Whether a speed, a torque or a map is asked for, and with it the voltage limit."""
+        return (self.speed, self.torque, self.chart) != (None, None, None)
 
 
 def _limit(design: Design, request: Request) -> VoltageLimit:
@@ -79,7 +84,7 @@ def _limit(design: Design, request: Request) -> VoltageLimit:
 
 
 @on_design("operation")
-def answer(design: Design, request: Request) -> Reply:
+def answer(design: Design, request: Request) -> Answer:
     """Solve what the options ask for.
 
     Raises
@@ -134,7 +139,7 @@ def _most_torque(design: Design, limit: VoltageLimit, omega: float, sign: float)
     )
 
 
-def _points(design: Design, limit: VoltageLimit, request: Request) -> Reply:
+def _points(design: Design, limit: VoltageLimit, request: Request) -> Answer:
     omega = parse_option(request.speed, "speed", "--speed") or 0.0
     machine, i_max = design.machine, design.i_max
     asked = parse_option(request.torque, "torque", "--torque")
@@ -170,12 +175,13 @@ def _points(design: Design, limit: VoltageLimit, request: Request) -> Reply:
         if one
         else points_tables(design, points, losses, limit, name)
     )
-    return Reply(
-        tables, {"operating_points": plain_points(points, losses, most, limit, name)}, figure
-    )
+    plain = {"operating_points": plain_points(points, losses, most, limit, name)}
+    return Answer(design.name, tables, plain, figure)
 
 
-def _map(design: Design, limit: VoltageLimit, request: Request, torques: int, speeds: int) -> Reply:
+def _map(
+    design: Design, limit: VoltageLimit, request: Request, torques: int, speeds: int
+) -> Answer:
     machine, i_max = design.machine, design.i_max
     figures = characteristics(machine, limit.v_max, i_max)
     fastest = fastest_speed(design, figures, limit)
@@ -203,4 +209,4 @@ def _map(design: Design, limit: VoltageLimit, request: Request, torques: int, sp
     plain = plain_map(figures, edge, chart, loci(machine, limit.v_max, i_max), limit) | {
         "objective": request.objective
     }
-    return Reply(tables, {"operating_map": plain}, figure)
+    return Answer(design.name, tables, {"operating_map": plain}, figure)
