@@ -76,7 +76,10 @@ class PositionEstimator:
     machine: LinearMachine
 
     def start(
-        self, i: ComplexArray, v: ComplexArray, omega: float
+        self,
+        i: ComplexArray,
+        v: ComplexArray,  # noqa: ARG002
+        omega: float,
     ) -> tuple[FloatArray, FloatArray]:
         """From the fixed point of the judgement, with exact parameters."""
         speed = np.array([omega])

@@ -79,7 +79,10 @@ class FixedReference:
         return np.minimum(np.rint(share * self.scale.one), self.scale.one - 1.0).astype(np.int64)
 
     def currents(
-        self, torque: NDArray[Any], *, fused: bool = False
+        self,
+        torque: NDArray[Any],
+        *,
+        fused: bool = False,  # noqa: ARG002
     ) -> tuple[FloatArray, FloatArray]:
         """(i_d, i_q) in A at the codes nearest to torques in N m, shape (N,).
 

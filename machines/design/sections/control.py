@@ -186,6 +186,7 @@ _DEFAULT_MARGIN = CurrentLoopSettings().phase_margin_min
 
 
 def read_current_loop(section: CurrentLoopSection) -> CurrentLoopSettings:
+    """What the section ``control.current_loop`` asks for."""
     margin = si_of(section.phase_margin_min)
     return CurrentLoopSettings(
         method=section.method,
@@ -202,6 +203,7 @@ def read_current_loop(section: CurrentLoopSection) -> CurrentLoopSettings:
 
 
 def read_speed_loop(section: SpeedLoopSection) -> SpeedLoopSettings:
+    """What the section ``control.speed_loop`` asks for."""
     margin = si_of(section.phase_margin_min)
     return SpeedLoopSettings(
         method=section.method,
@@ -219,6 +221,7 @@ def read_speed_loop(section: SpeedLoopSection) -> SpeedLoopSettings:
 
 
 def read_observer(section: ObserverSection) -> ObserverSettings:
+    """What the section ``control.observer`` asks for."""
     return ObserverSettings(
         pole=si_of(section.pole),
         method=section.method,

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 
 def read_export(sections: DesignFile) -> ExportSettings:
+    """What the section ``export`` asks for."""
     export = sections.export
     return ExportSettings(export.prefix, export.vectors, tuple(dict.fromkeys(export.control)))
 

@@ -149,6 +149,7 @@ def _check_breakpoints(
 
 
 def read_budget(section: FitSection) -> FitBudget | None:
+    """Limits that a form is chosen by; None where the section names none."""
     found = FitBudget(si_of(section.torque_error), si_of(section.loss_penalty), section.flash)
     return None if found == FitBudget() else found
 

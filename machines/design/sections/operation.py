@@ -60,6 +60,7 @@ def check_speed(sections: DesignFile, machine: Machine, document: YamlDocument) 
 
 
 def read_operation(section: OperationSection) -> OperationSettings:
+    """What the section ``operation`` asks for."""
     return OperationSettings(
         section.strategy,
         si_of(section.speed),

@@ -78,6 +78,7 @@ _WAVEFORM = WaveformSettings()
 
 
 def read_waveform(section: WaveformSection) -> WaveformSettings:
+    """What the section ``waveform`` asks for."""
     error = si_of(section.error)
     return WaveformSettings(
         torque=si_of(section.torque),
