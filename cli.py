@@ -15,10 +15,10 @@ import typer
 
 from dqforge import __version__
 from dqforge.reports import answers
-from dqforge.reports import options as o
-from dqforge.reports.designs import forget, load, locate
-from dqforge.reports.exit_codes import exit_code
-from dqforge.reports.respond import respond
+from dqforge.reports.command_line import flags as given
+from dqforge.reports.command_line.designs import forget, load, locate
+from dqforge.reports.command_line.exit_codes import exit_code
+from dqforge.reports.command_line.respond import respond
 
 app = typer.Typer(
     name="dqforge",
@@ -53,24 +53,24 @@ def _root(context: typer.Context, _version: Annotated[bool, _Version] = False) -
 
 
 @app.command()
-def new(folder: o.Folder, machine: o.Template = None, json: o.Json = False) -> None:
+def new(folder: given.Folder, machine: given.Template = None, json: given.Json = False) -> None:
     """Write a commented design file to start from."""
     respond("new", lambda: answers.library.answer_new(folder, machine), json, out=folder)
 
 
 @app.command()
-def check(design: o.Design, sets: o.Set = None, json: o.Json = False) -> None:
+def check(design: given.Design, sets: given.Set = None, json: given.Json = False) -> None:
     """Validate a design, cross-check its data, list every value's origin and what was assumed."""
     respond("check", lambda: answers.check.answer_check(load(design, sets)), json)
 
 
 @app.command()
 def run(
-    design: o.Design,
-    out: o.Out = _OUT,
-    no_verify: o.NoVerify = False,
-    sets: o.Set = None,
-    json: o.Json = False,
+    design: given.Design,
+    out: given.Out = _OUT,
+    no_verify: given.NoVerify = False,
+    sets: given.Set = None,
+    json: given.Json = False,
 ) -> None:
     """Do everything the design asks for: header, vectors, verification, report, result.json."""
     ask = partial(answers.run.answer_run, verify=not no_verify)
@@ -79,11 +79,11 @@ def run(
 
 @app.command()
 def export(
-    design: o.Design,
-    out: o.Out = _OUT,
-    no_verify: o.NoVerify = False,
-    sets: o.Set = None,
-    json: o.Json = False,
+    design: given.Design,
+    out: given.Out = _OUT,
+    no_verify: given.NoVerify = False,
+    sets: given.Set = None,
+    json: given.Json = False,
 ) -> None:
     """Write the header and its test vectors, and verify them."""
     ask = partial(answers.run.answer_export, verify=not no_verify)
@@ -91,13 +91,15 @@ def export(
 
 
 @app.command()
-def verify(folder: o.Written, target: o.Core = None, json: o.Json = False) -> None:
+def verify(folder: given.Written, target: given.Core = None, json: given.Json = False) -> None:
     """Compute a folder again from its design, compare every value; run its C, compare every bit."""
     respond("verify", lambda: answers.verify.answer_verify(folder, target), json)
 
 
 @app.command()
-def compare(first: o.SideA, second: o.SideB, sets: o.SetOfB = None, json: o.Json = False) -> None:
+def compare(
+    first: given.SideA, second: given.SideB, sets: given.SetOfB = None, json: given.Json = False
+) -> None:
     """Compare two designs or results: machine, limits, references, gains, losses, macros."""
     respond(
         "compare",
@@ -108,16 +110,16 @@ def compare(first: o.SideA, second: o.SideB, sets: o.SetOfB = None, json: o.Json
 
 @app.command()
 def mtpa(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
-    design: o.Design,
-    sets: o.Set = None,
-    json: o.Json = False,
-    plot: o.Plot = None,
-    speed: o.Speed = None,
-    torque: o.Torque = None,
-    chart: o.Map = None,
-    modulation: o.Modulation = "svpwm",
-    margin: o.Margin = "0 %",
-    objective: o.Objective = "copper",
+    design: given.Design,
+    sets: given.Set = None,
+    json: given.Json = False,
+    plot: given.Plot = None,
+    speed: given.Speed = None,
+    torque: given.Torque = None,
+    chart: given.Map = None,
+    modulation: given.Modulation = "svpwm",
+    margin: given.Margin = "0 %",
+    objective: given.Objective = "copper",
 ) -> None:
     """Show the currents over torque; with a speed, torque or map also within the voltage limit."""
     asked = answers.mtpa.Request(speed, torque, chart, modulation, margin, objective)
@@ -125,30 +127,34 @@ def mtpa(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
 
 
 @app.command()
-def fit(design: o.Design, sets: o.Set = None, json: o.Json = False, plot: o.Plot = None) -> None:
+def fit(
+    design: given.Design, sets: given.Set = None, json: given.Json = False, plot: given.Plot = None
+) -> None:
     """Fit the current references and show their errors beside the alternatives."""
     respond("fit", lambda: answers.fit.answer_fit(load(design, sets)), json, plot)
 
 
 @app.command()
-def tune(design: o.Design, sets: o.Set = None, json: o.Json = False, plot: o.Plot = None) -> None:
+def tune(
+    design: given.Design, sets: given.Set = None, json: given.Json = False, plot: given.Plot = None
+) -> None:
     """Tune the controllers and the observer and show their margins."""
     respond("tune", lambda: answers.tune.answer_tune(load(design, sets)), json, plot)
 
 
 @app.command()
 def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
-    design: o.Design,
-    sets: o.Set = None,
-    json: o.Json = False,
-    plot: o.Plot = None,
-    chart: o.Map = None,
-    mission: o.Mission = None,
-    strategies: o.Strategies = None,
-    modulations: o.Modulations = None,
-    frequencies: o.Frequencies = None,
-    margin: o.Margin = "0 %",
-    choice: o.Choice = False,
+    design: given.Design,
+    sets: given.Set = None,
+    json: given.Json = False,
+    plot: given.Plot = None,
+    chart: given.Map = None,
+    mission: given.Mission = None,
+    strategies: given.Strategies = None,
+    modulations: given.Modulations = None,
+    frequencies: given.Frequencies = None,
+    margin: given.Margin = "0 %",
+    choice: given.Choice = False,
 ) -> None:
     """Compare the losses of strategies, modulators, frequencies at points, on a map, a mission."""
     asked = answers.losses.LossRequest(chart, mission, strategies, modulations, frequencies, margin)
@@ -158,14 +164,14 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
 
 @app.command()
 def dqy(
-    design: o.Design,
-    sets: o.Set = None,
-    json: o.Json = False,
-    plot: o.Plot = None,
-    speed: o.Speed = None,
-    torque: o.Torque = None,
-    ripple: o.Ripple = None,
-    open_phase: o.OpenPhase = None,
+    design: given.Design,
+    sets: given.Set = None,
+    json: given.Json = False,
+    plot: given.Plot = None,
+    speed: given.Speed = None,
+    torque: given.Torque = None,
+    ripple: given.Ripple = None,
+    open_phase: given.OpenPhase = None,
 ) -> None:
     """Shape the currents of a machine with another back-EMF than a sine: dq, dqx, dqy, limited."""
     asked = answers.dqy.WaveformRequest(torque, speed, ripple, open_phase)
@@ -174,12 +180,12 @@ def dqy(
 
 @app.command()
 def simulate(
-    design: o.Design,
-    out: o.Out = _OUT,
-    sets: o.Set = None,
-    json: o.Json = False,
-    plot: o.Plot = None,
-    switched: o.Switched = False,
+    design: given.Design,
+    out: given.Out = _OUT,
+    sets: given.Set = None,
+    json: given.Json = False,
+    plot: given.Plot = None,
+    switched: given.Switched = False,
 ) -> None:
     """Simulate the drive in the time domain, its emitted controller compiled and in the loop."""
     ask = partial(answers.simulate.answer_simulate, out=out, switched=switched)
@@ -188,16 +194,16 @@ def simulate(
 
 @app.command()
 def bemf(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
-    files: o.Captures,
-    json: o.Json = False,
-    plot: o.Plot = None,
-    line_to_line: o.LineToLine = False,
-    pole_pairs: o.PolePairs = None,
-    speed: o.Speed = None,
-    scale: o.Scale = None,
-    columns: o.Columns = None,
-    harmonics: o.Harmonics = 25,
-    interval: o.Interval = None,
+    files: given.Captures,
+    json: given.Json = False,
+    plot: given.Plot = None,
+    line_to_line: given.LineToLine = False,
+    pole_pairs: given.PolePairs = None,
+    speed: given.Speed = None,
+    scale: given.Scale = None,
+    columns: given.Columns = None,
+    harmonics: given.Harmonics = 25,
+    interval: given.Interval = None,
 ) -> None:
     """Say what a capture of the back-EMF holds: harmonics, symmetry, noise, and the magnet flux."""
     asked = answers.bemf.CaptureRequest(
@@ -208,20 +214,20 @@ def bemf(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
 
 
 @app.command()
-def reproduce(paper: o.Paper, json: o.Json = False, figures: o.Figures = None) -> None:
+def reproduce(paper: given.Paper, json: given.Json = False, figures: given.Figures = None) -> None:
     """Recompute a paper's tables beside the printed values, its transients and its figures."""
     ask = partial(answers.reproduce.answer_reproduce, paper, figures=figures is not None)
     respond("reproduce", ask, json, out=figures)
 
 
 @app.command()
-def machines(name: o.Drive = None, json: o.Json = False) -> None:
+def machines(name: given.Drive = None, json: given.Json = False) -> None:
     """List the library of drives, or print one."""
     respond("machines", lambda: answers.library.answer_machines(name), json)
 
 
 @app.command()
-def schema(json: o.Json = False) -> None:
+def schema(json: given.Json = False) -> None:
     """Print the JSON Schema of the design file."""
     respond("schema", answers.library.answer_schema, json)
 

@@ -20,10 +20,10 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.errors import InputError
 from dqforge.reports import answers
-from dqforge.reports.answer import Answer, Files
+from dqforge.reports.command_line.respond import respond
+from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import shares, stage
 from dqforge.reports.pages.table import Table
-from dqforge.reports.respond import respond
 
 BENCH, IPM = "paper001-pmsm-bench", "paper000-ipmsm-100kw"
 COMMANDS = sorted(
@@ -237,7 +237,7 @@ def test_stages_are_named_as_they_come(
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr("dqforge.reports.respond._QUICK_S", 0.0)
+    monkeypatch.setattr("dqforge.reports.command_line.respond._QUICK_S", 0.0)
 
     def ask() -> Answer:
         assert terminal.waits_for("reading the design")

@@ -12,6 +12,7 @@ from pathlib import Path
 from dqforge.machines.design import datasheet
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import located
+from dqforge.machines.design.overrides import overridden
 from dqforge.machines.design.plausibility.design import implausibilities
 from dqforge.machines.design.provenance import input_values, kind_assumptions
 from dqforge.machines.design.reading import Reading
@@ -58,7 +59,6 @@ from dqforge.machines.entries.complaints import read_model
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.files.positioned_yaml import YamlDocument, parse_yaml, read_bytes
-from dqforge.machines.overrides import overridden
 from dqforge.machines.places import Places, about
 from dqforge.machines.units.quantities import format_quantity
 

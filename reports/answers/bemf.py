@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dqforge.reports.answer import Answer
 from dqforge.reports.back_emf.capture import (
     CaptureRequest,
     capture_tables,
     plain_capture,
     read_capture,
 )
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import shares
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from dqforge.machines.design.design import Design
-from dqforge.machines.overrides import OPTION
-from dqforge.reports.answer import Answer
+from dqforge.machines.design.overrides import OPTION
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.result import plain_design
 from dqforge.reports.summary import check_tables
 

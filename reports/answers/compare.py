@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from dqforge.machines.design.design import Design
+from dqforge.machines.design.overrides import OPTION
 from dqforge.machines.errors import InputError
-from dqforge.machines.overrides import OPTION
-from dqforge.reports.answer import Answer
+from dqforge.reports.command_line.designs import load
 from dqforge.reports.comparison.sides_compared import compare_sides
 from dqforge.reports.comparison.sources import is_written, read_side
 from dqforge.reports.comparison.tables import comparison_tables, plain_comparison
-from dqforge.reports.designs import load
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.design import Design
 from dqforge.machines.units.quantities import parse_option
 from dqforge.optimizer.waveforms.comparison import compare_waveforms, with_point
-from dqforge.reports.answer import Answer
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 from dqforge.reports.waveforms.tables import plain_waveforms, waveform_tables
 

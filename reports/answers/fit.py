@@ -14,11 +14,11 @@ from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.field_weakening.solve import solve_weakening
 from dqforge.optimizer.negative_torques import solve_negative
 from dqforge.optimizer.operating_points.solve import current_choice
-from dqforge.reports.answer import Answer
 from dqforge.reports.current_reference.plain import plain_fit, plain_negative
 from dqforge.reports.current_reference.tables import fit_tables, negative_tables
 from dqforge.reports.field_weakening.plain import plain_weakening_fit
 from dqforge.reports.field_weakening.tables import weakening_tables
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from pathlib import Path
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.schema import json_schema
 from dqforge.machines.errors import InputError
-from dqforge.reports.answer import Answer, Files
+from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.table import Table
 
 _FILE = "design.yaml"

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.losses.solve import require_losses
-from dqforge.reports.answer import Answer
 from dqforge.reports.losses.plain import plain_losses
 from dqforge.reports.losses.question import LossRequest, answer
 from dqforge.reports.losses.tables import losses_tables
 from dqforge.reports.modulation_choice.question import answer_choice
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.current_reference.signed import signed_designs
 from dqforge.optimizer.operating_points.solve import solve_curves
-from dqforge.reports.answer import Answer
 from dqforge.reports.operating_points.plain import plain_curves
 from dqforge.reports.operating_points.question import Request, answer
 from dqforge.reports.operating_points.tables import mtpa_tables
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 from dqforge.reports.plain_data import PlainData
 

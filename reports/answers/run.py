@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dqforge.machines.design.design import Design
-from dqforge.reports.answer import Answer, Files
 from dqforge.reports.answers.verify import plain_verification
 from dqforge.reports.output.folder import RUN
+from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.run import export_design, run_design
 from dqforge.reports.summary import run_tables
 from dqforge.reports.verification.text import verification_text

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
-from dqforge.reports.answer import Answer, Files
 from dqforge.reports.output.folder import SIMULATION, refuse_other_design
+from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import shares, stage
 from dqforge.reports.simulation.design_run import (
     require_scenario,

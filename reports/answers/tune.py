@@ -9,11 +9,11 @@ from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.solve import solve_fixed
 from dqforge.optimizer.observers.proof import prove
-from dqforge.reports.answer import Answer
 from dqforge.reports.control.fixed_header import plain_fixed_evidence
 from dqforge.reports.control.fixed_tables import control_fixed_tables
 from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.loops.tables import gains_tables
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 from dqforge.reports.plain_data import PlainData
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from dqforge.reports.answer import Answer
 from dqforge.reports.output.recomputation import Recomputation, recompute
 from dqforge.reports.output.recomputation_text import recomputation_text
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.verification.cortex_m import verify_on_target

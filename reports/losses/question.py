@@ -23,8 +23,8 @@ from dqforge.optimizer.losses.drive_comparison import (
 )
 from dqforge.optimizer.losses.loss_map import budget_options, solve_map
 from dqforge.optimizer.losses.mission_budget import MissionComparison, compare_mission
-from dqforge.reports.answer import Answer
 from dqforge.reports.losses.map_tables import map_tables, mission_tables, plain_map, plain_mission
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.options import map_size
 
 _DEFAULT_MODULATIONS: tuple[ModulationName, ...] = ("spwm", "svpwm", "dpwm1", "ddt-gdpwm")

@@ -8,8 +8,8 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.modulation_choice.solve import solve_choice
-from dqforge.reports.answer import Answer
 from dqforge.reports.modulation_choice.tables import choice_tables, plain_choice
+from dqforge.reports.pages.answer import Answer
 
 
 @on_design("modulation_choice")

@@ -32,7 +32,6 @@ from dqforge.optimizer.operating_points.loss_model import drive_losses, loss_coe
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
-from dqforge.reports.answer import Answer
 from dqforge.reports.operating_points.map_tables import (
     envelope_tables,
     plain_map,
@@ -40,6 +39,7 @@ from dqforge.reports.operating_points.map_tables import (
     point_tables,
     points_tables,
 )
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.options import map_size
 
 _CURVE_ROWS = 11

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dqforge.reports.answer import Answer, Files
+from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import progress, show, stage, status
 from dqforge.reports.pages.files import check_figure_path, write_all
 

@@ -9,7 +9,7 @@ import pytest
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.files.positioned_yaml import YamlValue, parse_value, parse_yaml
-from dqforge.machines.yaml_edit import edited, written
+from dqforge.machines.files.yaml_edit import edited, written
 
 TEXT = """\
 # a comment

@@ -20,9 +20,9 @@ from dqforge.machines.design.loader import read_sections
 from dqforge.machines.entries.kinds import quantities
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_yaml import MAX_DEPTH, YamlDocument, YamlValue, parse_value
+from dqforge.machines.files.yaml_edit import edited, written
 from dqforge.machines.places import KeyPath, Position, dotted
 from dqforge.machines.wording import shown
-from dqforge.machines.yaml_edit import edited, written
 
 OPTION = "--set"
 

@@ -12,9 +12,9 @@ from design_changes import Change, permitted, wrong
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_design, load_text
+from dqforge.machines.design.overrides import SOURCE
 from dqforge.machines.errors import DqforgeError, InputError
-from dqforge.machines.overrides import SOURCE
-from dqforge.machines.yaml_edit import written
+from dqforge.machines.files.yaml_edit import written
 
 TEMPLATE = catalogue.template()
 
