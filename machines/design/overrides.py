@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NoReturn
 
-from dqforge.machines.design.loader import read_sections
+from dqforge.machines.design.schema import DesignFile
+from dqforge.machines.entries.complaints import read_model
 from dqforge.machines.entries.kinds import quantities
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_yaml import MAX_DEPTH, YamlDocument, YamlValue, parse_value
@@ -268,7 +269,7 @@ def _name_sources(document: YamlDocument, paths: Sequence[KeyPath]) -> None:
     Raises `InputError` where the outcome is no design.
     """
     data = document.data
-    found = (path for path, _ in quantities(read_sections(document)))
+    found = (path for path, _ in quantities(read_model(document, DesignFile)))
     entries = dict.fromkeys(path[:-1] if _is_side(data, path) else path for path in found)
     for entry in entries:
         whole = any(entry[: len(path)] == path for path in paths)

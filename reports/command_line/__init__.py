@@ -1,1 +1,1 @@
-"""What the command line has beside its commands: flags, designs by name, showing an answer, exit codes."""
+"""The command line beside its commands: flags, designs by name, showing answers, exit codes."""
