@@ -26,30 +26,14 @@ from dqforge.machines.places import KeyPath, Position, dotted
 from dqforge.machines.wording import shown
 
 OPTION = "--set"
-
-
 SOURCE = "command line"
-
-
 _EXAMPLE = "write e.g. --set machine.resistance='12 mOhm'"
-
-
 _LONGEST_KEY, _LONGEST_VALUE = 200, 10_000
-
-
 _ORIGIN_KEYS = ("source", "inferred", "note")
-
-
 _ENTRY_KEYS = ("value", "kind", *_ORIGIN_KEYS)
-
-
 _SIDES = ("from", "to")
-
-
 _BEHIND = Position(1 << 30, 1)
-
-"""Where what was set counts as standing: behind the file, so that it is what contradicts,
-not what is contradicted."""
+"""Where what was set counts as standing: behind the file, so that it is what contradicts."""
 
 
 @dataclass(frozen=True, slots=True)

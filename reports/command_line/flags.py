@@ -17,26 +17,15 @@ def _argument(metavar: str, words: str) -> Any:
 
 
 _SET = "Set a key of the design, e.g. machine.resistance='12 mOhm'; repeatable"
-
-
 _DRIVE = "Design file, or the name of a library drive."
 
-
 _SIDE = "Design, library drive, or what 'dqforge run' wrote."
-
-
 _MARGIN = "Share of the voltage kept free for control, e.g. '5 %'; mtpa: or dead-time."
 
-
 _LIMIT = "Whose linear range limits the voltage: spwm, svpwm, dpwm1, ..."
-
-
 _LOSS = "What is minimised: copper, or total with iron and inverter."
 
-
 _CHOICE = "Best modulator and frequency over the map, and the rule: modulation_choice."
-
-
 _CAPTURE = "Capture with time, or angle, and three phases; or a file per channel."
 
 

@@ -17,10 +17,7 @@ if TYPE_CHECKING:
 
     from dqforge.reports.pages.table import Table
 
-
 _PIPE_WIDTH = 160
-
-
 _REFRESH_S = 0.1
 
 
