@@ -100,15 +100,21 @@ def test_what_is_the_same_is_the_same_text() -> None:
     "text", ["? a\n: 1\n? b\n: {c: 2}\n", "{a: 1, b: {c: 2}}", "a: 1\r\nb: {c: 2}\r\n"]
 )
 def test_unusual_ways_to_write_a_mapping(text: str) -> None:
-    for path, value in ((("a",), 3), (("b", "c"), "x"), (("b", "d"), 4), (("new",), [1])):
+    changes: list[tuple[tuple[str, ...], YamlValue]] = [
+        (("a",), 3),
+        (("b", "c"), "x"),
+        (("b", "d"), 4),
+        (("new",), [1]),
+    ]
+    for path, value in changes:
         changed(text, path, value)
 
 
 @pytest.mark.parametrize(
     "value",
     ["", " ", "a", "12 mOhm", "true", "null", "~", "1", "1e3", "a: b", "a #b", "- a", "'", '"',
-     "\\", "é", "\U0001f600", "\t", "a\nb", "\u2028", "\x85", "[a]", "{a}", "a, b", "*a", "&a", "!a",
-     "%a", "@a", "`a", "-5 %", "a ", "a:", "?", "<<"],
+     "\\", "é", "\U0001f600", "\t", "a\nb", "\u2028", "\x85", "[a]", "{a}", "a, b", "*a", "&a", 
+     "!a", "%a", "@a", "`a", "-5 %", "a ", "a:", "?", "<<"],
 )  # fmt: skip
 def test_every_text_is_read_back(value: str) -> None:
     assert parse_value(written(value), "x") == value
