@@ -321,7 +321,9 @@ def operating_map(
     with asked_of(drive, "operation"):
         found = drive_map(bounded, *sizes, minimised)
     chart = found.chart
-    points = DrivePoints(bounded, minimised, chart.points, chart.losses, chart.efficiency.ravel())
+    power = np.asarray(chart.points.torque * chart.points.omega_m)
+    share = chart.efficiency.ravel()
+    points = DrivePoints(bounded, minimised, chart.points, chart.losses, power, share)
     return OperatingMap(chart.torque, chart.omega_m, _shaped(points, sizes), found)
 
 
