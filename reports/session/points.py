@@ -214,7 +214,7 @@ def _shaped(found: DrivePoints, shape: tuple[int, ...]) -> OperatingPoints:
         voltage=points.voltage.reshape(shape),
         copper_loss=losses.copper.reshape(shape),
         loss=losses.total.reshape(shape),
-        efficiency=found.efficiency.reshape(shape),
+        efficiency=np.where(points.reached, found.efficiency, np.nan).reshape(shape),
         held_by=held_by.reshape(shape),
         reached=points.reached.reshape(shape),
         kkt_residual=points.kkt_residual.reshape(shape),
