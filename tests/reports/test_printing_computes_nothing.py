@@ -14,6 +14,7 @@ import dqforge
 REPORTS = Path(dqforge.__file__).parent / "reports"
 
 ROOMS_THAT_ASK = {
+    "answers": "from the request of a command to its answer: solve, then hand on to print",
     "papers": "reproduce a paper, from its figures to the tables beside them",
     "session": "the face for Python, which asks the optimizer for its caller",
 }
