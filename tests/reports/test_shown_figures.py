@@ -80,9 +80,9 @@ def test_a_reference_at_a_speed_says_which_and_the_voltage_there() -> None:
         assert place["v_max_V"] == pytest.approx(500.0 / math.sqrt(3.0) * 0.95, rel=1e-8)
     assert operation_text(chosen.fit.speed) == "6685 rpm within 274.2 V (phase peak)"
     assert chosen.fit.errors.voltage_excess is not None
-    voltage = np.hypot(
-        *IPM.voltage(*chosen.fit.reference.currents(chosen.fit.curves.torque), 2800.0)
-    )
+    found = chosen.fit.reference.currents(chosen.fit.curves.torque)
+    i_d, i_q = (np.asarray(axis, dtype=np.float64) for axis in found)
+    voltage = np.hypot(*IPM.voltage(i_d, i_q, np.full_like(i_d, 2800.0)))
     np.testing.assert_allclose(chosen.fit.curves.voltage, voltage, rtol=1e-5)
 
 
