@@ -14,7 +14,7 @@ import dqforge
 REPORTS = Path(dqforge.__file__).parent / "reports"
 
 ROOMS_THAT_ASK = {
-    "answers": "what each command answers: they ask, and hand what they find to those who print",
+    "answers": "from the request of a command to its answer: solve, then hand on to print",
     "papers": "reproduce a paper, from its figures to the tables beside them",
     "session": "the face for Python, which asks the optimizer for its caller",
 }
