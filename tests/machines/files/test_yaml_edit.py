@@ -113,7 +113,7 @@ def test_unusual_ways_to_write_a_mapping(text: str) -> None:
 @pytest.mark.parametrize(
     "value",
     ["", " ", "a", "12 mOhm", "true", "null", "~", "1", "1e3", "a: b", "a #b", "- a", "'", '"',
-     "\\", "é", "\U0001f600", "\t", "a\nb", "\u2028", "\x85", "[a]", "{a}", "a, b", "*a", "&a", 
+     "\\", "é", "\U0001f600", "\t", "a\nb", "\u2028", "\x85", "[a]", "{a}", "a, b", "*a", "&a",
      "!a", "%a", "@a", "`a", "-5 %", "a ", "a:", "?", "<<"],
 )  # fmt: skip
 def test_every_text_is_read_back(value: str) -> None:
