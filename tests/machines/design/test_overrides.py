@@ -47,10 +47,12 @@ def compared(change: Change) -> bool:
     """Whether a change is one that an option can say in the same way."""
     inner: Any = change.base
     for part in change.path:
-        if not isinstance(inner, (dict, list)):
+        if isinstance(inner, dict):
+            inner = inner.get(part, {})
+        elif isinstance(inner, list) and isinstance(part, int):
+            inner = inner[part]
+        else:
             return False  # a key into a single value
-        known = part in inner if isinstance(inner, dict) else isinstance(part, int)
-        inner = inner[part] if known else {}
     keeps_kind = isinstance(inner, dict) and "kind" in inner and "value" in inner
     return not change.leave_out and change.value is not None and not keeps_kind
 
