@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from design_changes import Change, permitted, wrong
@@ -38,17 +39,20 @@ def outcome(text: bytes, *settings: str) -> Design | str:
 
 
 def by_option(change: Change) -> str:
-    return f"{'.'.join(map(str, change.path))}={written(change.value)}"  # type: ignore[arg-type]
+    value: Any = change.value
+    return f"{'.'.join(map(str, change.path))}={written(value)}"
 
 
 def compared(change: Change) -> bool:
     """Whether a change is one that an option can say in the same way."""
-    inner: object = change.base
+    inner: Any = change.base
     for part in change.path:
-        if not isinstance(inner, (dict, list)):
+        if isinstance(inner, dict):
+            inner = inner.get(part, {})
+        elif isinstance(inner, list) and isinstance(part, int):
+            inner = inner[part]
+        else:
             return False  # a key into a single value
-        known = part in inner if isinstance(inner, dict) else isinstance(part, int)
-        inner = inner[part] if known else {}  # type: ignore[index]
     keeps_kind = isinstance(inner, dict) and "kind" in inner and "value" in inner
     return not change.leave_out and change.value is not None and not keeps_kind
 
