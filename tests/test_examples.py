@@ -23,8 +23,8 @@ def test_every_example_is_run() -> None:
     assert {path.stem for path in FOLDER.glob("*.py")} == set(SAID)
 
 
-LONG = {"fit_and_certificate", "machine_from_arrays"}
-"""Run with the campaign; the session of the README does by default what the second one does."""
+LONG = {"fit_and_certificate", "machine_from_arrays", "mtpa_and_field_weakening"}
+"""Run with the campaign; the session of the README does by default what the last two do."""
 
 
 @pytest.mark.parametrize(

@@ -17,12 +17,12 @@ from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.names import ModulationName
 from dqforge.machines.units.quantities import parse_option
 from dqforge.optimizer.operating_points.characteristics import VoltageLimit, voltage_limit
-from dqforge.optimizer.operating_points.limited_drive import (
+from dqforge.optimizer.operating_points.drive_points import (
     LimitedDrive,
     Objective,
-    drive_map,
-    drive_points,
+    map_within,
     most_torque,
+    points_within,
 )
 from dqforge.optimizer.operating_points.points import OptimalPoints
 from dqforge.reports.operating_points.map_tables import (
@@ -127,14 +127,14 @@ def _points(design: Design, limit: VoltageLimit, request: Request) -> Answer:
     most = _most_torque(drive, omega, -1.0 if asked is not None and asked < 0.0 else 1.0)
     end = float(most.torque[0])
     shown = np.linspace(0.0, end, _CURVE_ROWS) if asked is None else np.array([asked])
-    found = drive_points(drive, shown, omega, objective)
+    found = points_within(drive, shown, omega, objective)
 
     def figure() -> Any:
         from dqforge.reports.operating_points.figures import plot_speed
 
         if asked is not None:
             raise InputError("--plot draws a speed or a map; leave --torque out")
-        fine = drive_points(drive, np.linspace(0.0, end, 201), omega, objective)
+        fine = points_within(drive, np.linspace(0.0, end, 201), omega, objective)
         return plot_speed(fine.points, limit)
 
     one = asked is not None
@@ -150,7 +150,7 @@ def _points(design: Design, limit: VoltageLimit, request: Request) -> Answer:
 def _map(
     design: Design, limit: VoltageLimit, request: Request, torques: int, speeds: int
 ) -> Answer:
-    found = drive_map(_drive(design, limit), torques, speeds, _objective(request))
+    found = map_within(_drive(design, limit), torques, speeds, _objective(request))
     figures, edge, chart = found.figures, found.envelope, found.chart
 
     def figure() -> Any:

@@ -24,7 +24,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.operating_points.characteristics import voltage_limit
-from dqforge.optimizer.operating_points.limited_drive import LimitedDrive, limited_drive
+from dqforge.optimizer.operating_points.drive_points import LimitedDrive, limited_drive
 
 DqMachine = LinearMachine | SaturatedMachine
 

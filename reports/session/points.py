@@ -13,12 +13,13 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.operating_points import characteristics as of_machines
 from dqforge.optimizer.operating_points.characteristics import VoltageLimit
-from dqforge.optimizer.operating_points.limited_drive import (
+from dqforge.optimizer.operating_points.drive_points import (
     DriveMap,
     DrivePoints,
+    LimitedDrive,
     Objective,
-    drive_map,
-    drive_points,
+    map_within,
+    points_within,
 )
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.reports.operating_points.map_tables import plain_map
@@ -41,6 +42,7 @@ _UNITS = {
     "voltage": "V",
     "copper_loss": "W",
     "loss": "W",
+    "power": "W",
     "efficiency": "1",
 }
 
@@ -51,11 +53,12 @@ class OperatingPoints(Result):
 
     ``torque_request`` and ``torque`` in N m (equal where ``reached``), ``omega_m`` in rad/s
     (mechanical), ``i_d``, ``i_q`` in A and ``voltage`` in V (peak of phase), ``copper_loss`` and
-    ``loss`` in W: of the machine, and of the inverter where its device is known. ``efficiency``
-    from 0 to 1, nan without power and where the torque is out of reach. ``held_by`` names what
-    limits a point: none, voltage, current, both, mtpv, unreachable or data. ``kkt_residual`` is the
-    largest relative violation of the conditions of an optimum; ``extrapolated`` is true beyond the
-    data of a flux map. ``limit`` is the voltage limit, ``objective`` what was minimised.
+    ``loss`` in W: of the machine, and of the inverter where its device is known. ``power`` is the
+    mechanical power in W, ``efficiency`` from 0 to 1 that of the torque that is made, nan without
+    power. ``held_by`` names what limits a point: none, voltage, current, both, mtpv, unreachable or
+    data. ``kkt_residual`` is the largest relative violation of the conditions of an optimum;
+    ``extrapolated`` is true beyond the data of a flux map. ``limit`` is the voltage limit,
+    ``objective`` what was minimised.
     """
 
     torque_request: FloatArray
@@ -66,6 +69,7 @@ class OperatingPoints(Result):
     voltage: FloatArray
     copper_loss: FloatArray
     loss: FloatArray
+    power: FloatArray
     efficiency: FloatArray
     held_by: NDArray[np.str_]
     reached: NDArray[np.bool_]
@@ -91,6 +95,7 @@ class OperatingPoints(Result):
                 "omega_m_rad_per_s": self.omega_m,
                 "i_d_A": self.i_d,
                 "i_q_A": self.i_q,
+                "current_A": np.hypot(self.i_d, self.i_q),
                 "voltage_V": self.voltage,
                 "held_by": self.held_by,
                 "reached": self.reached,
@@ -98,6 +103,7 @@ class OperatingPoints(Result):
                 "extrapolated": self.extrapolated,
             },
             "losses": {"copper_W": self.copper_loss, "total_W": self.loss},
+            "power_W": self.power,
             "efficiency": self.efficiency,
         }
 
@@ -201,7 +207,9 @@ def _grid_dataset(points: OperatingPoints, torque: FloatArray, omega_m: FloatArr
     return dataset({"torque": (torque, "N m"), "omega_m": (omega_m, "rad/s")}, values, about)
 
 
-def _shaped(found: DrivePoints, shape: tuple[int, ...]) -> OperatingPoints:
+def _shaped(
+    found: DrivePoints, shape: tuple[int, ...], drive: LimitedDrive, objective: Objective
+) -> OperatingPoints:
     """Points of shape (N,) as arrays of the shape that was asked for."""
     points, losses = found.points, found.losses
     held_by = np.array([Active(int(code)).label for code in points.active], dtype=np.str_)
@@ -214,13 +222,14 @@ def _shaped(found: DrivePoints, shape: tuple[int, ...]) -> OperatingPoints:
         voltage=points.voltage.reshape(shape),
         copper_loss=losses.copper.reshape(shape),
         loss=losses.total.reshape(shape),
-        efficiency=np.where(points.reached, found.efficiency, np.nan).reshape(shape),
+        power=found.power.reshape(shape),
+        efficiency=found.efficiency.reshape(shape),
         held_by=held_by.reshape(shape),
         reached=points.reached.reshape(shape),
         kkt_residual=points.kkt_residual.reshape(shape),
         extrapolated=points.extrapolated.reshape(shape),
-        limit=found.drive.limit,
-        objective=found.objective,
+        limit=drive.limit,
+        objective=objective,
     )
 
 
@@ -282,8 +291,8 @@ def operating_points(
     shape, minimised = together({"torque": wanted, "omega_m": speed}), _objective(objective)
     bounded = limited(drive, v_dc=v_dc, i_max=i_max, modulation=modulation, margin=margin)
     with asked_of(drive, "operation"):
-        found = drive_points(bounded, wanted, speed, minimised)
-    return _shaped(found, shape)
+        found = points_within(bounded, wanted, speed, minimised)
+    return _shaped(found, shape, bounded, minimised)
 
 
 def operating_map(
@@ -319,12 +328,12 @@ def operating_map(
     minimised = _objective(objective)
     bounded = limited(drive, v_dc=v_dc, i_max=i_max, modulation=modulation, margin=margin)
     with asked_of(drive, "operation"):
-        found = drive_map(bounded, *sizes, minimised)
+        found = map_within(bounded, *sizes, minimised)
     chart = found.chart
-    power = np.asarray(chart.points.torque * chart.points.omega_m)
-    share = chart.efficiency.ravel()
-    points = DrivePoints(bounded, minimised, chart.points, chart.losses, power, share)
-    return OperatingMap(chart.torque, chart.omega_m, _shaped(points, sizes), found)
+    power = chart.points.torque * chart.points.omega_m
+    points = DrivePoints(chart.points, chart.losses, power, chart.efficiency.ravel())
+    shaped = _shaped(points, sizes, bounded, minimised)
+    return OperatingMap(chart.torque, chart.omega_m, shaped, found)
 
 
 def characteristics(

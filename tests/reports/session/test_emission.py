@@ -36,6 +36,7 @@ def test_an_emission_holds_the_texts_and_proves_itself(emission: dqforge.Emissio
     assert "#define" not in shown
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("place", ["emitted.h", "emitted_vectors.h", "result.json"])
 def test_a_changed_file_is_found(emission: dqforge.Emission, place: str) -> None:
     """One digit of one number anywhere."""
@@ -50,6 +51,7 @@ def test_a_changed_file_is_found(emission: dqforge.Emission, place: str) -> None
         dqforge.verify(replace(emission, files={**emission.files, place: changed}))
 
 
+@pytest.mark.slow
 def test_a_missing_file_is_found(emission: dqforge.Emission) -> None:
     fewer = {name: text for name, text in emission.files.items() if name != "emitted_vectors.h"}
     with pytest.raises(dqforge.VerificationError, match=r"emitted_vectors\.h"):
@@ -73,6 +75,7 @@ def test_a_folder_is_computed_again_from_the_design_in_it(
     assert again.machine == MACHINE
 
 
+@pytest.mark.slow
 def test_texts_are_those_of_the_command(tmp_path: Path) -> None:
     name = "abb-ipmsm-2k2"
     with pytest.raises(SystemExit):
@@ -81,6 +84,7 @@ def test_texts_are_those_of_the_command(tmp_path: Path) -> None:
         assert (tmp_path / "out" / file).read_text(encoding="utf-8") == text
 
 
+@pytest.mark.slow
 def test_a_map_of_scattered_points_is_emitted_and_compiled(tmp_path: Path) -> None:
     """No design file says where its data end.
 

@@ -116,6 +116,8 @@ def test_points_are_those_of_the_command(capsys: pytest.CaptureFixture[str]) -> 
     assert found["limit"] == said["limit"]
     assert found["points"].items() <= said["points"].items()
     assert found["losses"].items() <= said["losses"].items()
+    assert found["efficiency"] == said["efficiency"]
+    assert found["power_W"] == said["power_W"]
 
 
 def test_the_map_is_that_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:

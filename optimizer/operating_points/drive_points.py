@@ -1,5 +1,5 @@
-"""What a machine can do within the limits of its inverter: points, maps and figures,
-all asked in SI numbers.
+"""Least-loss operating points of a drive with what they lose and what they give: at points
+and over maps, asked in SI numbers.
 """
 
 from __future__ import annotations
@@ -42,6 +42,62 @@ from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 
+
+@dataclass(frozen=True, slots=True)
+class DrivePoints:
+    """Operating points with their losses, all arrays of shape (N,).
+
+    ``power`` is the mechanical power in W, negative where the machine brakes; ``efficiency`` as
+    `efficiency` defines it, NaN without power.
+    """
+
+    points: OptimalPoints
+    losses: DriveLosses
+    power: FloatArray
+    efficiency: FloatArray
+
+
+def drive_points(
+    machine: Machine,
+    inverter: Inverter,
+    limit: VoltageLimit,
+    torque: ArrayLike,
+    omega_m: ArrayLike,
+    i_max: float,
+    *,
+    loss: LossCoefficients | None = None,
+    extra: MachineLoss = NO_EXTRA_LOSS,
+) -> DrivePoints:
+    """Least-loss points with the losses of the drive at them.
+
+    Parameters
+    ----------
+    machine, inverter, limit:
+        The drive, and the voltage limit of its modulator.
+    torque, omega_m:
+        Torques in N m and mechanical speeds in rad/s of any sign; shapes that broadcast to (N,).
+    i_max:
+        Current limit in A (peak).
+    loss:
+        What is minimised, from `loss_coefficients` at the speeds; copper loss when None.
+    extra:
+        AC copper and iron loss, counted in the losses; ``loss`` says whether they are minimised,
+        too.
+    """
+    points = optimal_points(machine, torque, omega_m, v_max=limit.v_max, i_max=i_max, loss=loss)
+    losses = drive_losses(
+        machine,
+        inverter,
+        points.i_d,
+        points.i_q,
+        points.omega_m,
+        modulation=limit.modulation,
+        extra=extra,
+    )
+    power = np.asarray(points.torque * points.omega_m)
+    return DrivePoints(points, losses, power, efficiency(power, losses.total))
+
+
 Objective = Literal["copper", "total"]
 
 """What is minimised: the copper loss, or that of machine and inverter together."""
@@ -61,22 +117,6 @@ class LimitedDrive:
     limit: VoltageLimit
     i_max: float
     extra: MachineLoss = NO_EXTRA_LOSS
-
-
-@dataclass(frozen=True, slots=True)
-class DrivePoints:
-    """Operating points with the losses of the drive at them, arrays of shape (N,).
-
-    ``power`` is the mechanical power in W, negative where the machine brakes; ``efficiency`` as
-    `efficiency` defines it, NaN without power.
-    """
-
-    drive: LimitedDrive
-    objective: Objective
-    points: OptimalPoints
-    losses: DriveLosses
-    power: FloatArray
-    efficiency: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,10 +168,10 @@ def _minimised(
     )
 
 
-def drive_points(
+def points_within(
     drive: LimitedDrive, torque: ArrayLike, omega_m: ArrayLike, objective: Objective = "copper"
 ) -> DrivePoints:
-    """Currents of least loss for torques and speeds, and the losses of the drive with them.
+    """Least-loss points of a drive within its limits, and what it loses at them.
 
     Parameters
     ----------
@@ -147,26 +187,16 @@ def drive_points(
     InputError
         A number is not finite, or a limit is not positive.
     """
-    points = optimal_points(
-        drive.machine,
-        torque,
-        omega_m,
-        v_max=drive.limit.v_max,
-        i_max=drive.i_max,
-        loss=_minimised(drive, objective, omega_m),
-    )
-    losses = drive_losses(
+    return drive_points(
         drive.machine,
         drive.inverter,
-        points.i_d,
-        points.i_q,
-        points.omega_m,
-        modulation=drive.limit.modulation,
+        drive.limit,
+        torque,
+        omega_m,
+        drive.i_max,
+        loss=_minimised(drive, objective, omega_m),
         extra=drive.extra,
     )
-    power = np.asarray(points.torque * points.omega_m)
-    share = efficiency(power, losses.total)
-    return DrivePoints(drive, objective, points, losses, power, share)
 
 
 def most_torque(drive: LimitedDrive, omega_m: float, sign: float = 1.0) -> OptimalPoints:
@@ -190,7 +220,7 @@ def most_torque(drive: LimitedDrive, omega_m: float, sign: float = 1.0) -> Optim
     )
 
 
-def drive_map(
+def map_within(
     drive: LimitedDrive, torques: int, speeds: int, objective: Objective = "copper"
 ) -> DriveMap:
     """Operating points from standstill to the largest speed and from no torque to the most,
