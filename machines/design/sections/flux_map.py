@@ -65,7 +65,7 @@ def read_flux_maps(
     InputError
         A file cannot be read, or is no map of a machine as it is declared.
     """
-    from dqforge.machines.flux_maps.building import flux_map_of_maps
+    from dqforge.machines.flux_maps.magnet_temperatures import flux_map_of_maps
 
     given = section.flux_map
     if given is None or (given.file is None) == (given.files is None):
