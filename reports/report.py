@@ -13,7 +13,7 @@ import numpy as np
 from dqforge import __version__
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.loops.gains import LoopGains
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.control.fixed_tables import control_fixed_html
 from dqforge.reports.current_reference.figures import plot_errors, plot_fit, plot_mtpa

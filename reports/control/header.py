@@ -16,7 +16,7 @@ from dqforge.machines.modulation.modulators import LINEAR_LIMITS
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.loops.gains import LoopGains
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.numbers import float_literal

@@ -13,8 +13,8 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.current_reference.forms import Emitted, SignedReference
 from dqforge.optimizer.current_reference.integer_form import FixedReference
-from dqforge.optimizer.loops.gains import LoopGains
 from dqforge.optimizer.loops.integer_gains import PerUnitGains
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.title import title
 from dqforge.reports.current_reference.evaluator import (
