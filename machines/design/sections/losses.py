@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field
 
 from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
-from dqforge.machines.design.sections.machine import MachineSection
+from dqforge.machines.design.sections.machine.schema import MachineSection
 from dqforge.machines.design.settings import (
     LoadPoint,
     LossSettings,

@@ -11,8 +11,9 @@ import numpy as np
 
 from dqforge.machines.design import datasheet
 from dqforge.machines.design.reading import Reading
-from dqforge.machines.design.sections.delta import at_the_terminals
-from dqforge.machines.design.sections.machine import FluxMapSection, MachineSection
+from dqforge.machines.design.sections.machine.delta import at_the_terminals
+from dqforge.machines.design.sections.machine.flux_map_schema import FluxMapSection
+from dqforge.machines.design.sections.machine.schema import MachineSection
 from dqforge.machines.design.values import InputValue
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.entries.rules import si_of

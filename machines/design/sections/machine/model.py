@@ -1,0 +1,303 @@
+"""The machine of a design file: constants, a flux map in files, or published saturation
+coefficients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dqforge.machines.design import datasheet
+from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.sections.machine.back_emf import read_phase_machine, read_saliency
+from dqforge.machines.design.sections.machine.delta import check_connection
+from dqforge.machines.design.sections.machine.flux_map import FluxMaps, read_flux_maps
+from dqforge.machines.design.sections.machine.magnet_flux import read_magnet_flux
+from dqforge.machines.design.sections.machine.schema import MachineSection, SaturationSection
+from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine, mirrored
+from dqforge.machines.dq_machines.saturation import SaturationModel
+from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
+from dqforge.machines.entries.rules import si_of
+from dqforge.machines.errors import DqforgeError
+from dqforge.machines.names import MachineModel
+from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.places import about
+from dqforge.machines.units.quantities import format_quantity
+
+_COPPER = 0.00393
+
+"""Relative change of the resistance of copper per kelvin, at 20 degC (IEC
+60034-1 uses 1/(235 + 20) K)."""
+
+
+_REFERENCE = 20.0
+
+
+_NEEDED: dict[MachineModel, tuple[tuple[str, str], ...]] = {
+    "linear": (("inductance_d", "1.61 mH"), ("inductance_q", "1.74 mH")),
+    "flux-map": (("flux_map", "{file: map.csv}"),),
+    "saturation": (("saturation", "{a_d0: ...}"),),
+    "waveform": (
+        ("self_inductance", "8 mH"),
+        ("back_emf", "{harmonics: [{order: 1, amplitude: 0.2 Wb}]}"),
+    ),
+}
+
+
+_OWN: dict[str, MachineModel] = {
+    "inductance_d": "linear",
+    "inductance_q": "linear",
+    "flux_map": "flux-map",
+    "saturation": "saturation",
+    "self_inductance": "waveform",
+    "mutual_inductance": "waveform",
+    "inductance_harmonics": "waveform",
+    "back_emf": "waveform",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class MachineReading:
+    """The machine in dq coordinates.
+
+    ``phases`` holds it in phase quantities where its back-EMF is not sinusoidal.
+
+    ``halves`` as in `Design`.
+    """
+
+    machine: Machine
+    phases: AnyPhaseMachine | None = None
+    halves: tuple[Machine, Machine] | None = None
+
+
+def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
+    """Machine per phase and peak, at its operating temperatures.
+
+    Raises
+    ------
+    InputError
+        Keys are missing or belong to another model, constants contradict each other,
+        or a flux map is not sound.
+    """
+    _check_model(section, reading)
+    reading.connection = section.connection
+    check_connection(section, reading)
+    counts = [None if q is None else int(q.si) for q in (section.pole_pairs, section.poles)]
+    with reading.document.at(
+        ("machine", "poles") if section.poles else ("machine",), key=section.poles is None
+    ):
+        pole_pairs = datasheet.check_pole_counts(*counts)
+    if section.poles is not None:
+        reading.converted["machine.poles"] = (section.poles.si, f"{pole_pairs} pole pairs")
+    common: Mapping[str, Any] = {
+        "pole_pairs": pole_pairs,
+        "r_s": _resistance(section, reading),
+        "i_max": reading.machine_peak(section.max_current, ("machine", "max_current")),
+        "inertia": si_of(section.inertia),
+        "friction": si_of(section.friction) or 0.0,
+        "omega_m_max": si_of(section.max_speed),
+    }
+    if section.rated.current is not None:
+        reading.machine_peak(section.rated.current, ("machine", "rated", "current"))
+    if section.back_emf is not None:
+        phases = read_phase_machine(section, common, reading)
+        salient = read_saliency(section, phases, reading)
+        l_d, l_q = (phases.l_s - phases.m_s,) * 2 if salient is None else salient.dq_inductances
+        return MachineReading(
+            LinearMachine(l_d=l_d, l_q=l_q, psi_pm=phases.psi_pm, **common), salient or phases
+        )
+    if section.inductance_d is not None and section.inductance_q is not None:
+        linear = LinearMachine(
+            l_d=reading.per_phase(section.inductance_d, "machine.inductance_d"),
+            l_q=reading.per_phase(section.inductance_q, "machine.inductance_q"),
+            psi_pm=_at_temperature(
+                read_magnet_flux(section, pole_pairs, reading), section, reading
+            ),
+            **common,
+        )
+        return MachineReading(linear)
+    _refuse_magnet_coefficient(section, reading)
+    if section.saturation is not None:
+        _refuse_constants(section, reading)
+        maps = FluxMaps(_saturation_map(section.saturation, common["i_max"], reading))
+    else:
+        known = any((section.magnet_flux, section.back_emf_constant, section.torque_constant))
+        expected = read_magnet_flux(section, pole_pairs, reading) if known else None
+        maps = read_flux_maps(section, pole_pairs, reading, expected, common["i_max"])
+    machine = SaturatedMachine(flux_map=maps.symmetric, **common)
+    _check_range(machine, reading)
+    if section.flux_map is None or section.flux_map.symmetry != "keep" or maps.whole is None:
+        return MachineReading(machine)
+    both = (maps.whole, mirrored(maps.whole))
+    positive, negative = (SaturatedMachine(flux_map=half, **common) for half in both)
+    return MachineReading(machine, halves=(positive, negative))
+
+
+def _check_model(section: MachineSection, reading: Reading) -> None:
+    """Check that the keys are those of the model."""
+    document = reading.document
+    for key, model in _OWN.items():
+        if getattr(section, key) is not None and model != section.model:
+            message = (
+                f"machine.{key} belongs to the model '{model}', this is '{section.model}'; write "
+                f"model: {model}"
+            )
+            raise document.error(message + ", or remove the key", ("machine", key), key=True)
+    for key, example in _NEEDED[section.model]:
+        if getattr(section, key) is None:
+            raise document.error(
+                f"machine needs the key '{key}'; write {key}: {example}", ("machine",), key=True
+            )
+
+
+def _resistance(section: MachineSection, reading: Reading) -> float:
+    """Phase resistance in Ohm at the temperature of the winding."""
+    path = "machine.resistance"
+    value = reading.per_phase(section.resistance, path)
+    temperature = section.temperature
+    if temperature.winding is None:
+        return value
+    coefficient = si_of(temperature.copper_coefficient)
+    reference = si_of(temperature.winding_reference)
+    coefficient = _COPPER if coefficient is None else coefficient
+    reference = _REFERENCE if reference is None else reference
+    warm = value * (1.0 + coefficient * (temperature.winding.si - reference))
+    if not warm > 0.0:
+        raise reading.document.error(
+            f"machine.temperature: the resistance at {temperature.winding.text} would be "
+            f"{warm:.3g} Ohm; check the coefficient, e.g. 0.393 %/K",
+            ("machine", "temperature", "copper_coefficient"),
+        )
+    before = reading.converted.get(path, (value, ""))[1]
+    note = f"at {temperature.winding.text}, {coefficient * 100.0:.4g} %/K from {reference:g} degC"
+    reading.converted[path] = (warm, f"{before}; {note}" if before else note)
+    return warm
+
+
+def _at_temperature(psi_pm: float, section: MachineSection, reading: Reading) -> float:
+    """Magnet flux linkage in Wb at the temperature of the magnets."""
+    temperature = section.temperature
+    if temperature.magnet is None or psi_pm == 0.0:
+        return psi_pm
+    if temperature.magnet_coefficient is None:
+        raise reading.document.error(
+            "machine.temperature.magnet needs the coefficient of the magnets; write "
+            "magnet_coefficient: -0.11 %/K (NdFeB) or -0.2 %/K (ferrite)",
+            ("machine", "temperature", "magnet"),
+            key=True,
+        )
+    reference = si_of(temperature.magnet_reference)
+    reference = _REFERENCE if reference is None else reference
+    coefficient = temperature.magnet_coefficient.si
+    warm = psi_pm * (1.0 + coefficient * (temperature.magnet.si - reference))
+    if not warm > 0.0:
+        raise reading.document.error(
+            "machine.temperature: nothing would be left of the magnet flux at "
+            f"{temperature.magnet.text}; check the coefficient, e.g. -0.11 %/K",
+            ("machine", "temperature", "magnet_coefficient"),
+        )
+    reading.remarks.append(
+        f"the magnet flux is {format_quantity(warm, 'Wb')} at {temperature.magnet.text} "
+        f"({format_quantity(psi_pm, 'Wb')} at {reference:g} degC)"
+    )
+    return warm
+
+
+def _refuse_magnet_coefficient(section: MachineSection, reading: Reading) -> None:
+    temperature = section.temperature
+    several = section.flux_map is not None and section.flux_map.files is not None
+    if temperature.magnet_coefficient is not None or (
+        temperature.magnet is not None and not several
+    ):
+        raise reading.document.error(
+            "machine.temperature: the flux linkages of a saturated machine do not follow one "
+            "coefficient; write flux_map.files with a magnet_temperature each, or leave the "
+            "magnet's temperature out",
+            ("machine", "temperature"),
+            key=True,
+        )
+
+
+def _refuse_constants(section: MachineSection, reading: Reading) -> None:
+    for key in ("magnet_flux", "back_emf_constant", "torque_constant"):
+        if getattr(section, key) is not None:
+            message = (
+                f"machine.{key} does not belong to the model 'saturation', whose coefficients say "
+                "it; remove the key"
+            )
+            raise reading.document.error(message, ("machine", key), key=True)
+
+
+@about("machine.saturation")
+def _saturation_map(section: SaturationSection, i_max: float, reading: Reading) -> FluxMap:
+    bridge = section.bridge
+    try:
+        model = SaturationModel(
+            a_d0=section.a_d0,
+            a_dd=section.a_dd,
+            s=section.s,
+            a_q0=section.a_q0,
+            a_qq=section.a_qq,
+            t=section.t,
+            a_dq=section.a_dq,
+            u=section.u,
+            v=section.v,
+            psi_n=bridge.psi_n if bridge else 0.0,
+            a_b=bridge.a_b if bridge else 0.0,
+            a_bp=bridge.a_bp if bridge else 0.0,
+            k_q=bridge.k_q if bridge else 0.0,
+            bridge_exponent=bridge.w if bridge else 2.0,
+        )
+        return model.flux_map(i_max)
+    except DqforgeError as error:
+        raise reading.document.error(
+            f"machine.saturation: {error}", ("machine", "saturation"), key=True
+        ) from None
+
+
+def _check_range(machine: SaturatedMachine, reading: Reading) -> None:
+    """Refuse a current limit beyond the map, unless it may be left."""
+    flux_map, i_max = machine.flux_map, machine.i_max
+    reach = min(max(-float(flux_map.i_d[0]), float(flux_map.i_d[-1])), float(flux_map.i_q[-1]))
+    if i_max <= reach * (1.0 + 1e-6):
+        _remark_on_the_region(machine, reading)
+        return
+    if flux_map.extrapolate:
+        reading.remarks.append(
+            f"machine.max_current {format_quantity(i_max, 'A')} lies beyond the flux map, which "
+            f"ends at {format_quantity(reach, 'A')}: results there are extrapolated along its "
+            "tangents"
+        )
+        return
+    raise reading.document.error(
+        f"machine.max_current {format_quantity(i_max, 'A')} (peak) lies beyond the flux map, which "
+        f"ends at {format_quantity(reach, 'A')}; lower it, or write flux_map: extrapolate: true",
+        ("machine", "max_current"),
+    )
+
+
+def _remark_on_the_region(machine: SaturatedMachine, reading: Reading) -> None:
+    """Say where the data end within the current limit, and what that means for the
+    currents that are chosen.
+    """
+    flux_map, i_max = machine.flux_map, machine.i_max
+    region = flux_map.region
+    if region.covers(i_max):
+        return
+    if flux_map.hull is None:
+        where = f"covers i_d from {flux_map.i_d[0]:.4g} to {flux_map.i_d[-1]:.4g} A (peak)"
+    else:
+        nearest = max(region.reach, 0.0)
+        where = (
+            f"covers a region that ends {format_quantity(nearest, 'A')} (peak) from zero current "
+            "at its nearest"
+        )
+    meant = (
+        "results beyond are extrapolated along its tangents (extrapolate: true)"
+        if flux_map.extrapolate
+        else "operating points stay inside and say where they are held by the data"
+    )
+    reading.remarks.append(
+        f"the flux map {where}, the current limit is {format_quantity(i_max, 'A')}: {meant}"
+    )

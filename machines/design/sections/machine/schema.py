@@ -1,0 +1,277 @@
+"""The machine's section of the design file; its flux map and its back-EMF stand beside it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from dqforge.machines.design.datasheet import Connection
+from dqforge.machines.design.sections.machine.back_emf_schema import BackEmfSection
+from dqforge.machines.design.sections.machine.flux_map_schema import FluxMapSection
+from dqforge.machines.entries.kinds import (
+    BackEmfConstant,
+    Coefficient,
+    Flux,
+    Frequency,
+    Friction,
+    Inductance,
+    Inertia,
+    Listing,
+    MachineCurrent,
+    MutualInductance,
+    Nonnegative,
+    PolePairs,
+    Poles,
+    Positive,
+    Power,
+    Ratio,
+    Resistance,
+    Section,
+    Speed,
+    Temperature,
+    ThermalResistance,
+    Torque,
+    TorqueConstant,
+)
+from dqforge.machines.names import MachineModel
+
+
+class RatedSection(Section):
+    """Values of the name plate, used only to cross-check the others."""
+
+    torque: Torque | None = Field(default=None, description="rated torque (N m)")
+    speed: Speed | None = Field(
+        default=None, description="rated mechanical speed (rad/s; write rpm)"
+    )
+    power: Power | None = Field(default=None, description="rated mechanical power (W)")
+    current: MachineCurrent | None = Field(
+        default=None, description="rated phase current (A); kind peak (default) or rms"
+    )
+    frequency: Frequency | None = Field(default=None, description="rated electrical frequency (Hz)")
+
+
+Exponent = Annotated[Nonnegative, Field(le=20.0)]
+
+"""Published exponents are at most 7; far beyond, powers of flux linkages vanish,
+and the magnets with them."""
+
+
+class BridgeSection(Section):
+    """Magnets and their saturable bridges; the coefficients are those of Lelli et al. 2024."""
+
+    psi_n: Nonnegative = Field(description="flux linkage at which the bridges carry none (Wb)")
+    a_b: Nonnegative = Field(description="coefficient of the inverse inductance (1/H at 1 Wb)")
+    a_bp: Nonnegative = Field(description="coefficient of its saturation (at 1 Wb)")
+    k_q: Nonnegative = Field(description="share of the q flux linkage, squared")
+    w: Exponent = Field(description="exponent")
+
+
+class SaturationSection(Section):
+    """Saturation by published coefficients (Hinkkanen et al. 2017), in powers of A and Wb,
+    peak dq quantities.
+    """
+
+    a_d0: Positive = Field(description="1/H")
+    a_dd: Nonnegative = Field(description="coefficient of |psi_d|^s")
+    s: Exponent = Field(description="exponent")
+    a_q0: Positive = Field(description="1/H")
+    a_qq: Nonnegative = Field(description="coefficient of |psi_q|^t")
+    t: Exponent = Field(description="exponent")
+    a_dq: Nonnegative = Field(description="coefficient of the cross-saturation")
+    u: Exponent = Field(description="exponent of |psi_d| there")
+    v: Exponent = Field(description="exponent of |psi_q| there")
+    bridge: BridgeSection | None = Field(
+        default=None, description="magnets and bridges, if there are any"
+    )
+
+
+class TemperatureSection(Section):
+    """Operating temperatures; resistance and magnet flux are converted from those of their
+    values.
+    """
+
+    winding: Temperature | None = Field(
+        default=None, description="operating temperature of the winding (degC)"
+    )
+    winding_reference: Temperature | None = Field(
+        default=None, description="temperature of the resistance as given (degC); default 20"
+    )
+    copper_coefficient: Coefficient | None = Field(
+        default=None,
+        description="relative change of the resistance (1/K; write %/K); default 0.393 %/K",
+    )
+    winding_thermal_resistance: ThermalResistance | None = Field(
+        default=None,
+        description="winding to coolant (K/W): loss maps and missions then warm the winding",
+    )
+    winding_coolant: Temperature | None = Field(
+        default=None,
+        description="temperature that it refers to (degC); default the inverter's coolant",
+    )
+    magnet: Temperature | None = Field(
+        default=None, description="operating temperature of the magnets (degC)"
+    )
+    magnet_reference: Temperature | None = Field(
+        default=None, description="temperature of the magnet flux as given (degC); default 20"
+    )
+    magnet_coefficient: Coefficient | None = Field(
+        default=None,
+        description=(
+            "relative change of the magnet flux (1/K; write %/K), such as -0.11 %/K (NdFeB)"
+        ),
+    )
+
+
+class IronLossSection(Section):
+    """Iron loss at one frequency and flux linkage; it grows with f (hysteresis) and f^2
+    (eddy currents), and psi^2.
+    """
+
+    frequency: Frequency = Field(description="electrical frequency of the two losses (Hz)")
+    flux: Flux = Field(
+        description="flux linkage of the two losses (Wb); kind peak of phase (default), rms"
+    )
+    hysteresis: Power | None = Field(default=None, description="hysteresis loss there (W)")
+    eddy: Power | None = Field(default=None, description="eddy-current loss there (W)")
+
+
+class MagnetLossSection(Section):
+    """Eddy-current loss of the magnets at one frequency and current; it grows with both squared."""
+
+    loss: Power = Field(description="loss there (W)")
+    frequency: Frequency = Field(description="electrical frequency (Hz)")
+    current: MachineCurrent = Field(description="phase current (A); kind peak (default) or rms")
+
+
+class AcResistanceSection(Section):
+    """Rise of the resistance with the frequency, (R_ac - R_dc) proportional to f^2."""
+
+    ratio: Ratio = Field(description="R_ac / R_dc at the frequency, such as 1.3")
+    frequency: Frequency = Field(description="electrical frequency of the ratio (Hz)")
+
+
+class InductanceHarmonicSection(Section):
+    """One even harmonic of the inductances: L_aa = L_s + sum A cos(h theta), M_bc = M_s +
+    sum B cos(h theta).
+    """
+
+    order: int = Field(ge=2, le=100, multiple_of=2, description="order h, even")
+    amplitude: MutualInductance = Field(
+        description=(
+            "A of the self inductance (H); order 2 is negative where l_d is smaller than l_q"
+        )
+    )
+    mutual: MutualInductance | None = Field(
+        default=None, description="B of the mutual inductance (H); default as amplitude"
+    )
+
+
+class MachineSection(Section):
+    """The machine.
+
+    Model linear needs inductance_d, inductance_q and one of magnet_flux, back_emf_constant and
+    torque_constant (several must agree); flux-map and saturation need the section of their name.
+    """
+
+    model: MachineModel = Field(
+        default="linear",
+        description=(
+            "linear: constant inductances; flux-map: data in a file; saturation: published "
+            "coefficients; waveform: any back-EMF shape"
+        ),
+    )
+    connection: Connection = Field(
+        default="star",
+        description=(
+            "of the windings; the data of a delta are converted to the star that acts alike at the "
+            "terminals"
+        ),
+    )
+    pole_pairs: PolePairs | None = Field(
+        default=None, description="number of pole pairs p; or give poles"
+    )
+    poles: Poles | None = Field(
+        default=None, description="number of poles, 2 p; or give pole_pairs"
+    )
+    resistance: Resistance = Field(
+        description="stator resistance (Ohm); kind phase (default) or line-to-line"
+    )
+    inductance_d: Inductance | None = Field(
+        default=None,
+        description="inductance along the magnets (H); kind phase (default) or line-to-line",
+    )
+    inductance_q: Inductance | None = Field(
+        default=None,
+        description="inductance across the magnets (H); kind phase (default) or line-to-line",
+    )
+    magnet_flux: Flux | None = Field(
+        default=None,
+        description=(
+            "flux linkage of the magnets (Wb); kind peak of phase (default), rms or power-invariant"
+        ),
+    )
+    back_emf_constant: BackEmfConstant | None = Field(
+        default=None,
+        description=(
+            "back-EMF per mechanical speed (V s/rad; write V/krpm), kind required; rpm/V is "
+            "inverted"
+        ),
+    )
+    torque_constant: TorqueConstant | None = Field(
+        default=None,
+        description=(
+            "torque per ampere of phase current (N m/A), kind required: per ampere peak or rms; "
+            "of a delta line or winding"
+        ),
+    )
+    self_inductance: Inductance | None = Field(
+        default=None, description="for model waveform: L_s of a phase (H)"
+    )
+    mutual_inductance: MutualInductance | None = Field(
+        default=None,
+        description="for model waveform: M_s between two phases, usually negative (H); default 0",
+    )
+    inductance_harmonics: (
+        Annotated[Listing[InductanceHarmonicSection], Field(min_length=1, max_length=20)] | None
+    ) = Field(
+        default=None,
+        description="for model waveform: saliency, list of {order: 2, amplitude: -1 mH}",
+    )
+    back_emf: BackEmfSection | None = Field(
+        default=None, description="for model waveform: its shape"
+    )
+    flux_map: FluxMapSection | None = Field(
+        default=None, description="for model flux-map: the data"
+    )
+    saturation: SaturationSection | None = Field(
+        default=None, description="for model saturation: the coefficients"
+    )
+    iron_loss: IronLossSection | None = Field(default=None, description="iron loss, if it is known")
+    ac_resistance: AcResistanceSection | None = Field(
+        default=None, description="AC resistance, if it is known"
+    )
+    magnet_loss: MagnetLossSection | None = Field(
+        default=None, description="loss in the magnets, if it is known"
+    )
+    temperature: TemperatureSection = Field(
+        default=TemperatureSection(), description="operating temperatures"
+    )
+    max_current: MachineCurrent = Field(
+        description=(
+            "largest phase current (A); kind peak (default) or rms; of a delta line peak, winding "
+            "rms, ..."
+        )
+    )
+    max_speed: Speed | None = Field(
+        default=None, description="largest mechanical speed (rad/s; write rpm)"
+    )
+    inertia: Inertia | None = Field(
+        default=None, description="moment of inertia of all that turns (kg m^2)"
+    )
+    friction: Friction | None = Field(
+        default=None, description="viscous friction (N m s/rad); default 0"
+    )
+    rated: RatedSection = Field(
+        default=RatedSection(), description="name plate, for cross-checks only"
+    )
