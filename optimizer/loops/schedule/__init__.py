@@ -1,1 +1,1 @@
-"""Gains scheduled over the current: what is scheduled, and the forms that the firmware evaluates."""
+"""Gains over the current: what is scheduled, and the forms that the firmware evaluates."""
