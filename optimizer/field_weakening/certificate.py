@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import SaturatedMachine
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.field_weakening.certified_domain import (
     STRIPS,

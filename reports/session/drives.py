@@ -19,7 +19,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_design as load_file
 from dqforge.machines.design.numerical import located
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.flux_map import SaturatedMachine
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import ModulationName

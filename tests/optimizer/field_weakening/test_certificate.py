@@ -17,7 +17,8 @@ from saturated import ArctanMachine
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.loader import load_design
 from dqforge.machines.design.settings import WeakeningSettings
-from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import FluxMap
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.optimizer.certificates.ball_arrays import Balls
 from dqforge.optimizer.curves.single_precision import SingleArray, fused_multiply_add, multiply_add

@@ -15,7 +15,8 @@ from dqforge.machines.design.sections.machine.delta import check_connection
 from dqforge.machines.design.sections.machine.flux_map import FluxMaps, read_flux_maps
 from dqforge.machines.design.sections.machine.magnet_flux import read_magnet_flux
 from dqforge.machines.design.sections.machine.schema import MachineSection, SaturationSection
-from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine, mirrored
+from dqforge.machines.dq_machines.flux_map import FluxMap, mirrored
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.saturation import SaturationModel
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.entries.rules import si_of
