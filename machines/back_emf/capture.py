@@ -27,7 +27,7 @@ from dqforge.machines.back_emf.checks import Origin
 from dqforge.machines.back_emf.columns import BemfCapture
 from dqforge.machines.back_emf.harmonics import ComplexArray
 from dqforge.machines.back_emf.motion import Motion
-from dqforge.machines.back_emf.result import BemfResult, result_of_fit
+from dqforge.machines.back_emf.result import BemfResult, periods_of, result_of_fit
 
 _COARSE_HARMONICS = 7
 

@@ -14,6 +14,7 @@ from dqforge.machines.back_emf import harmonics as numerics
 from dqforge.machines.back_emf.checks import Origin
 from dqforge.machines.back_emf.columns import Connection
 from dqforge.machines.back_emf.harmonics import ComplexArray, HarmonicFit
+from dqforge.machines.back_emf.motion import Motion
 from dqforge.machines.back_emf.remarks import BemfSymmetry, remarks
 
 IntArray = NDArray[np.int64]

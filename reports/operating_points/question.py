@@ -16,7 +16,6 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.names import ModulationName
 from dqforge.machines.units.quantities import parse_option
-from dqforge.optimizer.operating_points.characteristics import VoltageLimit, voltage_limit
 from dqforge.optimizer.operating_points.drive_points import (
     LimitedDrive,
     Objective,
@@ -24,6 +23,7 @@ from dqforge.optimizer.operating_points.drive_points import (
     most_torque,
     points_within,
 )
+from dqforge.optimizer.operating_points.operating_map import VoltageLimit, voltage_limit
 from dqforge.optimizer.operating_points.points import OptimalPoints
 from dqforge.reports.operating_points.map_tables import (
     envelope_tables,

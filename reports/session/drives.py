@@ -23,8 +23,8 @@ from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import ModulationName
-from dqforge.optimizer.operating_points.characteristics import voltage_limit
 from dqforge.optimizer.operating_points.drive_points import LimitedDrive, limited_drive
+from dqforge.optimizer.operating_points.operating_map import voltage_limit
 
 DqMachine = LinearMachine | SaturatedMachine
 
