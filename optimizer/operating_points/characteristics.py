@@ -395,8 +395,9 @@ def voltage_limit(
     """Largest phase amplitude of a modulator's linear range, less a margin (0 to 1)
     that is kept for control.
     """
-    v_max = float(linear_limit(modulation, inverter.v_dc)) * (1.0 - margin)
-    return VoltageLimit(modulation, inverter.v_dc, margin, v_max)
+    return VoltageLimit(
+        modulation, inverter.v_dc, margin, linear_limit(modulation, inverter.v_dc, margin)
+    )
 
 
 def efficiency(power: FloatArray, loss: FloatArray) -> FloatArray:

@@ -32,8 +32,8 @@ from dqforge.reports.operating_points.map_tables import (
     point_tables,
     points_tables,
 )
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.options import map_size
-from dqforge.reports.pages.reply import Reply
 
 _CURVE_ROWS = 11
 
@@ -48,6 +48,11 @@ class Request:
     modulation: str
     margin: str
     objective: str = "copper"
+
+    @property
+    def within_voltage(self) -> bool:
+        """Whether a speed, a torque or a map is asked for, and with it the voltage limit."""
+        return (self.speed, self.torque, self.chart) != (None, None, None)
 
 
 def _limit(design: Design, request: Request) -> VoltageLimit:
@@ -72,7 +77,7 @@ def _limit(design: Design, request: Request) -> VoltageLimit:
 
 
 @on_design("operation")
-def answer(design: Design, request: Request) -> Reply:
+def answer(design: Design, request: Request) -> Answer:
     """Solve what the options ask for.
 
     Raises
@@ -115,7 +120,7 @@ def _most_torque(drive: LimitedDrive, omega: float, sign: float) -> OptimalPoint
         raise NoSolutionError(f"--speed: {error.message}") from error
 
 
-def _points(design: Design, limit: VoltageLimit, request: Request) -> Reply:
+def _points(design: Design, limit: VoltageLimit, request: Request) -> Answer:
     omega = parse_option(request.speed, "speed", "--speed") or 0.0
     drive, objective = _drive(design, limit), _objective(request)
     asked = parse_option(request.torque, "torque", "--torque")
@@ -138,10 +143,13 @@ def _points(design: Design, limit: VoltageLimit, request: Request) -> Reply:
         if one
         else points_tables(design, found, limit, objective)
     )
-    return Reply(tables, {"operating_points": plain_points(found, most, limit, objective)}, figure)
+    plain = {"operating_points": plain_points(found, most, limit, objective)}
+    return Answer(design.name, tables, plain, figure)
 
 
-def _map(design: Design, limit: VoltageLimit, request: Request, torques: int, speeds: int) -> Reply:
+def _map(
+    design: Design, limit: VoltageLimit, request: Request, torques: int, speeds: int
+) -> Answer:
     found = map_within(_drive(design, limit), torques, speeds, _objective(request))
     figures, edge, chart = found.figures, found.envelope, found.chart
 
@@ -152,4 +160,4 @@ def _map(design: Design, limit: VoltageLimit, request: Request, torques: int, sp
 
     tables = envelope_tables(design, figures, edge, chart, limit)
     plain = plain_map(figures, edge, chart, found.loci, limit) | {"objective": found.objective}
-    return Reply(tables, {"operating_map": plain}, figure)
+    return Answer(design.name, tables, {"operating_map": plain}, figure)

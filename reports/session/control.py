@@ -50,7 +50,7 @@ class Tuning(DrawnResult):
         """Step responses and open loops with their margins."""
         from dqforge.reports.loops.figures import plot_gains
 
-        return plot_gains(self.design, self.gains)
+        return plot_gains(self.gains)
 
 
 def tune(design: Design) -> Tuning:
