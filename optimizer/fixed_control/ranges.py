@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.fixed_control.arithmetic import Pair, Range, Ranges, Reach, Triple
-from dqforge.optimizer.fixed_control.gains import FixedGain, scaled
+from dqforge.optimizer.fixed_control.gains import scaled
 from dqforge.optimizer.fixed_control.step import (
     FixedControl,
     FixedObserver,
@@ -37,6 +37,7 @@ from dqforge.optimizer.fixed_control.transforms import (
     park_inverse,
     rotation,
 )
+from dqforge.optimizer.loops.integer_gains import FixedGain
 
 
 @dataclass(frozen=True, slots=True)
