@@ -38,10 +38,9 @@ from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.curves.single_precision import SingleArray, SinglePolynomial, multiply_add
 from dqforge.optimizer.negative_torques import NegativeHalf
 from dqforge.reports.current_reference.data_text import plain_data_use
-from dqforge.reports.operating_points.plain import plain_curves
+from dqforge.reports.operating_points.plain import plain_curves, plain_speed
 from dqforge.reports.pages.certificate_text import plain_certificate
 from dqforge.reports.plain_data import PlainData, shortest
-from dqforge.reports.result import plain_speed
 
 
 def _segments(polynomial: SinglePolynomial) -> list[PlainData]:

@@ -11,10 +11,10 @@ from dqforge.optimizer.loops.integer_gains import PerUnitGains
 from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
 from dqforge.reports.loops.robustness_text import plain_robustness
 from dqforge.reports.loops.schedule_text import plain_schedule
+from dqforge.reports.observers.plain import plain_observer_errors
 from dqforge.reports.observers.speed_loop_text import plain_observed
 from dqforge.reports.observers.text import plain_position
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.result import plain_observer_errors
 
 
 def _plain_loop(gains: LoopGains, scaled: PerUnitGains) -> PlainData:
