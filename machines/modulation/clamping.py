@@ -67,13 +67,6 @@ _RESTING: dict[ModulationName, tuple[tuple[float, float], ...]] = {
 }
 
 
-def commutation_share(name: ModulationName) -> float:
-    """Commutations per carrier period relative to continuous modulators,
-    which make two in each phase: 1 or 2/3.
-    """
-    return 2.0 / 3.0 if name in DISCONTINUOUS else 1.0
-
-
 def _folded(sine: FloatArray, cosine: FloatArray) -> FloatArray:
     """Angle from -90 to 90 degrees (rad) that a lag has when generating counts as
     motoring with current reversed.
@@ -237,7 +230,8 @@ def switching_loss_factor(name: ModulationName, load_angle: ArrayLike) -> FloatA
 
     ::
 
-        SLF(phi) = 1 - 1/2 sum over the intervals where a phase rests in a half wave of  int |cos(x - phi)| dx
+        SLF(phi) = 1 - 1/2 sum over the intervals where a phase rests in a half wave of
+            int |cos(x - phi)| dx
 
     for losses proportional to the current; x from the peak of the phase's reference. The intervals
     in degrees are -60 to 0 (DPWM0), -30 to 30 (DPWM1), 0 to 60 (DPWM2), -60 to -30 and 30 to 60

@@ -205,10 +205,11 @@ def zero_sequence(
     ::
 
         SPWM           V0 = v_dc / 2
-        THIPWM6        V0 = v_dc / 2 - V cos(3 alpha) / 6       alpha the angle of the voltage vector from phase a
+        THIPWM6        V0 = v_dc / 2 - V cos(3 alpha) / 6
+                       alpha the angle of the voltage vector from phase a
         THIPWM4        V0 = v_dc / 2 - V cos(3 alpha) / 4
         SVPWM          V0 = (v_dc - V_max - V_min) / 2
-        discontinuous  V0 = v_dc - V_max   where the highest phase rests,   -V_min   where the lowest does
+        discontinuous  V0 = v_dc - V_max where the highest phase rests, -V_min where the lowest does
         DDT-GDPWM      the highest if |I_max| >= |I_min|
 
     where I_max and I_min are the currents of the phases with the highest and the lowest reference,

@@ -17,6 +17,7 @@ from dqforge.optimizer.curves.two_family_levelling import Aims, level
 from dqforge.optimizer.field_weakening.border_curves import Mtpa, fit_limit, fit_mtpa, in_double
 from dqforge.optimizer.field_weakening.certificate import SurfaceCertificate, certify_step
 from dqforge.optimizer.field_weakening.drop_reference import DropReference
+from dqforge.optimizer.field_weakening.error_chart import ErrorChart, error_chart
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 from dqforge.optimizer.field_weakening.form import (
     SingleSurface,
@@ -32,7 +33,6 @@ from dqforge.optimizer.field_weakening.voltage_region import (
     voltage_region,
     voltage_samples,
 )
-from dqforge.optimizer.surface_chart import ErrorChart, error_chart
 
 _FLUX_LEVELS = 48
 

@@ -1,4 +1,4 @@
-"""What the rounding of gains to integers (`dqforge.optimizer.loops.integer_gains`) does to the loop."""
+"""What rounding gains to integers (`dqforge.optimizer.loops.integer_gains`) does to the loop."""
 
 from __future__ import annotations
 

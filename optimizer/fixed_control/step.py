@@ -125,7 +125,8 @@ class FixedControl:
     @property
     def dc_least_voltage(self) -> float:
         """Voltage of the dc link in V below which it is taken as this."""
-        return self.dc_least / 2 ** (self.width - 1) * self.bases[1] * 2.0**self.dc_scale
+        share: float = self.dc_least / 2 ** (self.width - 1)
+        return share * self.bases[1] * 2.0**self.dc_scale
 
     @property
     def zeta_max(self) -> int:

@@ -46,8 +46,6 @@ current and is not among them."""
 
 
 _SINE_TERMS = {16: 4, 32: 6}
-
-
 _SEED = 20_261_121
 
 

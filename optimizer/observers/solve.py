@@ -5,10 +5,7 @@ from __future__ import annotations
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.optimizer.observers.conditions import conditions
-from dqforge.optimizer.observers.reduced_order import (
-    ReducedOrderObserver,
-    reduced_order_observer,
-)
+from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver, reduced_order_observer
 from dqforge.optimizer.observers.tuning import PositionObserver, tune_position_observer
 
 

@@ -76,10 +76,8 @@ def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     id0 = CurrentChoice(machine, "id0", design.i_max).points(torque) if compared else None
     linear = choice.closed_form
     has_base = linear is not None and linear.psi_pm > 0.0 and linear.saliency != 0.0
-    chosen, base = (
-        choice.points(torque),
-        per_unit_base(linear) if linear is not None and has_base else None,
-    )
+    base = per_unit_base(linear) if linear is not None and has_base else None
+    chosen = choice.points(torque)
     differs = design.strategy != "id0" and machine.saliency != 0.0
     saving = _copper_saving(chosen, id0) if id0 is not None and differs else None
     return Curves(chosen, id0, base, choice.speed, saving)

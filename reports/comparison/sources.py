@@ -15,6 +15,8 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities
+from dqforge.reports.current_reference.plain import from_plain
+from dqforge.reports.current_reference.quantities import CONSTANTS
 from dqforge.reports.pages.envelope import FORMAT, to_text
 from dqforge.reports.pages.files import LARGEST_FILE, LARGEST_JSON, read_output
 from dqforge.reports.plain_data import PlainData
@@ -145,7 +147,12 @@ def solved_side(source: str, design: Design, capabilities: Capabilities = CAPABI
     header = header_files(solution)[f"{prefix}.h"].decode("ascii")
     # Through the text, so that both sides are rounded alike.
     result = json.loads(to_text("run", design.name, plain_solution(solution, capabilities)))
-    return Side(source, result, header_macros(header, prefix), header_code(header, prefix))
+    return Side(
+        source,
+        _with_bytes(result, source),
+        header_macros(header, prefix),
+        header_code(header, prefix),
+    )
 
 
 def header_code(header: str, prefix: str) -> str:
@@ -208,7 +215,21 @@ def _from_result(text: str, path: Path) -> Side:
                 f"{part}: is missing or no object; run the design again", source=source
             )
     macros, code = _header_beside(path, result["header"].get("prefix"))
-    return Side(text, result, macros, code)
+    return Side(text, _with_bytes(result, text), macros, code)
+
+
+def _with_bytes(result: PlainData, source: str) -> PlainData:
+    """A result with the bytes of the constants of its reference, for `QUANTITIES`."""
+    from dqforge.optimizer.current_reference.cost_model import reference_bytes
+
+    header = result["header"]
+    try:
+        size = float(reference_bytes(from_plain(header["reference"])))
+    except (InputError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            "header.reference: cannot be read; run the design again", source=source
+        ) from error
+    return result | {"header": header | {CONSTANTS: size}}
 
 
 def _from_header(text: str, path: Path) -> Side:

@@ -6,11 +6,13 @@ import hashlib
 import json
 from typing import Any
 
-from dqforge.optimizer.current_reference.cost_model import reference_bytes
 from dqforge.reports.capability import Quantity, Value
-from dqforge.reports.current_reference.plain import from_plain
 
 _SECTION = "current reference"
+
+CONSTANTS = "constants_B"
+
+"""Key of the bytes of constants, which a side of a comparison adds to ``header``."""
 
 _ERRORS = (
     ("i_d error", "i_d", "A"),
@@ -27,10 +29,6 @@ _ROUNDING = 1e-14
 def _share(value: Any) -> Value:
     """A share less what is only rounding."""
     return 0.0 if abs(float(value)) < _ROUNDING else float(value)
-
-
-def _bytes(reference: Any) -> Value:
-    return float(reference_bytes(from_plain(reference)))
 
 
 def _checksum(reference: Any) -> Value:
@@ -62,6 +60,6 @@ QUANTITIES = (
     Quantity(_SECTION, "largest torque", "N m", ("fit", "torque_max_Nm")),
     *_errors("found", "errors"),
     *_errors("proven", "certificate"),
-    Quantity(_SECTION, "bytes of constants", "", ("header", "reference"), _bytes),
+    Quantity(_SECTION, "bytes of constants", "", ("header", CONSTANTS)),
     Quantity(_SECTION, "checksum of constants", "", ("header", "reference"), _checksum),
 )

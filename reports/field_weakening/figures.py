@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.field_weakening.error_chart import DomainBorders
 from dqforge.optimizer.field_weakening.fit import WeakeningFit
-from dqforge.optimizer.surface_chart import DomainBorders
 from dqforge.reports.pages.figures_style import INK, MUTED, label_in_unit, new_figure, style
 
 if TYPE_CHECKING:

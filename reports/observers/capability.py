@@ -14,12 +14,11 @@ from dqforge.reports.observers.position_header import (
     observer_programme,
     plain_observer,
 )
-from dqforge.reports.observers.speed_header import (
+from dqforge.reports.observers.speed_float32_model import (
     plain_speed_observer,
-    speed_observer_files,
     speed_observer_from,
-    speed_observer_programme,
 )
+from dqforge.reports.observers.speed_header import speed_observer_files, speed_observer_programme
 from dqforge.reports.pages.chapters import LOOPS
 from dqforge.reports.pages.html_table import HtmlTable
 

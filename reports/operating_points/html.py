@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from dqforge.machines.design.design import Design
@@ -16,10 +14,6 @@ from dqforge.reports.pages.html_text import (
 from dqforge.reports.pages.labels import (
     watts,
 )
-
-if TYPE_CHECKING:
-    pass
-
 
 _SHARES_OF_TORQUE = (0.1, 0.25, 0.5, 0.75, 1.0)
 

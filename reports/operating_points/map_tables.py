@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from dqforge.machines.design.design import Design
-from dqforge.optimizer.drive_points import DrivePoints
 from dqforge.optimizer.operating_points.characteristics import (
     Characteristics,
     Envelope,
@@ -15,6 +14,7 @@ from dqforge.optimizer.operating_points.characteristics import (
     OperatingMap,
     VoltageLimit,
 )
+from dqforge.optimizer.operating_points.drive_points import DrivePoints
 from dqforge.optimizer.operating_points.loss_model import DriveLosses
 from dqforge.optimizer.operating_points.mtpa_locus import MtpaLocus
 from dqforge.optimizer.operating_points.point_problem import Active

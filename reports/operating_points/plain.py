@@ -9,6 +9,11 @@ from dqforge.optimizer.operating_points.solve import Curves
 from dqforge.reports.plain_data import PlainData
 
 
+def plain_speed(speed: SpeedPoint | None) -> PlainData | None:
+    """The speed for which currents weaken the field, and the voltage that they keep there."""
+    return None if speed is None else {"omega_m_rad_per_s": speed.omega_m, "v_max_V": speed.v_max}
+
+
 def _plain_points(points: OperatingPoints) -> PlainData:
     return {
         "torque_Nm": points.torque,
@@ -20,11 +25,6 @@ def _plain_points(points: OperatingPoints) -> PlainData:
         "held_by_data": points.held,
         "torque_residual_largest": float(np.max(np.abs(points.torque_residual))),
     }
-
-
-def plain_speed(speed: SpeedPoint | None) -> PlainData | None:
-    """The speed for which currents weaken the field, and the voltage that they keep there."""
-    return None if speed is None else {"omega_m_rad_per_s": speed.omega_m, "v_max_V": speed.v_max}
 
 
 def plain_curves(curves: Curves) -> PlainData:

@@ -17,7 +17,6 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.names import ModulationName
 from dqforge.machines.units.quantities import parse_option
-from dqforge.optimizer.drive_points import drive_points
 from dqforge.optimizer.operating_points.characteristics import (
     VoltageLimit,
     characteristics,
@@ -28,6 +27,7 @@ from dqforge.optimizer.operating_points.characteristics import (
     operating_map,
     voltage_limit,
 )
+from dqforge.optimizer.operating_points.drive_points import drive_points
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
 from dqforge.optimizer.operating_points.loss_model import loss_coefficients
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus

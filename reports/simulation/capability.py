@@ -8,7 +8,7 @@ from dqforge.machines.names import NumberFormat
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.capability import Capability, Draw, Outcome, ReportPart
 from dqforge.reports.pages.chapters import SIMULATION as CHAPTER
-from dqforge.reports.simulation.design_run import DriveSimulation, simulation_files
+from dqforge.reports.simulation.design_run import DriveSimulation
 from dqforge.reports.simulation.number_format import format_text, not_simulated
 from dqforge.reports.simulation.tables import plain_simulation, simulation_part, simulation_tables
 
@@ -45,5 +45,5 @@ SIMULATION = Capability(
     tables=lambda _, found: simulation_tables(found),
     figures=_figures,
     parts=_parts,
-    files=lambda _, found: simulation_files(found),
+    files=lambda _, found: found.files(),
 )

@@ -18,6 +18,9 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.names import NumberFormat
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.plants.scenario import Profile, Scenario
+from dqforge.optimizer.current_reference.fit import fit_reference
+from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import control_files
 from dqforge.reports.field_weakening.header import weakening_files
@@ -30,7 +33,7 @@ from dqforge.reports.simulation.compiled_plant import (
     simulate,
     simulator,
 )
-from dqforge.reports.simulation.number_format import in_float32, not_simulated
+from dqforge.reports.simulation.number_format import SIMULATED, not_simulated
 from dqforge.reports.simulation.plant_input import Drive
 
 SETTLED = 0.02
@@ -109,6 +112,10 @@ class DriveSimulation:
         """Observed less true electrical angle in rad, as `angle_error` has it, shape (N,)."""
         return angle_error(self.run)
 
+    def files(self) -> dict[str, bytes]:
+        """Name and bytes of the file of samples."""
+        return simulation_files(self)
+
 
 def drive_of(design: Design) -> Drive:
     """What is simulated of a design.
@@ -172,6 +179,21 @@ def require_scenario(design: Design, *, switched: bool = False) -> Scenario:
             "{duration: 0.5 s, speed: {points: [{time: 0 s, speed: 1000 rpm}]}}"
         )
     return replace(design.simulation, inverter="switched") if switched else design.simulation
+
+
+def in_float32(solution: Solution) -> Solution:
+    """The solution with its current reference in float32: the same form,
+    fitted for that arithmetic.
+
+    Control in float32 cannot call a reference in fixed point.
+    """
+    fit = solution.fit
+    if not isinstance(fit.reference, FixedReference):
+        return solution
+    settings = replace(fit.settings, format=SIMULATED, full_scale=None, budget=None)
+    return replace(
+        solution, fit=fit_reference(current_choice(solution.design), settings), certificate=None
+    )
 
 
 @on_design("simulation")

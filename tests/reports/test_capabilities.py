@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from drives import make_design
+from drives import IPM, make_design
 from toys.kinetic_energy import KINETIC_ENERGY
 
 from dqforge.machines.design import catalogue
@@ -251,8 +251,7 @@ def test_a_capability_from_outside_reaches_result_report_summary_and_header() ->
 
 
 def test_a_capability_from_outside_is_left_out_where_it_is_not_asked_for() -> None:
-    design = small()
-    still = replace(design, machine=replace(design.machine, inertia=None))
+    still = replace(small(), machine=replace(IPM, inertia=None))
     outcome = Outcome(replace(with_toy().solution, design=still))
     assert plain_outcome(outcome, WITH_TOY)["kinetic_energy"] is None
     assert plain_outcome(outcome, WITH_TOY)["kinetic_energy_header"] is None
@@ -290,7 +289,7 @@ def test_a_header_from_outside_runs_on_an_emulated_core() -> None:
 
 def test_a_capability_from_outside_is_compared() -> None:
     design = small()
-    heavy = replace(design, machine=replace(design.machine, inertia=0.06))
+    heavy = replace(design, machine=replace(IPM, inertia=0.06))
     a, b = (solved_side(name, part, WITH_TOY) for name, part in (("a", design), ("b", heavy)))
     rows = {(row.section, row.label): row for row in compare_sides(a, b, WITH_TOY).rows}
     row = rows["kinetic energy", "largest"]

@@ -4,10 +4,9 @@ and what is checked across it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pydantic import Field
 
+from dqforge.machines.design.from_section import settings_from
 from dqforge.machines.design.reading import ROUNDING_OF_DATA
 from dqforge.machines.design.settings import (
     OperationSettings,
@@ -27,15 +26,44 @@ from dqforge.machines.names import (
 )
 from dqforge.machines.units.quantities import format_quantity
 
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
+_OPERATION = OperationSettings()
 
 
-def check_speed(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
-    """Check the speed for which the field is weakened."""
-    operation, weakening = sections.operation, sections.field_weakening
+class OperationSection(Section):
+    """Which currents make the torque."""
+
+    strategy: Strategy = Field(
+        default="mtpa", description="mtpa: least current for the torque; id0: no d current"
+    )
+    speed: Speed | None = Field(
+        default=None,
+        description=(
+            "mechanical speed for which the field is weakened (rad/s; write rpm); default: none"
+        ),
+    )
+    modulation: ModulationName = Field(
+        default=_OPERATION.modulation,
+        description="whose linear range limits the voltage at the speed",
+    )
+    voltage_margin: Share | None = Field(
+        default=None,
+        description="share of that voltage kept free for control (write 5 %); default 0",
+    )
+
+
+def check_operation(
+    operation: OperationSection, weakened: bool, machine: Machine, document: YamlDocument
+) -> None:
+    """Check the strategy, and the speed for which the field is weakened.
+
+    ``weakened`` says that the design has a two-dimensional reference. Raises `InputError` with a
+    position.
+    """
+    if operation.strategy == "id0" and machine.psi_pm == 0.0:
+        message = "operation.strategy: id0 gives no torque without magnets; write strategy: mtpa"
+        raise document.error(message, ("operation", "strategy"))
     for key in ("modulation", "voltage_margin"):
-        if operation.speed is None and weakening is None and key in operation.model_fields_set:
+        if operation.speed is None and not weakened and key in operation.model_fields_set:
             message = (
                 f"operation.{key} limits the voltage at a speed; write speed: 3000 rpm, or remove "
                 "the key"
@@ -61,34 +89,4 @@ def check_speed(sections: DesignFile, machine: Machine, document: YamlDocument) 
 
 def read_operation(section: OperationSection) -> OperationSettings:
     """What the section ``operation`` asks for."""
-    return OperationSettings(
-        section.strategy,
-        si_of(section.speed),
-        section.modulation,
-        si_of(section.voltage_margin) or 0.0,
-    )
-
-
-_OPERATION = OperationSettings()
-
-
-class OperationSection(Section):
-    """Which currents make the torque."""
-
-    strategy: Strategy = Field(
-        default="mtpa", description="mtpa: least current for the torque; id0: no d current"
-    )
-    speed: Speed | None = Field(
-        default=None,
-        description=(
-            "mechanical speed for which the field is weakened (rad/s; write rpm); default: none"
-        ),
-    )
-    modulation: ModulationName = Field(
-        default=_OPERATION.modulation,
-        description="whose linear range limits the voltage at the speed",
-    )
-    voltage_margin: Share | None = Field(
-        default=None,
-        description="share of that voltage kept free for control (write 5 %); default 0",
-    )
+    return settings_from(OperationSettings, section, omega_m=si_of(section.speed))

@@ -18,7 +18,6 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.drive_points import drive_points
 from dqforge.optimizer.operating_points.characteristics import (
     Envelope,
     OperatingMap,
@@ -30,6 +29,7 @@ from dqforge.optimizer.operating_points.characteristics import (
     operating_map,
     voltage_limit,
 )
+from dqforge.optimizer.operating_points.drive_points import drive_points
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import optimal_points
 from dqforge.reports.operating_points.figures import plot_operating_map, plot_speed

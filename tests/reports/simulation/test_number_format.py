@@ -20,8 +20,8 @@ from dqforge.machines.plants.scenario import Profile, Scenario
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.simulation.design_run import simulate_design
-from dqforge.reports.simulation.number_format import in_float32, not_simulated
+from dqforge.reports.simulation.design_run import in_float32, simulate_design
+from dqforge.reports.simulation.number_format import not_simulated
 from dqforge.reports.simulation.tables import plain_simulation, simulation_html, simulation_tables
 from dqforge.reports.summary import run_tables
 from dqforge.reports.verification.host import Verification
