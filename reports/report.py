@@ -13,6 +13,8 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Capability, Outcome, Tile, asked_for
+from dqforge.reports.main_header.dialect import Dialect
+from dqforge.reports.main_header.dialects.neutral.dialect import NEUTRAL
 from dqforge.reports.main_header.header import header_context
 from dqforge.reports.pages.chapters import CHAPTERS
 from dqforge.reports.pages.figures_style import to_svg
@@ -116,7 +118,9 @@ def _contents(design: Design, written: Sequence[WrittenChapter]) -> list[tuple[s
     ]
 
 
-def report_context(outcome: Outcome, capabilities: Capabilities = CAPABILITIES) -> PlainData:
+def report_context(
+    outcome: Outcome, capabilities: Capabilities = CAPABILITIES, dialect: Dialect = NEUTRAL
+) -> PlainData:
     """Everything that the frame of the report prints."""
     design, found = outcome.design, asked_for(capabilities, outcome)
     written = chapters(outcome.solution, found)
@@ -132,7 +136,7 @@ def report_context(outcome: Outcome, capabilities: Capabilities = CAPABILITIES) 
         "values": value_rows(design),
         "assumptions": other_assumptions(design),
         "chapters": written,
-        "header": header_context(outcome.solution),
+        "header": header_context(outcome.solution, dialect),
         "verification": {
             "done": outcome.verification is not None,
             "text": verification_text(outcome.verification)[1],
@@ -145,6 +149,7 @@ def render_report(
     verification: Verification | None,
     simulation: DriveSimulation | None = None,
     capabilities: Capabilities = CAPABILITIES,
+    dialect: Dialect = NEUTRAL,
 ) -> str:
     """The report of a solution as one HTML document.
 
@@ -159,9 +164,11 @@ def render_report(
         Outcome of the simulation, or None where there is none.
     capabilities:
         Those of the product, or these and some from outside.
+    dialect:
+        Whose names the main header takes.
     """
     outcome = Outcome(solution, verification, simulation)
-    return render("pages/report.html.j2", report_context(outcome, capabilities))
+    return render("pages/report.html.j2", report_context(outcome, capabilities, dialect))
 
 
 def fact_rows(design: Design) -> list[tuple[Markup, str]]:

@@ -11,6 +11,8 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Outcome, asked_for
+from dqforge.reports.main_header.dialect import Dialect
+from dqforge.reports.main_header.dialects.neutral.dialect import NEUTRAL
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.plain_data import PlainData
@@ -36,10 +38,10 @@ class RunOutput:
 
 
 def emitted_files(
-    solution: Solution, capabilities: Capabilities = CAPABILITIES
+    solution: Solution, capabilities: Capabilities = CAPABILITIES, dialect: Dialect = NEUTRAL
 ) -> dict[str, bytes]:
-    """Names and bytes of all headers of a solution."""
-    files = header_files(solution)
+    """Names and bytes of all headers of a solution; arguments as of `export_design`."""
+    files = header_files(solution, dialect)
     for capability, found in asked_for(capabilities, Outcome(solution)):
         for kind in capability.headers:
             if kind.plain(solution, found) is not None:
@@ -62,7 +64,11 @@ def _result(design: Design, plain: PlainData) -> bytes:
 
 @on_design("export")
 def export_design(
-    design: Design, *, verify: bool, capabilities: Capabilities = CAPABILITIES
+    design: Design,
+    *,
+    verify: bool,
+    capabilities: Capabilities = CAPABILITIES,
+    dialect: Dialect = NEUTRAL,
 ) -> RunOutput:
     """Header, test vectors and ``result.json`` of a design; nothing else is computed for show.
 
@@ -74,6 +80,8 @@ def export_design(
         Whether the headers are compiled and compared with their models.
     capabilities:
         Those of the product, or these and some from outside.
+    dialect:
+        Whose names the main header takes.
 
     Raises
     ------
@@ -81,7 +89,7 @@ def export_design(
         The compiled header differs from the model, or no compiler is there to try it.
     """
     solution = solve(design)
-    files = emitted_files(solution, capabilities)
+    files = emitted_files(solution, capabilities, dialect)
     plain = plain_solution(solution, capabilities)
     verification = _verified(solution, files, plain, capabilities) if verify else None
     files["result.json"] = _result(design, plain)
@@ -90,7 +98,11 @@ def export_design(
 
 @on_design("machine")
 def run_design(
-    design: Design, *, verify: bool, capabilities: Capabilities = CAPABILITIES
+    design: Design,
+    *,
+    verify: bool,
+    capabilities: Capabilities = CAPABILITIES,
+    dialect: Dialect = NEUTRAL,
 ) -> RunOutput:
     """Everything that the design asks for, the report included; arguments as of `export_design`.
 
@@ -99,7 +111,7 @@ def run_design(
     VerificationError
         As `export_design`.
     """
-    output = export_design(design, verify=verify, capabilities=capabilities)
+    output = export_design(design, verify=verify, capabilities=capabilities, dialect=dialect)
     simulation = None
     if verify and design.simulation is not None:
         simulation = simulate_design(design, solution=output.solution)
@@ -110,6 +122,6 @@ def run_design(
     for capability, found in asked_for(capabilities, outcome):
         output.files.update(capability.files(output.solution, found))
     output.files["report.html"] = render_report(
-        output.solution, output.verification, simulation, capabilities
+        output.solution, output.verification, simulation, capabilities, dialect
     ).encode("utf-8")
     return output
