@@ -14,6 +14,7 @@ from dqforge.reports.capability import Capabilities, Outcome, asked_for
 from dqforge.reports.main_header.dialect import Dialect
 from dqforge.reports.main_header.dialects.neutral.dialect import NEUTRAL
 from dqforge.reports.main_header.header import header_files
+from dqforge.reports.pages.console import shares, stage
 from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.report import render_report
@@ -53,6 +54,7 @@ def _verified(
     solution: Solution, files: dict[str, bytes], plain: PlainData, capabilities: Capabilities
 ) -> Verification:
     """The headers against what the result says of them: what a later `dqforge verify` will read."""
+    stage("compiling and comparing")
     export = solution.design.export
     _, further = programmes(plain, capabilities)
     return verify_files(files, export.prefix, solution.reference, export.vectors, further)
@@ -88,7 +90,9 @@ def export_design(
     VerificationError
         The compiled header differs from the model, or no compiler is there to try it.
     """
+    stage("solving")
     solution = solve(design)
+    stage("emitting the headers")
     files = emitted_files(solution, capabilities, dialect)
     plain = plain_solution(solution, capabilities)
     verification = _verified(solution, files, plain, capabilities) if verify else None
@@ -114,13 +118,15 @@ def run_design(
     output = export_design(design, verify=verify, capabilities=capabilities, dialect=dialect)
     simulation = None
     if verify and design.simulation is not None:
-        simulation = simulate_design(design, solution=output.solution)
+        stage("simulating")
+        simulation = simulate_design(design, solution=output.solution, progress=shares())
     outcome = Outcome(output.solution, output.verification, simulation)
     if simulation is not None:
         plain = output.plain | plain_outcome(outcome, capabilities)
         output.files["result.json"] = _result(design, plain)
     for capability, found in asked_for(capabilities, outcome):
         output.files.update(capability.files(output.solution, found))
+    stage("writing the report")
     output.files["report.html"] = render_report(
         output.solution, output.verification, simulation, capabilities, dialect
     ).encode("utf-8")

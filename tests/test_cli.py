@@ -693,7 +693,7 @@ def test_simulation_with_the_emitted_controller(run: Run, tmp_path: Path) -> Non
     assert archive["omega_m"][-1] * 30.0 / np.pi == pytest.approx(-1200.0, abs=2.0)
     assert (tmp_path / "run.svg").stat().st_size > 10_000
     document = json.loads(run("simulate", BENCH, "--json").out)
-    assert set(document) == {"dqforge", "format", "command", "design", "simulation"}
+    assert set(document) == {"dqforge", "format", "command", "design", "simulation", "out", "files"}
     found = document["simulation"]
     assert found["bounded"] is True
     assert [step["after"] for step in found["steps"]] == pytest.approx(

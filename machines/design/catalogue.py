@@ -5,6 +5,7 @@ a new design starts from.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from importlib import resources
 from importlib.resources.abc import Traversable
 
@@ -55,9 +56,12 @@ def read_text(name: str) -> bytes:
     return (_folder() / (name + _SUFFIX)).read_bytes()
 
 
-def load(name: str) -> Design:
-    """Design from the library; raises `InputError` when there is none of this name."""
-    return load_text(read_text(name), name + _SUFFIX)
+def load(name: str, settings: Sequence[str] = ()) -> Design:
+    """Design from the library, with keys set as by `load_text`.
+
+    Raises `InputError` when there is none of this name.
+    """
+    return load_text(read_text(name), name + _SUFFIX, settings=settings)
 
 
 def template(machine: str | None = None) -> bytes:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.design import Design
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import NoSolutionError
@@ -459,14 +458,22 @@ def operating_map(
     return OperatingMap(torque, omega_m, points, losses, share)
 
 
-def fastest_speed(design: Design, figures: Characteristics, limit: VoltageLimit) -> float:
-    """Speed in rad/s at which a map ends: that of the mechanics, or three times the base speed."""
-    if design.machine.omega_m_max is not None:
-        return design.machine.omega_m_max
+def fastest_speed(
+    machine: Machine, figures: Characteristics, limit: VoltageLimit, i_max: float
+) -> float:
+    """Speed in rad/s at which a map ends: that of the mechanics, or three times the base speed.
+
+    Raises
+    ------
+    NoSolutionError
+        The resistance drop takes the whole voltage even at standstill.
+    """
+    if machine.omega_m_max is not None:
+        return machine.omega_m_max
     if figures.base_speed == 0.0:
         raise NoSolutionError(
-            f"--map: the resistance drop at {design.i_max:.4g} A takes more than the voltage limit "
-            f"of {limit.v_max:.4g} V even at standstill; give machine.max_speed, or a higher "
-            "voltage"
+            f"the resistance drop at {i_max:.4g} A takes more than the voltage limit of "
+            f"{limit.v_max:.4g} V even at standstill, so that no map begins; give "
+            "machine.max_speed, or a higher voltage"
         )
     return 3.0 * figures.base_speed

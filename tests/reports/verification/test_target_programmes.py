@@ -22,7 +22,7 @@ from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.names import ObserverMethodName
-from dqforge.optimizer.observers.methods import matsui as sampled_observers
+from dqforge.optimizer.observers.methods import ekf as ekf_method
 from dqforge.optimizer.observers.methods.ekf import ekf_gains
 from dqforge.optimizer.observers.methods.kalman_model import ekf
 from dqforge.optimizer.observers.methods.registry import METHODS
@@ -54,7 +54,7 @@ def tools() -> None:
 def quick_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search for the covariances is tested where it is written; here any will do."""
     monkeypatch.setattr(
-        sampled_observers,
+        ekf_method,
         "_consistent",
         lambda m, t_s, top: ekf_gains(ekf(m, t_s, 1e-2, 1e5, 1e-5, top)),
     )
@@ -175,19 +175,19 @@ def test_every_position_observer_runs_on_the_core(method: ObserverMethodName, ta
 
 
 @pytest.mark.parametrize(
-    ("kind", "pattern", "by"),
+    ("kind", "room", "pattern", "by"),
     [
-        ("observer", r"_wrap\(observer->theta_e \+ ", "_wrap(observer->theta_e - "),
-        pytest.param("control", r"zero = 0\.5F", "zero = 0.51F", marks=pytest.mark.slow),
+        ("observer", "observers", r"_wrap\(observer->theta_e \+ ", "_wrap(observer->theta_e - "),
+        pytest.param("control", "control", r"zero = 0\.5F", "zero = 0.51F", marks=pytest.mark.slow),
     ],
 )
-def test_a_changed_header_differs_on_the_core(kind: str, pattern: str, by: str) -> None:
+def test_a_changed_header_differs_on_the_core(kind: str, room: str, pattern: str, by: str) -> None:
     output = exported("control and position observer")
     _, parts = parts_of(output)
     files = headers(output)
     text, count = re.subn(pattern, by, files[f"bench001_{kind}.h"].decode("ascii"), count=1)
     assert count == 1
-    own = [part for part in parts if part.template.startswith(f"{kind}_harness")]
+    own = [part for part in parts if part.template == f"{room}/harness.c.j2"]
     assert len(own) == 1
     with pytest.raises(
         VerificationError,
