@@ -3,7 +3,8 @@ from samples to harmonics per speed.
 
 Convention: theta is the electrical angle of the d axis from phase a, and
 
-    e_k / omega_e = - sum_h A_kh sin(h theta - phi_kh),    psi_k = sum_h (A_kh / h) cos(h theta - phi_kh),
+    e_k / omega_e = - sum_h A_kh sin(h theta - phi_kh),
+        psi_k = sum_h (A_kh / h) cos(h theta - phi_kh),
 
 so that phi is the phase of the magnet's flux linkage and an ideal machine has phi_1 = 0, 120 and
 -120 degrees in phases a, b and c. The d axis lies along the positive sequence of the fundamental:

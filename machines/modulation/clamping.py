@@ -222,7 +222,8 @@ def switching_loss_factor(name: ModulationName, load_angle: ArrayLike) -> FloatA
 
     ::
 
-        SLF(phi) = 1 - 1/2 sum over the intervals where a phase rests in a half wave of  int |cos(x - phi)| dx
+        SLF(phi) = 1 - 1/2 sum over the intervals where a phase rests in a half wave of
+            int |cos(x - phi)| dx
 
     for losses proportional to the current; x from the peak of the phase's reference. The intervals
     in degrees are -60 to 0 (DPWM0), -30 to 30 (DPWM1), 0 to 60 (DPWM2), -60 to -30 and 30 to 60

@@ -163,7 +163,7 @@ def zero_sequence(
     name: ModulationName, voltage: FloatArray, current: FloatArray, v_dc: float
 ) -> FloatArray:
     """Zero-sequence voltage V0 in V from the negative rail, by the rules of
-    `dqforge.machines.zero_sequence`.
+    `dqforge.machines.modulation.zero_sequence`.
 
     Parameters
     ----------

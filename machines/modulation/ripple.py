@@ -5,7 +5,8 @@ integral of the difference between switched and wanted voltage, the harmonic flu
 both ends and in the middle of the period and straight between the switching instants. For the phase
 with the duty cycle u it is, less the part common to the three phases and in terms of v_dc T,
 
-    g(s) = -G(s, 1 - u) / 2,   G(s, a) = min(s, a) (1 - max(s, a)),   s = 0 to 1 over the first half of the period
+    g(s) = -G(s, 1 - u) / 2,   G(s, a) = min(s, a) (1 - max(s, a)),
+                               s = 0 to 1 over the first half of the period
 
 and -g over the second half. G is the Green's function of a string,
 whose products integrate in closed form:

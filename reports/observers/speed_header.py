@@ -120,7 +120,8 @@ def speed_observer_from(plain: Mapping[str, Any]) -> ReducedOrderGains:
 
 
 def observed_speeds(
-    gains: ReducedOrderGains, v: tuple[SingleArray, SingleArray], i: tuple[SingleArray, SingleArray],
+    gains: ReducedOrderGains, v: tuple[SingleArray, SingleArray], i: tuple[SingleArray,
+    SingleArray],
     theta_e: SingleArray, first: tuple[SingleArray, SingleArray],
 ) -> SingleArray:  # fmt: skip
     """What the C functions find over N sequences, operation by operation.
@@ -209,6 +210,7 @@ def speed_observer_outputs(gains: ReducedOrderGains, inputs: SingleArray) -> Sin
 
 
 def speed_observer_programme(gains: ReducedOrderGains) -> Programme:
+    """The harness of a speed observer, with what its model answers."""
     inputs = speed_observer_inputs(gains, SWEEP_POINTS, SWEEP_SEED)
     outputs = speed_observer_outputs(gains, inputs)
     return Programme(

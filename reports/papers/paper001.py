@@ -384,7 +384,8 @@ def reproduction_tables(found: Reproduction) -> list[Table]:
         for row in found.transients
     )  # fmt: skip
     climbs = tuple(
-        (f"{row.start:.0f} to {row.target:.0f} rpm", f"{100.0 * row.share:.1f} % ({row.origin})", f"{row.reached:.0f}",
+        (f"{row.start:.0f} to {row.target:.0f} rpm",
+        f"{100.0 * row.share:.1f} % ({row.origin})", f"{row.reached:.0f}",
          f"{row.seconds:.3f}" if math.isfinite(row.seconds) else "-")
         for row in found.climbs
     )  # fmt: skip
