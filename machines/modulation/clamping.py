@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import BoolArray, FloatArray, IndexArray
+from dqforge.machines.modulation.zero_sequence import compared, extremes, highest_rests, load_turn
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import DOUBLES, Pair, Reals, Triple, clarke
-from dqforge.machines.zero_sequence import compared, extremes, highest_rests, load_turn
 
 DISCONTINUOUS: frozenset[ModulationName] = frozenset(
     ("dpwm0", "dpwm1", "dpwm2", "dpwm3", "dpwmmin", "dpwmmax", "gdpwm", "ddt-gdpwm")

@@ -31,9 +31,9 @@ from dqforge.machines.modulation.clamping import (
     resting_phase,
     sector_rule,
 )
+from dqforge.machines.modulation.zero_sequence import zero_sequence_of
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import DOUBLES, dq_to_phases
-from dqforge.machines.zero_sequence import zero_sequence_of
 
 __all__ = [
     "LINEAR_LIMITS",

@@ -15,9 +15,9 @@ from typing import Any, ClassVar, Generic, get_args
 
 import numpy as np
 
+from dqforge.machines.modulation.zero_sequence import zero_sequence_of
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import N, Pair, Triple, clarke_inverse
-from dqforge.machines.zero_sequence import zero_sequence_of
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, larger, magnitude, rounded
 
 FIXED_MODULATORS: tuple[ModulationName, ...] = tuple(

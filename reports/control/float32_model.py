@@ -14,9 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.modulation.zero_sequence import (
+    DELAY,
+    THIRD_HARMONIC,
+    load_turn,
+    zero_sequence_of,
+)
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
-from dqforge.machines.zero_sequence import DELAY, THIRD_HARMONIC, load_turn, zero_sequence_of
 from dqforge.optimizer.current_reference.forms import FloatReference
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.field_weakening.drop_reference import DropReference
