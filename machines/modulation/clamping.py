@@ -69,13 +69,6 @@ _RESTING: dict[ModulationName, tuple[tuple[float, float], ...]] = {
 }
 
 
-def commutation_share(name: ModulationName) -> float:
-    """Commutations per carrier period relative to continuous modulators,
-    which make two in each phase: 1 or 2/3.
-    """
-    return 2.0 / 3.0 if name in DISCONTINUOUS else 1.0
-
-
 def _folded(sine: FloatArray, cosine: FloatArray) -> FloatArray:
     """Angle from -90 to 90 degrees (rad) that a lag has when generating counts as
     motoring with current reversed.

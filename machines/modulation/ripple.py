@@ -147,18 +147,6 @@ def flux_moments(duty: FloatArray) -> FloatArray:
     return np.asarray(a * (1.0 - b) * (1.0 - a**2 - (1.0 - b) ** 2) / 24.0)
 
 
-def flux_ripple_square(duty: FloatArray) -> FloatArray:
-    """Mean square of the harmonic flux vector over a carrier period (...), in (v_dc T)^2,
-    of duty cycles (..., 3).
-
-    The vector is amplitude-invariant: half of its mean square is the mean square of a phase,
-    averaged over the phases.
-    """
-    moments = flux_moments(duty)
-    own = np.trace(moments, axis1=-2, axis2=-1)
-    return np.asarray((2.0 * own - 2.0 / 3.0 * np.sum(moments, axis=(-2, -1))) / 3.0)
-
-
 def _gdpwm_coefficients(psi: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """c2, c3, c4 of GDPWM for clamping angles in rad, any shape."""
     delta = psi - _THIRTY
