@@ -155,6 +155,15 @@ def in_linear_range(name: ModulationName, amplitude: FloatArray | float, v_dc: f
     """Tell where the phase-voltage amplitude (V, peak, any shape) is within the linear range.
 
     False for NaN.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    amplitude:
+        Phase-voltage amplitude in V (peak), any shape.
+    v_dc:
+        DC-link voltage in V.
     """
     return np.asarray(amplitude <= linear_limit(name, v_dc) * (1.0 + _LIMIT_ROUNDING))
 
@@ -188,6 +197,15 @@ def zero_sequence(
 def clamped_phases(name: ModulationName, voltage: FloatArray, current: FloatArray) -> BoolArray:
     """Mark the phase that does not switch, shape (..., 3): exactly one with discontinuous
     modulators, else none.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    voltage:
+        Phase references in V from the star point, shape (..., 3).
+    current:
+        Phase currents in A, shape (..., 3).
     """
     voltage, current = np.broadcast_arrays(voltage, current)
     if name not in DISCONTINUOUS:
@@ -204,6 +222,17 @@ def modulate(
 
     The duty cycle of a clamped phase is exactly 0 or 1. Nothing is clipped: test the amplitude of
     the reference with `in_linear_range`.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    voltage:
+        Phase references in V from the star point, shape (..., 3).
+    current:
+        Phase currents in A, shape (..., 3); only GDPWM and DDT-GDPWM look at them.
+    v_dc:
+        DC-link voltage in V.
     """
     v_zero = zero_sequence(name, voltage, current, v_dc)
     clamped = clamped_phases(name, voltage, current)
@@ -288,6 +317,16 @@ def sector_waveforms(
     DPWMMAX treat the half waves differently: 48 angles cover 120 degrees there.
 
     Without voltage the direction of the voltage vector is taken as that of the d axis.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    v_d, v_q, i_d, i_q:
+        Phase voltages in V and currents in A in rotor coordinates (peak), broadcastable to
+        the shape (...).
+    v_dc:
+        DC-link voltage in V.
     """
     v_d, v_q, i_d, i_q = _operating_points(v_d, v_q, i_d, i_q)
     voltage_angle = np.arctan2(v_q, v_d)

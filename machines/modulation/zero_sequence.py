@@ -41,11 +41,9 @@ THIRD_HARMONIC: Mapping[ModulationName, float] = MappingProxyType(
 )
 """Share of the third harmonic in the amplitude, of the modulators that add one."""
 
-
 DELAY: Mapping[ModulationName, Pair[float]] = MappingProxyType(
     {"dpwm0": Pair(math.sqrt(0.75), -0.5), "dpwm2": Pair(math.sqrt(0.75), 0.5)}
 )
-
 """Cosine and sine of the angle by which references are delayed before they are compared."""
 
 

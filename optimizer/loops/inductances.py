@@ -22,6 +22,13 @@ def inductance_range(
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Least and largest incremental inductances (l_d, l_q) in H along the
     MTPA locus up to ``i_max`` A.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    i_max:
+        Current limit in A (peak).
     """
     if isinstance(machine, LinearMachine):
         return (machine.l_d, machine.l_q), (machine.l_d, machine.l_q)

@@ -15,8 +15,8 @@ from dqforge.optimizer.observers.methods.matsui_model import Matsui, MatsuiModel
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,
-    entries_at,
     limited,
+    matrix_entries,
     next_currents,
     sampled_gains,
 )
@@ -202,7 +202,7 @@ def _gap(model: SampledGains, state: ObserverState, v: Pair, i: Pair, maths: Ari
     now = park(maths, i, maths.rotation(theta))
     x = limited(model.t_s * state.omega_e, model.x_max)
     half = 0.5 * x
-    e = entries_at(model, x)
+    e = matrix_entries(model, x)
     foretold = next_currents(e, park(maths, state.vectors[0], turn), park(maths, v, turn))
     return _Gap(
         theta, now, e, 1.0 - 0.5 * (half * half), half, (now[0] - foretold[0], now[1] - foretold[1])
