@@ -13,29 +13,24 @@ from typing import Any
 from dqforge.machines.errors import InputError
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import FurtherHeader
-from dqforge.reports.control.fixed_header import control_fixed_programme, fixed_control_from
+from dqforge.reports.control.fixed_header import control_fixed_programme
+from dqforge.reports.control.fixed_reading import fixed_control_from
 from dqforge.reports.control.header import control_from, control_programme
 from dqforge.reports.field_weakening.header import (
     weakening_from,
     weakening_programme,
 )
 from dqforge.reports.loops.header import evaluator_from, gains_programme
-from dqforge.reports.modulation_choice.header import (
-    emitted_from,
-    rule_programme,
-)
+from dqforge.reports.modulation_choice.header import rule_programme
+from dqforge.reports.modulation_choice.rule_model import emitted_from
 from dqforge.reports.observers.position_header import (
     observer_from,
     observer_programme,
 )
-from dqforge.reports.observers.speed_header import (
-    speed_observer_from,
-    speed_observer_programme,
-)
-from dqforge.reports.waveforms.header import (
-    phase_reference_from,
-    waveform_programme,
-)
+from dqforge.reports.observers.speed_float32_model import speed_observer_from
+from dqforge.reports.observers.speed_header import speed_observer_programme
+from dqforge.reports.waveforms.float32_model import phase_reference_from
+from dqforge.reports.waveforms.header import waveform_programme
 
 FURTHER_HEADERS = (
     FurtherHeader("waveform", lambda own, _: phase_reference_from(own), waveform_programme),

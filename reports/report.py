@@ -218,7 +218,7 @@ def _figures(solution: Solution) -> dict[str, Markup]:
     }
     gains = solution.loops
     if gains is not None:
-        drawn["loops"] = lambda: plot_gains(design, gains)
+        drawn["loops"] = lambda: plot_gains(gains)
     losses = solution.losses
     if losses is not None:
         drawn["losses"] = lambda: plot_losses(design, losses)
@@ -270,13 +270,13 @@ def _sections(
 
 
 def _loop_tables(solution: Solution) -> list[HtmlTable]:
-    gains, design = solution.loops, solution.design
+    gains = solution.loops
     if gains is None:
         return []
     return [
-        loop_table(design, gains),
+        loop_table(gains),
         *tolerance_tables(gains),
-        *observer_tables(design, gains, solution.fit.torque_max),
+        *observer_tables(gains, solution.observer_errors),
         *control_fixed_html(solution.fixed),
     ]
 

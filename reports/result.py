@@ -21,14 +21,24 @@ from dqforge.reports.loops.header import plain_evaluator
 from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.losses.map_tables import plain_mission
 from dqforge.reports.losses.plain import plain_losses
-from dqforge.reports.modulation_choice.header import choice_model, plain_emitted
+from dqforge.reports.modulation_choice.header import choice_model
+from dqforge.reports.modulation_choice.rule_model import plain_emitted
 from dqforge.reports.modulation_choice.tables import plain_choice
 from dqforge.reports.observers.position_header import emitted, plain_observer
-from dqforge.reports.observers.speed_header import plain_speed_observer
+from dqforge.reports.observers.speed_float32_model import plain_speed_observer
 from dqforge.reports.operating_points.plain import plain_curves
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.waveforms.header import plain_phase_reference
+from dqforge.reports.waveforms.float32_model import plain_phase_reference
 from dqforge.reports.waveforms.tables import plain_phase_fit, plain_waveforms
+
+SIMULATION = "simulation"
+"""Last key of ``result.json``, there where a run has simulated its drive."""
+
+
+def without_simulation(text: str) -> str:
+    """The text of a result less what its simulation found, which no solving again gives."""
+    before, found, _ = text.partition(f',\n "{SIMULATION}": {{')
+    return f"{before}\n}}\n" if found else text
 
 
 def plain_design(design: Design) -> PlainData:
@@ -114,7 +124,7 @@ def plain_solution(solution: Solution) -> PlainData:
             solution.data,
         ),
         **plain_negative(solution.negative),
-        "gains": None if gains is None else plain_gains(design, gains),
+        "gains": None if gains is None else plain_gains(design, gains, solution.observer_errors),
         **({} if gains is not None else {"gains_left_out": solution.gains_left_out}),
         "losses": plain_losses(solution.losses),
         "mission": None if solution.mission is None else plain_mission(solution.mission),

@@ -19,11 +19,13 @@ from dqforge.reports.main_header.header import header_files
 from dqforge.reports.modulation_choice.header import choice_files
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.speed_header import speed_observer_files
+from dqforge.reports.pages.console import shares, stage
 from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.report import render_report
-from dqforge.reports.result import plain_solution
+from dqforge.reports.result import SIMULATION, plain_solution
 from dqforge.reports.simulation.design_run import simulate_design, simulation_files
+from dqforge.reports.simulation.tables import plain_simulation
 from dqforge.reports.verification.host import Verification, verify_files
 from dqforge.reports.waveforms.header import waveform_files
 
@@ -32,15 +34,19 @@ from dqforge.reports.waveforms.header import waveform_files
 class RunOutput:
     """What a run made: the solution, the outcome of the verification (None if it was skipped),
     and the files.
+
+    ``plain`` is what ``result.json`` holds.
     """
 
     solution: Solution
     verification: Verification | None
     files: dict[str, bytes]
+    plain: PlainData
 
 
 def _verified(solution: Solution, files: dict[str, bytes], plain: PlainData) -> Verification:
     """The headers against what the result says of them: what a later `dqforge verify` will read."""
+    stage("compiling and comparing")
     export = solution.design.export
     _, further = programmes(plain)
     return verify_files(files, export.prefix, solution.reference, export.vectors, further)
@@ -67,7 +73,9 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
     VerificationError
         The compiled header differs from the model, or no compiler is there to try it.
     """
+    stage("solving")
     solution = solve(design)
+    stage("emitting the headers")
     files = header_files(solution)
     if solution.phases is not None:
         files |= waveform_files(design, solution.phases)
@@ -84,7 +92,7 @@ def export_design(design: Design, *, verify: bool) -> RunOutput:
     plain = plain_solution(solution)
     verification = _verified(solution, files, plain) if verify else None
     files["result.json"] = to_text("run", design.name, plain).encode("ascii")
-    return RunOutput(solution, verification, files)
+    return RunOutput(solution, verification, files, plain)
 
 
 @on_design("machine")
@@ -99,8 +107,12 @@ def run_design(design: Design, *, verify: bool) -> RunOutput:
     output = export_design(design, verify=verify)
     simulation = None
     if verify and design.simulation is not None:
-        simulation = simulate_design(design, solution=output.solution)
+        stage("simulating")
+        simulation = simulate_design(design, solution=output.solution, progress=shares())
+        plain = output.plain | {SIMULATION: plain_simulation(simulation)}
+        output.files["result.json"] = to_text("run", design.name, plain).encode("ascii")
         output.files.update(simulation_files(simulation))
+    stage("writing the report")
     output.files["report.html"] = render_report(
         output.solution, output.verification, simulation
     ).encode("utf-8")

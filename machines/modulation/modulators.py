@@ -132,13 +132,14 @@ class PhaseWaveforms:
         return np.asarray(np.sum(self.weight * np.sum(values, axis=-1), axis=-1), dtype=np.float64)
 
 
-def linear_limit(name: ModulationName, v_dc: float) -> float:
+def linear_limit(name: ModulationName, v_dc: float, margin: float = 0.0) -> float:
     """Largest phase-voltage amplitude in V (peak) that modulator `name` makes without
     overmodulation from v_dc in V.
 
-    Half of v_dc for SPWM, 0.561 v_dc for THIPWM4, v_dc / sqrt 3 for all others (Hava 1999).
+    Half of v_dc for SPWM, 0.561 v_dc for THIPWM4, v_dc / sqrt 3 for all others (Hava 1999); less
+    ``margin``, a share of 0 to 1 that is kept for control.
     """
-    return LINEAR_LIMITS[name] * v_dc
+    return LINEAR_LIMITS[name] * v_dc * (1.0 - margin)
 
 
 def modulation_index(amplitude: FloatArray, v_dc: float) -> FloatArray:

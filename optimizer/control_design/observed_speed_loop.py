@@ -199,6 +199,7 @@ def judge_observed(
         poles=closed[worst].closed.poles,
         margins=margins[worst],
         disturbance=silent,
+        model=closed[worst],
         observed=own,
     )
 

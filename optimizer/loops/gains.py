@@ -2,7 +2,7 @@
 its sampled loop really has.
 
 Gains are physical (current loops V/A and V/(A s), speed loop N m s/rad and N m/rad); `per_unit` and
-`dqforge.optimizer.fixed_control.q_numbers.to_q` turn them into the numbers of a firmware. A set
+`dqforge.optimizer.loops.q_numbers.to_q` turn them into the numbers of a firmware. A set
 that is unstable or misses the required phase margin is refused.
 """
 
@@ -15,7 +15,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.design.settings import ControlSettings, CurrentLoopSettings, SpeedLoopSettings
+from dqforge.machines.design.settings import (
+    ControlSettings,
+    CurrentLoopSettings,
+    PerUnitBases,
+    SpeedLoopSettings,
+)
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.loops.loop_batch import (
@@ -79,6 +84,9 @@ class LoopGains:
         Crossovers and margins of the sampled loop.
     disturbance:
         Answer to a unit step of the disturbance: 1 V at the winding, or 1 N m of load torque.
+    model:
+        The sampled loop that poles and margins are those of; of a speed loop on an encoder with the
+        drive between its samples.
     inductance:
         Inductance of the winding in H that a current loop is meant for; None for the speed loop.
     observed:
@@ -94,6 +102,7 @@ class LoopGains:
     poles: ComplexArray
     margins: LoopMargins
     disturbance: DisturbanceResponse
+    model: PiLoop | SpeedLoop
     inductance: float | None = None
     observed: ObservedLoop | None = None
 
@@ -276,7 +285,7 @@ def analyse_speed_loop(
         if respond and _is_stable(model.loop)
         else None
     )
-    return _evidence("speed", method, (kp, ki), model.loop, response)
+    return _evidence("speed", method, (kp, ki), model, response)
 
 
 def tune_current_loop(
@@ -401,9 +410,7 @@ def current_step_response(
     ``r_s`` in Ohm, ``inductance`` in H. There is a point every ``gains.t_s``, or every few of them
     where those would be more than a figure can show.
     """
-    model = current_loop(r_s, inductance, gains.t_s, gains.kp, gains.ki)
-    stride = _stride(duration, gains.t_s)
-    return current_step(model, _samples(duration, gains.t_s * stride), stride)
+    return _current_response(current_loop(r_s, inductance, gains.t_s, gains.kp, gains.ki), duration)
 
 
 def speed_step_response(
@@ -432,12 +439,33 @@ def speed_step_response(
     duration:
         Length in s.
     """
-    model = _speed_model(machine, current_gains, control, (gains.kp, gains.ki))
-    stride = _stride(duration, current_gains.t_s)
+    return _speed_response(
+        _speed_model(machine, current_gains, control, (gains.kp, gains.ki)), duration
+    )
+
+
+def step_response(gains: LoopGains, duration: float) -> StepResponse:
+    """Current in A or speed in rad/s after unit steps of the reference and of the disturbance,
+    over ``duration`` s.
+
+    The loop is ``gains.model``; points as in `current_step_response` and `speed_step_response`.
+    """
+    if isinstance(gains.model, SpeedLoop):
+        return _speed_response(gains.model, duration)
+    return _current_response(gains.model, duration)
+
+
+def _current_response(model: PiLoop, duration: float) -> StepResponse:
+    stride = _stride(duration, model.closed.t_s)
+    return current_step(model, _samples(duration, model.closed.t_s * stride), stride)
+
+
+def _speed_response(model: SpeedLoop, duration: float) -> StepResponse:
+    t_s, stride = model.loop.closed.t_s, _stride(duration, model.drive.t_s)
     if stride == 1:
-        return speed_step(model, _samples(duration, gains.t_s))
+        return speed_step(model, _samples(duration, t_s))
     stride = -(-stride // model.ratio)
-    return speed_step(model, _samples(duration, gains.t_s * stride), stride)
+    return speed_step(model, _samples(duration, t_s * stride), stride)
 
 
 def per_unit(gains: LoopGains, in_base: float, out_base: float) -> tuple[float, float]:
@@ -460,6 +488,19 @@ def per_unit(gains: LoopGains, in_base: float, out_base: float) -> tuple[float, 
     return gains.kp * in_base / out_base, gains.ki_ts * in_base / out_base
 
 
+def loop_bases(bases: PerUnitBases, loop: LoopName) -> tuple[float, float]:
+    """Bases of what a loop controls and of its output: A and V, or rad/s and N m.
+
+    Parameters
+    ----------
+    bases:
+        Per-unit bases in SI units.
+    loop:
+        Which loop.
+    """
+    return (bases.speed, bases.torque) if loop == "speed" else (bases.current, bases.voltage)
+
+
 def _stride(duration: float, t_s: float) -> int:
     """Samples between two points of a response that is to be drawn."""
     return max(1, int(np.ceil(duration / (t_s * MOST_POINTS))))
@@ -477,19 +518,21 @@ def _evidence(
     loop: LoopName,
     method: str,
     gains: tuple[float, float],
-    model: PiLoop,
+    model: PiLoop | SpeedLoop,
     response: StepResponse | None,
 ) -> LoopGains:
     endless = DisturbanceResponse(peak=np.inf, settling_time=np.inf)
+    sampled = model.loop if isinstance(model, SpeedLoop) else model
     return LoopGains(
         loop=loop,
         method=method,
         kp=gains[0],
         ki=gains[1],
-        t_s=model.closed.t_s,
-        poles=model.closed.poles,
-        margins=loop_margins(model.open_loop),
+        t_s=sampled.closed.t_s,
+        poles=sampled.closed.poles,
+        margins=loop_margins(sampled.open_loop),
         disturbance=endless if response is None else disturbance_summary(response),
+        model=model,
     )
 
 

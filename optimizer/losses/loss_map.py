@@ -126,7 +126,7 @@ def solve_map(
     """
     limit = _widest(design.inverter, alternatives, margin)
     figures = characteristics(design.machine, limit.v_max, design.i_max)
-    fastest = fastest_speed(design, figures, limit)
+    fastest = fastest_speed(design.machine, figures, limit, design.i_max)
     torque = np.linspace(0.0, figures.torque_max, torques + 1)[1:]
     omega = np.linspace(0.0, fastest, speeds + 1)[1:]
     wanted, speed = np.meshgrid(torque, omega, indexing="ij")

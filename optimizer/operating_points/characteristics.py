@@ -9,7 +9,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.design import Design
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import NoSolutionError
@@ -469,8 +468,9 @@ def voltage_limit(
     margin:
         Share of 0 to 1 that is kept for control.
     """
-    v_max = float(linear_limit(modulation, inverter.v_dc)) * (1.0 - margin)
-    return VoltageLimit(modulation, inverter.v_dc, margin, v_max)
+    return VoltageLimit(
+        modulation, inverter.v_dc, margin, linear_limit(modulation, inverter.v_dc, margin)
+    )
 
 
 def efficiency(power: FloatArray, loss: FloatArray) -> FloatArray:
@@ -531,24 +531,33 @@ def operating_map(
     return OperatingMap(torque, omega_m, points, losses, share)
 
 
-def fastest_speed(design: Design, figures: Characteristics, limit: VoltageLimit) -> float:
+def fastest_speed(
+    machine: Machine, figures: Characteristics, limit: VoltageLimit, i_max: float
+) -> float:
     """Speed in rad/s at which a map ends: that of the mechanics, or three times the base speed.
 
     Parameters
     ----------
-    design:
-        Its machine may state a largest speed.
+    machine:
+        Any machine; it may state a largest speed.
     figures:
-        Characteristics of the machine, with its base speed.
+        Its characteristics, with the base speed.
     limit:
         The voltage limit.
+    i_max:
+        Current limit in A (peak).
+
+    Raises
+    ------
+    NoSolutionError
+        The resistance drop takes the whole voltage even at standstill.
     """
-    if design.machine.omega_m_max is not None:
-        return design.machine.omega_m_max
+    if machine.omega_m_max is not None:
+        return machine.omega_m_max
     if figures.base_speed == 0.0:
         raise NoSolutionError(
-            f"--map: the resistance drop at {design.i_max:.4g} A takes more than the voltage limit "
-            f"of {limit.v_max:.4g} V even at standstill; give machine.max_speed, or a higher "
-            "voltage"
+            f"the resistance drop at {i_max:.4g} A takes more than the voltage limit of "
+            f"{limit.v_max:.4g} V even at standstill, so that no map begins; give "
+            "machine.max_speed, or a higher voltage"
         )
     return 3.0 * figures.base_speed

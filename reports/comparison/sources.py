@@ -88,6 +88,12 @@ class Side:
         return found
 
 
+def is_written(text: str) -> bool:
+    """Whether a text names what a run wrote, and no design."""
+    path = Path(text)
+    return path.is_dir() or path.suffix.lower() in (".json", ".h")
+
+
 def read_side(text: str, load: Callable[[str], Design]) -> Side:
     """One side by what the user named: a folder, JSON file or header that `dqforge run` wrote,
     else a design.

@@ -11,11 +11,10 @@ from typing import Any
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.names import QFormats
 from dqforge.optimizer.current_reference.forms import Emitted, SignedReference
 from dqforge.optimizer.current_reference.integer_form import FixedReference
-from dqforge.optimizer.fixed_control.gains import pi_integers
-from dqforge.optimizer.loops.gains import LoopGains, per_unit
+from dqforge.optimizer.loops.gains import LoopGains
+from dqforge.optimizer.loops.integer_gains import PerUnitGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.title import title
 from dqforge.reports.current_reference.evaluator import (
@@ -169,22 +168,16 @@ def margin_text(gains: LoopGains) -> list[str]:
 
 
 def _gain_group(
-    gains: LoopGains,
-    name: str,
-    units: tuple[str, str],
-    bases: tuple[float, float],
-    q_formats: QFormats | None,
-    robust: list[str],
+    gains: LoopGains, scaled: PerUnitGains, name: str, units: tuple[str, str], robust: list[str]
 ) -> PlainData:
     """Macros of one PI controller.
 
     ``units`` are those of kp and ki as (macro suffix, text) pairs joined by '|'.
 
-    ``robust`` are the lines on the tolerances.
+    ``scaled`` are the same gains per unit, ``robust`` the lines on the tolerances.
     """
     kp_suffix, kp_unit = units[0].split("|")
     ki_suffix, ki_unit = units[1].split("|")
-    kp_pu, ki_ts_pu = per_unit(gains, *bases)
     entries = [
         _entry(f"{name}_KP_{kp_suffix}", gains.kp, f"proportional gain, {kp_unit}"),
         _entry(f"{name}_KI_{ki_suffix}", gains.ki, f"integral gain, {ki_unit}"),
@@ -201,12 +194,10 @@ def _gain_group(
         ),
         _entry(f"{name}_Q1_{kp_suffix}", gains.velocity[1], f"its factor of e[k-1], {kp_unit}"),
         _entry(f"{name}_ANTI_WINDUP_PER_S", gains.anti_windup, "back-calculation gain, 1/s"),
-        _entry(f"{name}_KP_PU", kp_pu, "proportional gain, per unit"),
-        _entry(f"{name}_KI_TS_PU", ki_ts_pu, "integral gain times sampling period, per unit"),
+        _entry(f"{name}_KP_PU", scaled.kp, "proportional gain, per unit"),
+        _entry(f"{name}_KI_TS_PU", scaled.ki_ts, "integral gain times sampling period, per unit"),
     ]
-    for label, number in zip(
-        ("KP", "KI_TS"), pi_integers(kp_pu, ki_ts_pu, q_formats) or (), strict=False
-    ):
+    for label, number in zip(("KP", "KI_TS"), scaled.integers or (), strict=False):
         bits = number.shift
         entries.append(
             _entry(f"{name}_{label}_PU_Q{bits}", number.mantissa, f"per unit times 2^{bits}")
@@ -237,37 +228,20 @@ def _gain_groups(solution: Solution) -> list[PlainData]:
     control, gains = solution.design.control, solution.loops
     if gains is None:
         return [_no_gains_group(solution)]
-    bases = control.bases
     volts = ("V_PER_A|V/A", "V_PER_AS|V/(A s)")
-    current = (bases.current, bases.voltage)
     groups = [
         {
             "title": "Sampling",
             "comment": [],
             "entries": [_entry("T_S_S", control.t_s, "sampling period of the current control, s")],
         },
-        _gain_group(
-            gains.i_d,
-            "ID",
-            volts,
-            current,
-            control.current_loop.q_formats,
-            robust_lines(gains, "i_d"),
-        ),
-        _gain_group(
-            gains.i_q,
-            "IQ",
-            volts,
-            current,
-            control.current_loop.q_formats,
-            robust_lines(gains, "i_q"),
-        ),
+        _gain_group(gains.i_d, gains.per_unit["i_d"], "ID", volts, robust_lines(gains, "i_d")),
+        _gain_group(gains.i_q, gains.per_unit["i_q"], "IQ", volts, robust_lines(gains, "i_q")),
     ]
     if gains.speed is not None and control.speed_loop is not None:
         torque = ("NMS_PER_RAD|N m s/rad", "NM_PER_RAD|N m/rad")
-        of_speed, lines = (bases.speed, bases.torque), robust_lines(gains, "speed")
         group = _gain_group(
-            gains.speed, "SPEED", torque, of_speed, control.speed_loop.q_formats, lines
+            gains.speed, gains.per_unit["speed"], "SPEED", torque, robust_lines(gains, "speed")
         )
         ratio = _entry("SPEED_RATIO", control.speed_loop.ratio, "current samples per speed sample")
         group["entries"].insert(0, ratio)
