@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from drives import INVERSE_SALIENT, make_design
+from drives import make_design
 from toys.vendor import NAMES, VENDOR
 
 from dqforge.machines.design.settings import FitSettings
@@ -25,7 +25,7 @@ from dqforge.reports.verification.host import verify_files
 @pytest.fixture(scope="module", params=["float32", "q15"])
 def solution(request: pytest.FixtureRequest) -> Solution:
     return solve(
-        make_design(INVERSE_SALIENT, fit=FitSettings("polynomial", degree=2, format=request.param))
+        make_design(fit=FitSettings(form="polynomial", degree=3, segments=1, format=request.param))
     )
 
 
@@ -51,7 +51,7 @@ def test_a_dialect_from_outside_keeps_the_currents_and_takes_its_own_names(
     header = files["drive.h"].decode("ascii")
     macros = header_macros(header, "drive")
     assert set(macros) <= {name for name, _ in NAMES.values()}
-    assert float(macros["LD_MH"].removesuffix("F")) == pytest.approx(2.0)
+    assert float(macros["LD_MH"].removesuffix("F")) == pytest.approx(0.35)
     rpm = float(macros["MAX_APPLICATION_SPEED_RPM"].removesuffix("F"))
     bases = solution.design.control.bases
     assert rpm == pytest.approx(bases.speed * 30.0 / math.pi, rel=1e-6)
