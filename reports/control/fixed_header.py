@@ -10,7 +10,6 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.fixed_control.design import FixedControlFit
 from dqforge.optimizer.fixed_control.step import FixedControl
-from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.numbers import rounded_up
@@ -209,15 +208,3 @@ def control_fixed_programme(control: FixedControl) -> Programme:
         context,
         name="fixed-point control",
     )
-
-
-def plain_fixed(solution: Solution) -> PlainData:
-    """Control functions in fixed point with their evidence; nothing where none are asked for."""
-    if not solution.fixed:
-        return {}
-    evidence = {fit.control.format: plain_fixed_evidence(fit) for fit in solution.fixed}
-    headers = {
-        f"control_{fit.control.format}_header": plain_fixed_control(fit.control)
-        for fit in solution.fixed
-    }
-    return {"control_fixed": evidence} | headers

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dqforge.reports.c_code.numbers import (
@@ -22,11 +24,14 @@ if TYPE_CHECKING:
 
 
 def _source(name: str) -> str | None:
-    """Text of the template ``<room>/<file>``, which lies in the folder ``templates`` of its
-    room.
+    """Text of the template ``<room>/<file>``, which lies in the folder ``templates`` of its room;
+    of a template from outside the package, which is named by its absolute path, that of the file.
     """
-    room, _, file = name.partition("/")
-    path = resources.files("dqforge.reports") / room / "templates" / file
+    if Path(name).is_absolute():
+        path: Path | Traversable = Path(name)
+    else:
+        room, _, file = name.rpartition("/")
+        path = resources.files("dqforge.reports").joinpath(room, "templates", file)
     return path.read_text(encoding="utf-8") if path.is_file() else None
 
 

@@ -27,12 +27,14 @@ from dqforge.optimizer.observers.methods.ekf import ekf_gains
 from dqforge.optimizer.observers.methods.kalman_model import ekf
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.reports.c_code.harness import Programme
-from dqforge.reports.capabilities import FURTHER_HEADERS, programmes
+from dqforge.reports.capabilities import CAPABILITIES
+from dqforge.reports.capability import header_kinds
 from dqforge.reports.run import RunOutput, export_design
 from dqforge.reports.verification.cortex_m import verify_on_target
 from dqforge.reports.verification.cross_tools import TARGETS
 from dqforge.reports.verification.target_programmes import reached, run_on_target
 from dqforge.reports.verification.text import target_text
+from dqforge.reports.written_headers import programmes
 
 BENCH = "paper001-pmsm-bench"
 ROWS = 2000
@@ -130,7 +132,7 @@ def parts_of(output: RunOutput, rows: int = ROWS) -> tuple[set[str], list[Progra
 
 
 def test_each_kind_of_header_is_in_one_of_the_designs() -> None:
-    assert set.union(*KINDS.values()) == {kind.name for kind in FURTHER_HEADERS}
+    assert set.union(*KINDS.values()) == {kind.name for kind in header_kinds(CAPABILITIES)}
     assert set(KINDS) == set(DESIGNS)
 
 
