@@ -441,6 +441,7 @@ def closed_loop(
     return Course(np.array(seen), reference, code, kick)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_the_loop_settles_within_the_quantum(width: int, seed: int) -> None:

@@ -145,6 +145,7 @@ def test_table_4_of_paper_000() -> None:
             assert found.junction_temperature[m, 0, 0] == pytest.approx(junction, abs=1.5)
 
 
+@pytest.mark.slow
 def test_switched_period_closes_the_balance_of_the_averaged_budget() -> None:
     """Power from the link plus the bridge's losses, all from the switched simulation,
     within 0.5 % of the budget's.

@@ -232,6 +232,7 @@ def test_c_is_its_model_bit_for_bit(code: str, compiler: Compiler, tmp_path: Pat
     assert np.all(np.isfinite(found[4:]))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("code", CODES)
 def test_single_precision_follows_double_precision(code: str) -> None:
     item, sequences = emitted(code), rows(8)[2:]

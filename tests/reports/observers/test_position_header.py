@@ -133,6 +133,7 @@ def test_single_precision_costs_no_angle(name: str) -> None:
     assert np.max(np.abs(outputs[:, 1])) * t_s > 0.9
 
 
+@pytest.mark.thinned
 @EVERY
 def test_what_is_said_agrees_with_what_was_judged(name: str) -> None:
     observer = _observer(name)

@@ -255,6 +255,7 @@ def test_flux_errors_decay_as_the_continuous_equation_says() -> None:
     assert complex(slow[np.argmax(slow.imag)]) == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.thinned
 @EVERY
 def test_noise_of_the_angle_is_what_a_trial_gives(method: ObserverMethod) -> None:
     omega, noise = np.array([900.0]), (0.5, 2.0)
