@@ -15,7 +15,8 @@ from typing import Literal
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import QFormats
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, C, N, rounded
+from dqforge.machines.transforms import C, N
+from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded
 from dqforge.optimizer.fixed_control.q_numbers import to_q
 from dqforge.optimizer.loops.gains import (
     LoopGains,

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from dqforge.optimizer.observers.parts import Pair, Reals
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.observers.parts import Pair
 from dqforge.optimizer.observers.sampled_machine import SampledMachine
 
 EVEN = 5
