@@ -304,7 +304,7 @@ def test_file_names_with_control_characters_stay_one_line(run: Run) -> None:
 
 
 def broken_designs() -> list[tuple[str, str | bytes, int, int, str]]:
-    path = Path(__file__).parent / "machines" / "broken_designs.py"
+    path = Path(__file__).parent / "broken_designs.py"
     spec = importlib.util.spec_from_file_location("broken_designs", path)
     assert spec is not None
     assert spec.loader is not None

@@ -8,13 +8,14 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("machines", "optimizer", "reports")
+FLOORS = ("machines", "optimizer", "reports")
 
 
 @pytest.fixture(scope="module")
@@ -44,20 +45,20 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
 
 
 def expected_files() -> set[str]:
-    names = {"dqforge/__init__.py", "dqforge/cli.py", "dqforge/py.typed"}
-    for package in PACKAGES:
-        names |= {f"dqforge/{package}/{path.name}" for path in (ROOT / package).glob("*.py")}
-    names |= {
-        f"dqforge/machines/library/{path.name}"
-        for path in (ROOT / "machines" / "library").glob("*.yaml")
-    }
-    devices = ROOT / "machines" / "library" / "devices"
-    names |= {f"dqforge/machines/library/devices/{path.name}" for path in devices.glob("*.yaml")}
-    names |= {
-        f"dqforge/reports/templates/{path.name}"
-        for path in (ROOT / "reports" / "templates").glob("*.j2")
-    }
-    return names
+    paths = [ROOT / name for name in ("__init__.py", "cli.py", "py.typed")]
+    for floor in FLOORS:
+        paths += [*(ROOT / floor).rglob("*.py"), *(ROOT / floor).rglob("templates/*.j2")]
+    paths += (ROOT / "machines" / "library").rglob("*.yaml")
+    return {f"dqforge/{path.relative_to(ROOT).as_posix()}" for path in paths}
+
+
+def test_every_room_is_a_package() -> None:
+    """What setuptools installs is a list of rooms: it must be the list of folders with modules."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    rooms = {path.parent for floor in FLOORS for path in (ROOT / floor).rglob("*.py")}
+    found = {"dqforge"} | {f"dqforge.{'.'.join(room.relative_to(ROOT).parts)}" for room in rooms}
+    assert set(settings["tool"]["setuptools"]["packages"]) == found
+    assert all((room / "__init__.py").exists() for room in rooms)
 
 
 def test_wheel_holds_exactly_the_package(wheel: zipfile.ZipFile) -> None:

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from dqforge.machines.design.values import InputValue
-from dqforge.machines.entries.kinds import quantities
+from dqforge.machines.entries.kinds import Section, quantities
 from dqforge.machines.places import dotted
 from dqforge.machines.units.quantities import format_quantity
-
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
-
 
 _ALTERNATIVE = {
     "phase": "write kind: line-to-line if it was measured between two terminals",
@@ -27,20 +22,20 @@ _WHAT = {"phase": "a phase value", "peak": "a peak value"}
 
 
 def input_values(
-    sections: DesignFile, converted: Mapping[str, tuple[float, str]]
+    file: Section, converted: Mapping[str, tuple[float, str]]
 ) -> tuple[InputValue, ...]:
     """Each quantity of the file with its origin.
 
     Parameters
     ----------
-    sections:
+    file:
         The file's content.
     converted:
         For the paths of values that were converted: the value that is used, in SI units,
         and what was done.
     """
     values = []
-    for parts, quantity in quantities(sections):
+    for parts, quantity in quantities(file):
         path = dotted(parts)
         si, conversion = converted.get(path, (quantity.si, ""))
         kind = f" ({quantity.kind})" if quantity.kind and quantity.kind_given else ""
@@ -59,12 +54,12 @@ def input_values(
     return tuple(values)
 
 
-def kind_assumptions(sections: DesignFile) -> tuple[str, ...]:
+def kind_assumptions(file: Section) -> tuple[str, ...]:
     """Sentences on conventions that the file does not name, and on values
     that it marks as inferred.
     """
     sentences = []
-    for parts, quantity in quantities(sections):
+    for parts, quantity in quantities(file):
         path = dotted(parts)
         if quantity.remark:
             used = (

@@ -5,18 +5,14 @@ where rpm may have been meant.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 from pydantic import BaseModel
 
-from dqforge.machines.entries.kinds import quantities
+from dqforge.machines.entries.kinds import Section, quantities
 from dqforge.machines.entries.rules import Quantity, QuantityRule
 from dqforge.machines.places import dotted
 from dqforge.machines.units.quantities import format_quantity
-
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
-
 
 FACTOR = 3.0
 
@@ -24,13 +20,12 @@ FACTOR = 3.0
 (30/pi = 9.5 lies between them)."""
 
 
-def bare_speed_remarks(sections: DesignFile) -> tuple[str, ...]:
-    """Sentences on speeds without a unit that lie far above the largest one,
+def bare_speed_remarks(file: Section, largest: Quantity | None) -> tuple[str, ...]:
+    """Sentences on speeds of a file without a unit that lie far above the ``largest`` one,
     and on a largest one without a unit.
     """
-    largest = sections.machine.max_speed or sections.machine.rated.speed
     remarks = []
-    for parts, quantity in quantities(sections):
+    for parts, quantity in quantities(file):
         if quantity.dimension != "speed" or not quantity.bare:
             continue
         path = dotted(parts)

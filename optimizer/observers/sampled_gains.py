@@ -56,6 +56,7 @@ def limited(value: Reals, limit: Any) -> Reals:
 
 
 def entries_at(model: SampledGains, x: Reals) -> list[Reals]:
+    """Entries of the sampled machine at ``x`` = omega_e T_s in rad."""
     s = x * x
     found = []
     for n in range(2 * EVEN):
@@ -66,6 +67,7 @@ def entries_at(model: SampledGains, x: Reals) -> list[Reals]:
 
 
 def slopes_at(model: SampledGains, x: Reals) -> list[Reals]:
+    """Derivatives by ``x`` = omega_e T_s in rad of the entries of the sampled machine."""
     s = x * x
     found = []
     for n in range(2 * EVEN):
@@ -77,6 +79,7 @@ def slopes_at(model: SampledGains, x: Reals) -> list[Reals]:
 
 
 def next_currents(e: list[Reals], i: Pair, v: Pair) -> Pair:
+    """Currents in A one sample after ``i`` in A under the voltage ``v`` in V, with the entries ``e``."""
     return (
         (((e[0] * i[0] + e[5] * i[1]) + e[2] * v[0]) + e[7] * v[1]) + e[4],
         (((e[6] * i[0] + e[1] * i[1]) + e[8] * v[0]) + e[3] * v[1]) + e[9],

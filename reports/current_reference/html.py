@@ -14,7 +14,7 @@ from dqforge.reports.current_reference.data_text import data_lines
 from dqforge.reports.current_reference.figures import ROUNDING
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.operating_points.html import operating_table
-from dqforge.reports.pages.html_table import HtmlTable, Row, error_cells, headings
+from dqforge.reports.pages.html_table import HtmlTable, Row, error_cells, heading_cells
 from dqforge.reports.pages.html_text import (
     NARROW,
     ceiling,
@@ -54,6 +54,7 @@ _FORM_TEXT = {
 
 
 def penalty_text(solution: Solution) -> str:
+    """What is said of the loss beside the least one."""
     errors = solution.fit.errors
     least = "the least" if solution.design.strategy == "mtpa" else "that of exact i_d = 0"
     if errors.loss_relative <= ROUNDING:
@@ -76,6 +77,7 @@ def reference_proof_text(solution: Solution) -> str:
 
 
 def reference_part(solution: Solution) -> PlainData:
+    """The part of the report on the current reference."""
     fit, settings = solution.fit, solution.fit.settings
     plain = to_plain(fit.reference)
     shape = ""
@@ -125,7 +127,7 @@ def _integer_table(segments: Sequence[PlainData], headings: Sequence[str]) -> Ht
         rows.append(Row((f"step {step + 1}: times x", *texts)))
     return HtmlTable(
         "Integers; x is the code of the torque minus the start",
-        headings("", *headings),
+        heading_cells("", *headings),
         tuple(rows),
     )
 
@@ -163,7 +165,7 @@ def coefficient_table(plain: PlainData) -> HtmlTable | None:
     )
     return HtmlTable(
         "Coefficients in single precision; x is the torque minus the start of the segment, in N m",
-        headings("Factor of", *headings),
+        heading_cells("Factor of", *headings),
         rows,
     )
 
@@ -198,7 +200,7 @@ def alternatives_table(fit: ReferenceFit, alternatives: Sequence[Alternative]) -
         "step at zero",
     )
     return HtmlTable(
-        "The price of each option: largest errors found", headings(*columns), (chosen, *rows)
+        "The price of each option: largest errors found", heading_cells(*columns), (chosen, *rows)
     )
 
 
@@ -232,6 +234,6 @@ def trials_table(trials: Sequence[Trial], core: Core) -> HtmlTable:
     )
     return HtmlTable(
         f"Forms tried for the budget, by estimated cycles on {core_name(core)}",
-        headings(*columns),
+        heading_cells(*columns),
         rows,
     )

@@ -165,6 +165,7 @@ def _poor_fit_notes(design: Design, fit: ReferenceFit) -> tuple[str, ...]:
 
 
 def poor_fit_text(design: Design, fit: ReferenceFit) -> str:
+    """What to do about a fit with large errors."""
     closed = (
         isinstance(design.machine, LinearMachine)
         and design.operation.omega_m is None

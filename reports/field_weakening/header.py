@@ -254,6 +254,7 @@ def weakening_files(design: Design, fit: WeakeningFit) -> dict[str, bytes]:
 
 
 def weakening_programme(reference: DropReference) -> Programme:
+    """The harness of a field-weakening header, with what its model answers."""
     half = SWEEP_POINTS // 2
     inputs = weakening_inputs(reference, half, SWEEP_SEED, patterns=half)
     results = weakening_currents(reference, inputs)

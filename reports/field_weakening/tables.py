@@ -86,6 +86,7 @@ def weakening_html(fit: WeakeningFit) -> HtmlTable:
 
 
 def weakening_part(solution: Solution) -> PlainData | None:
+    """The part of the report on field weakening; None without."""
     fit = solution.weakening
     if fit is None:
         return None

@@ -195,6 +195,7 @@ def gains_files(design: Design, schedule: GainSchedule) -> dict[str, bytes]:
 
 
 def gains_programme(evaluator: GainEvaluator) -> Programme:
+    """The harness of scheduled gains, with what their model answers."""
     half = SWEEP_POINTS // 2
     currents = schedule_inputs(evaluator, half, SWEEP_SEED, patterns=half)
     return Programme(

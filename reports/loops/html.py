@@ -13,7 +13,7 @@ from dqforge.optimizer.loops.gains import LoopGains, per_unit
 from dqforge.reports.loops.robustness_text import ROBUST_COLUMNS, robust_notes, robust_rows
 from dqforge.reports.loops.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
 from dqforge.reports.observers.speed_loop_text import observed_notes
-from dqforge.reports.pages.html_table import HtmlTable, Row, headings
+from dqforge.reports.pages.html_table import HtmlTable, Row, heading_cells
 from dqforge.reports.pages.html_text import (
     NARROW,
     decibel,
@@ -105,7 +105,7 @@ def loop_table(design: Design, gains: GainSet) -> HtmlTable:
         bases = (control.bases.speed, control.bases.torque)
         columns.append(_loop_cells(gains.speed, bases, control.speed_loop.q_formats))
         names.append("speed loop")
-    labels = headings(
+    labels = heading_cells(
         "method",
         "sampled every",
         "proportional gain k_p",
@@ -125,7 +125,7 @@ def loop_table(design: Design, gains: GainSet) -> HtmlTable:
     rows = tuple(
         Row((label, *cells)) for label, *cells in zip(labels, *columns, strict=True) if any(cells)
     )
-    return HtmlTable("Gains and margins of the sampled loops", ("", *headings(*names)), rows)
+    return HtmlTable("Gains and margins of the sampled loops", ("", *heading_cells(*names)), rows)
 
 
 def _table(

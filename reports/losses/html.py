@@ -10,7 +10,7 @@ from dqforge.optimizer.losses.mission_budget import MissionComparison, MissionRu
 from dqforge.optimizer.losses.point_comparison import LossComparison
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.losses.map_tables import mission_mark, mission_tables
-from dqforge.reports.pages.html_table import HtmlTable, Row, headings
+from dqforge.reports.pages.html_table import HtmlTable, Row, heading_cells
 from dqforge.reports.pages.html_text import (
     NARROW,
     known_texts,
@@ -153,5 +153,5 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
             "" if comparison.scope == "drive" else WITHOUT_BRIDGE,
         ]
         title = ". ".join(note for note in notes if note)
-        tables.append(HtmlTable(title, headings(*columns), tuple(rows)))
+        tables.append(HtmlTable(title, heading_cells(*columns), tuple(rows)))
     return tables

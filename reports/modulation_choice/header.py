@@ -331,6 +331,7 @@ def _reach(choice: ModulationChoice) -> tuple[float, float]:
 
 
 def rule_programme(rule: EmittedRule) -> Programme:
+    """The harness of a rule for the modulator, with what its model answers."""
     half = SWEEP_POINTS // 2
     inputs = rule_inputs(rule, half, SWEEP_SEED, patterns=half)
     return Programme(

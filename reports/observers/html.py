@@ -9,7 +9,7 @@ from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.observers.reduced_order import ObserverError, steady_state_error
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.reports.observers.text import position_parts
-from dqforge.reports.pages.html_table import HtmlTable, Row, headings
+from dqforge.reports.pages.html_table import HtmlTable, Row, heading_cells
 from dqforge.reports.pages.html_text import (
     NARROW,
     number,
@@ -69,14 +69,14 @@ def observer_tables(design: Design, gains: GainSet, torque_max: float) -> list[H
         "load at i_d = 0"
     )
     columns = ("", "load torque", "exact values", f"resistance {100.0 * R_ERROR:.0f} % too large")
-    return [first, HtmlTable(symbols(caption), headings(*columns), tuple(rows))]
+    return [first, HtmlTable(symbols(caption), heading_cells(*columns), tuple(rows))]
 
 
 def _position_tables(position: PositionObserver) -> list[HtmlTable]:
     return [
         HtmlTable(
             symbols(f"{title}: {'; '.join(notes)}"),
-            headings(*columns),
+            heading_cells(*columns),
             tuple(Row(cells) for cells in rows),
         )
         for title, columns, rows, notes in position_parts(position)

@@ -178,6 +178,7 @@ def observer_files(design: Design, observer: PositionObserver) -> dict[str, byte
 
 
 def observer_programme(observer: EmittedObserver) -> Programme:
+    """The harness of a position observer, with what its model answers."""
     method, inputs = observer.method, observer_inputs(observer.gains, SWEEP_POINTS, SWEEP_SEED)
     outputs = observer_outputs(method, observer.gains, inputs)
     return Programme(

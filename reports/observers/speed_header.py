@@ -209,6 +209,7 @@ def speed_observer_outputs(gains: ReducedOrderGains, inputs: SingleArray) -> Sin
 
 
 def speed_observer_programme(gains: ReducedOrderGains) -> Programme:
+    """The harness of a speed observer, with what its model answers."""
     inputs = speed_observer_inputs(gains, SWEEP_POINTS, SWEEP_SEED)
     outputs = speed_observer_outputs(gains, inputs)
     return Programme(

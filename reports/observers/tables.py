@@ -11,6 +11,7 @@ from dqforge.reports.pages.table import Table
 
 
 def observer_table(design: Design, gains: GainSet) -> Table:
+    """The speed observer as a table of the terminal."""
     observer, machine = gains.observer, design.machine
     assert observer is not None
     rows = (

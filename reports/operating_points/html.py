@@ -13,7 +13,7 @@ from dqforge.machines.dq_machines.synchronous import copper_loss
 from dqforge.optimizer.operating_points.current_choice import OperatingPoints
 from dqforge.optimizer.operating_points.solve import Curves
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.pages.html_table import HtmlTable, Row, headings
+from dqforge.reports.pages.html_table import HtmlTable, Row, heading_cells
 from dqforge.reports.pages.html_text import (
     number,
     share,
@@ -89,5 +89,8 @@ def operating_table(design: Design, curves: Curves) -> HtmlTable:
     columns = ["Torque N m", "i_d A", "i_q A", "|i| A", "copper loss"]
     columns += [] if id0 is None else ["copper loss at i_d = 0", "saved"]
     return HtmlTable(
-        "Operating points, exact (currents are peak of phase)", headings(*columns), tuple(rows), 0
+        "Operating points, exact (currents are peak of phase)",
+        heading_cells(*columns),
+        tuple(rows),
+        0,
     )

@@ -38,11 +38,13 @@ class HtmlTable:
     text_columns: int = 1
 
 
-def headings(*texts: str) -> tuple[Markup, ...]:
+def heading_cells(*texts: str) -> tuple[Markup, ...]:
+    """Headings of a table, with their symbols set."""
     return tuple(symbols(text) for text in texts)
 
 
 def error_cells(errors: ReferenceErrors) -> tuple[str, ...]:
+    """Errors of a current reference as cells."""
     return (
         quantity(ceiling(errors.torque), "N m", 3),
         share(ceiling(errors.torque_relative), 3),

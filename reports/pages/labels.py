@@ -161,6 +161,7 @@ NEGLIGIBLE = 1e-9
 
 
 def significant(value: float, digits: int = 4) -> str:
+    """A number with a few digits; "none" where it is not finite."""
     # Adding zero turns -0 into 0.
     return f"{value + 0.0:.{digits}g}" if math.isfinite(value) else "none"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 from dqforge.reports.c_code.numbers import (
@@ -20,12 +21,19 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
+def _source(name: str) -> str | None:
+    """Text of the template ``<room>/<file>``, which lies in the folder ``templates`` of its room."""
+    room, _, file = name.partition("/")
+    path = resources.files("dqforge.reports") / room / "templates" / file
+    return path.read_text(encoding="utf-8") if path.is_file() else None
+
+
 @cache
 def _environment() -> Environment:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
 
     environment = Environment(
-        loader=PackageLoader("dqforge.reports", "templates"),
+        loader=FunctionLoader(_source),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -154,8 +154,9 @@ def build(sources: Mapping[str, bytes], strict: tuple[str, ...], target: str, fo
     program(_EMULATOR)  # what is missing is said before anything is compiled
     require_library(target, folder)
     memory = {"flash": board.flash, "ram": board.ram, "ram_size": board.ram_size}
-    for name in ("target_start.c", "target.ld"):
-        (folder / name).write_text(render(f"{name}.j2", memory), encoding="ascii")
+    for name, template in (("target_start.c", "start.c.j2"), ("target.ld", "target.ld.j2")):
+        text = render(f"verification/{template}", memory)
+        (folder / name).write_text(text, encoding="ascii")
     for name, content in sources.items():
         (folder / name).write_bytes(content)
     compile_files(["-c", "target_start.c"], target, folder)

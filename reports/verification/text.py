@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 def compared(verification: Verification | None) -> str:
+    """What a verification compared, in a few words."""
     if verification is None:
         return "this run skipped it"
     languages = " and ".join(standard.upper() for standard in verification.languages)

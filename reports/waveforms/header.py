@@ -343,6 +343,7 @@ def waveform_files(design: Design, fit: PhaseFit) -> dict[str, bytes]:
 
 
 def waveform_programme(reference: PhaseReference) -> Programme:
+    """The harness of phase currents, with what their model answers."""
     inputs = waveform_inputs(reference, SWEEP_POINTS, SWEEP_SEED)
     return Programme(
         "waveforms/harness.c.j2", inputs, model_currents(reference, inputs), name="phase currents"

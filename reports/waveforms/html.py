@@ -138,6 +138,7 @@ def candidates_table(fit: PhaseFit) -> HtmlTable:
 
 
 def waveform_part(solution: Solution) -> PlainData | None:
+    """The part of the report on phase currents; None without."""
     if solution.waveforms is None or solution.phases is None:
         return None
     return {

@@ -5,16 +5,22 @@ what is checked across it.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import Field
 
-from dqforge.machines.design.sections.tolerances import TolerancesSection
+from dqforge.machines.design.from_section import settings_from
+from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
+from dqforge.machines.design.sections.per_unit import PerUnitSection, read_bases
+from dqforge.machines.design.sections.tolerances import TolerancesSection, read_tolerances
 from dqforge.machines.design.settings import (
+    ControlSettings,
     CurrentLoopSettings,
+    GainWish,
     ObserverSettings,
     SpeedLoopSettings,
 )
+from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.entries.kinds import (
     Bandwidth,
@@ -22,15 +28,11 @@ from dqforge.machines.entries.kinds import (
     CurrentIntegralGain,
     FilterTime,
     GainFormats,
-    PhaseCurrent,
     PhaseMargin,
     Rate,
     Section,
-    Speed,
     SpeedGain,
     SpeedIntegralGain,
-    Torque,
-    Voltage,
 )
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.files.positioned_yaml import YamlDocument
@@ -40,195 +42,8 @@ from dqforge.machines.names import (
     ObserverTuningName,
     SpeedLoopMethod,
 )
-from dqforge.machines.places import KeyPath
+from dqforge.machines.places import KeyPath, about
 from dqforge.machines.units.quantities import format_quantity
-
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
-
-
-_EXAMPLES: dict[tuple[str | int, str], str] = {
-    ("current_loop", "bandwidth"): "500 Hz",
-    ("current_loop", "kp"): "1.1 V/A",
-    ("current_loop", "ki"): "32 V/(A s)",
-    ("speed_loop", "bandwidth"): "20 Hz",
-    ("speed_loop", "kp"): "0.1 N m s/rad",
-    ("speed_loop", "ki"): "6 N m/rad",
-}
-
-
-def check_loops(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
-    """Check that each controller has the keys that its method needs.
-
-    Raises `InputError` with a position.
-    """
-    control = sections.control
-    _check_method(control.current_loop, ("control", "current_loop"), document)
-    _check_schedule(control.current_loop, machine, document)
-    wants_inertia = []
-    if control.speed_loop is not None:
-        _check_method(control.speed_loop, ("control", "speed_loop"), document)
-        wants_inertia.append("speed_loop")
-    if control.observer is not None:
-        _check_observer(control.observer, document)
-        if control.observer.method == "reduced-order":
-            wants_inertia.append("observer")
-        if machine.psi_pm == 0.0:
-            message = (
-                "control.observer: this observer needs a magnet flux, the machine has none; remove "
-                "it"
-            )
-            raise document.error(message, ("control", "observer"), key=True)
-    if wants_inertia and machine.inertia is None:
-        message = (
-            f"control.{wants_inertia[0]} needs the inertia; write machine.inertia, such as 200e-6 "
-            "kg m^2"
-        )
-        raise document.error(message, ("control", wants_inertia[0]), key=True)
-
-
-_OBSERVER_KEYS = {
-    "reduced-order": ("pole",),
-    "extended-emf": ("bandwidth", "pll_bandwidth", "damping"),
-    "flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
-    "open-loop-flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
-    "matsui-voltage": ("bandwidth", "pll_bandwidth", "damping"),
-    "matsui-current": ("bandwidth", "pll_bandwidth"),
-    "ekf": (),
-}
-
-
-def _check_observer(observer: ObserverSection, document: YamlDocument) -> None:
-    path, used = ("control", "observer"), _OBSERVER_KEYS[observer.method]
-    if observer.method == "reduced-order" and observer.pole is None:
-        message = (
-            "control.observer: the method 'reduced-order' needs the key 'pole'; write pole: 400 "
-            "rad/s"
-        )
-        raise document.error(message, path, key=True)
-    for key in ("pole", "bandwidth", "pll_bandwidth", "damping", "speed_gain"):
-        if getattr(observer, key) is not None and key not in used:
-            raise document.error(
-                f"control.observer: the method '{observer.method}' does not use '{key}'; remove "
-                f"it, or write another method (it uses {', '.join(used) or 'no key but tuning'})",
-                (*path, key),
-                key=True,
-            )
-
-
-def _check_method(
-    loop: CurrentLoopSection | SpeedLoopSection, path: KeyPath, document: YamlDocument
-) -> None:
-    needed = {"bandwidth": ("bandwidth",), "damping": ("bandwidth",), "given": ("kp", "ki")}.get(
-        loop.method, ()
-    )
-    where = ".".join(map(str, path))
-    for key in needed:
-        if getattr(loop, key) is None:
-            example = _EXAMPLES[path[-1], key]
-            raise document.error(
-                f"{where}: the method '{loop.method}' needs the key '{key}'; write {key}: "
-                f"{example}",
-                (*path, "method"),
-            )
-    for key in ("bandwidth", "kp", "ki"):
-        if getattr(loop, key) is not None and key not in needed:
-            method = "bandwidth" if key == "bandwidth" else "given"
-            raise document.error(
-                f"{where}: the method '{loop.method}' does not use '{key}'; write method: "
-                f"{method}, or remove the key",
-                (*path, key),
-                key=True,
-            )
-    if "max_sensitivity" in loop.model_fields_set and loop.method != "optimised":
-        raise document.error(
-            f"{where}: the method '{loop.method}' does not use 'max_sensitivity'; write method: "
-            "optimised, or remove the key",
-            (*path, "max_sensitivity"),
-            key=True,
-        )
-
-
-def _check_schedule(loop: CurrentLoopSection, machine: Machine, document: YamlDocument) -> None:
-    path = ("control", "current_loop", "schedule")
-    if not loop.schedule:
-        return
-    if isinstance(machine, LinearMachine):
-        message = (
-            "control.current_loop.schedule: the machine's inductances are constant, so are the "
-            "gains; remove it"
-        )
-        raise document.error(message, path)
-    if loop.method == "given":
-        message = (
-            "control.current_loop.schedule: given gains are constant; write another method, or "
-            "schedule: false"
-        )
-        raise document.error(message, path)
-
-
-def sampling_warning(machine: Machine, f_s: float) -> str:
-    """Sentence on a sampling (Hz) that is slow against the electrical frequency at top speed,
-    or an empty text.
-    """
-    if machine.omega_m_max is None:
-        return ""
-    f_e = machine.pole_pairs * machine.omega_m_max / (2.0 * math.pi)
-    if f_s >= 10.0 * f_e:
-        return ""
-    return (
-        f"at {format_quantity(machine.omega_m_max, 'rpm')} there are only {f_s / f_e:.2g} samples "
-        "per electrical period; the current control needs about ten"
-    )
-
-
-_DEFAULT_MARGIN = CurrentLoopSettings().phase_margin_min
-
-
-def read_current_loop(section: CurrentLoopSection) -> CurrentLoopSettings:
-    margin = si_of(section.phase_margin_min)
-    return CurrentLoopSettings(
-        method=section.method,
-        bandwidth=si_of(section.bandwidth),
-        damping=section.damping,
-        spread=section.spread,
-        kp=si_of(section.kp),
-        ki=si_of(section.ki),
-        phase_margin_min=_DEFAULT_MARGIN if margin is None else margin,
-        q_formats=section.q_formats,
-        max_sensitivity=section.max_sensitivity,
-        schedule=section.schedule,
-    )
-
-
-def read_speed_loop(section: SpeedLoopSection) -> SpeedLoopSettings:
-    margin = si_of(section.phase_margin_min)
-    return SpeedLoopSettings(
-        method=section.method,
-        ratio=section.ratio,
-        bandwidth=si_of(section.bandwidth),
-        damping=section.damping,
-        spread=section.spread,
-        filter_time=si_of(section.filter_time) or 0.0,
-        kp=si_of(section.kp),
-        ki=si_of(section.ki),
-        phase_margin_min=_DEFAULT_MARGIN if margin is None else margin,
-        q_formats=section.q_formats,
-        max_sensitivity=section.max_sensitivity,
-    )
-
-
-def read_observer(section: ObserverSection) -> ObserverSettings:
-    return ObserverSettings(
-        pole=si_of(section.pole),
-        method=section.method,
-        bandwidth=si_of(section.bandwidth),
-        pll_bandwidth=si_of(section.pll_bandwidth),
-        damping=section.damping,
-        speed_gain=section.speed_gain,
-        tuning=section.tuning,
-    )
-
 
 _CURRENT = CurrentLoopSettings()
 
@@ -351,24 +166,6 @@ class ObserverSection(Section):
     )
 
 
-class PerUnitSection(Section):
-    """Bases of the per-unit gains."""
-
-    current: PhaseCurrent | None = Field(
-        default=None, description="base current (A); default the current limit"
-    )
-    voltage: Voltage | None = Field(
-        default=None, description="base voltage (V, peak of phase); default v_dc/sqrt(3)"
-    )
-    speed: Speed | None = Field(
-        default=None,
-        description="base mechanical speed (rad/s; write rpm); default the largest speed",
-    )
-    torque: Torque | None = Field(
-        default=None, description="base torque (N m); default 3/2 p psi_pm times the base current"
-    )
-
-
 class ControlSection(Section):
     """Sampling and controllers."""
 
@@ -395,3 +192,210 @@ class ControlSection(Section):
     gains: bool = Field(
         default=True, description="false: no loops are tuned, the header holds the references alone"
     )
+
+
+_EXAMPLES: dict[tuple[str | int, str], str] = {
+    ("current_loop", "bandwidth"): "500 Hz",
+    ("current_loop", "kp"): "1.1 V/A",
+    ("current_loop", "ki"): "32 V/(A s)",
+    ("speed_loop", "bandwidth"): "20 Hz",
+    ("speed_loop", "kp"): "0.1 N m s/rad",
+    ("speed_loop", "ki"): "6 N m/rad",
+}
+
+
+def check_loops(control: ControlSection, machine: Machine, document: YamlDocument) -> None:
+    """Check that each controller has the keys that its method needs.
+
+    Raises `InputError` with a position.
+    """
+    _check_method(control.current_loop, ("control", "current_loop"), document)
+    _check_schedule(control.current_loop, machine, document)
+    wants_inertia = []
+    if control.speed_loop is not None:
+        _check_method(control.speed_loop, ("control", "speed_loop"), document)
+        wants_inertia.append("speed_loop")
+    if control.observer is not None:
+        _check_observer(control.observer, document)
+        if control.observer.method == "reduced-order":
+            wants_inertia.append("observer")
+        if machine.psi_pm == 0.0:
+            message = (
+                "control.observer: this observer needs a magnet flux, the machine has none; remove "
+                "it"
+            )
+            raise document.error(message, ("control", "observer"), key=True)
+    if wants_inertia and machine.inertia is None:
+        message = (
+            f"control.{wants_inertia[0]} needs the inertia; write machine.inertia, such as 200e-6 "
+            "kg m^2"
+        )
+        raise document.error(message, ("control", wants_inertia[0]), key=True)
+
+
+_OBSERVER_KEYS = {
+    "reduced-order": ("pole",),
+    "extended-emf": ("bandwidth", "pll_bandwidth", "damping"),
+    "flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
+    "open-loop-flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
+    "matsui-voltage": ("bandwidth", "pll_bandwidth", "damping"),
+    "matsui-current": ("bandwidth", "pll_bandwidth"),
+    "ekf": (),
+}
+
+
+def _check_observer(observer: ObserverSection, document: YamlDocument) -> None:
+    path, used = ("control", "observer"), _OBSERVER_KEYS[observer.method]
+    if observer.method == "reduced-order" and observer.pole is None:
+        message = (
+            "control.observer: the method 'reduced-order' needs the key 'pole'; write pole: 400 "
+            "rad/s"
+        )
+        raise document.error(message, path, key=True)
+    for key in ("pole", "bandwidth", "pll_bandwidth", "damping", "speed_gain"):
+        if getattr(observer, key) is not None and key not in used:
+            raise document.error(
+                f"control.observer: the method '{observer.method}' does not use '{key}'; remove "
+                f"it, or write another method (it uses {', '.join(used) or 'no key but tuning'})",
+                (*path, key),
+                key=True,
+            )
+
+
+def _check_method(
+    loop: CurrentLoopSection | SpeedLoopSection, path: KeyPath, document: YamlDocument
+) -> None:
+    needed = {"bandwidth": ("bandwidth",), "damping": ("bandwidth",), "given": ("kp", "ki")}.get(
+        loop.method, ()
+    )
+    where = ".".join(map(str, path))
+    for key in needed:
+        if getattr(loop, key) is None:
+            example = _EXAMPLES[path[-1], key]
+            raise document.error(
+                f"{where}: the method '{loop.method}' needs the key '{key}'; write {key}: "
+                f"{example}",
+                (*path, "method"),
+            )
+    for key in ("bandwidth", "kp", "ki"):
+        if getattr(loop, key) is not None and key not in needed:
+            method = "bandwidth" if key == "bandwidth" else "given"
+            raise document.error(
+                f"{where}: the method '{loop.method}' does not use '{key}'; write method: "
+                f"{method}, or remove the key",
+                (*path, key),
+                key=True,
+            )
+    if "max_sensitivity" in loop.model_fields_set and loop.method != "optimised":
+        raise document.error(
+            f"{where}: the method '{loop.method}' does not use 'max_sensitivity'; write method: "
+            "optimised, or remove the key",
+            (*path, "max_sensitivity"),
+            key=True,
+        )
+
+
+def _check_schedule(loop: CurrentLoopSection, machine: Machine, document: YamlDocument) -> None:
+    path = ("control", "current_loop", "schedule")
+    if not loop.schedule:
+        return
+    if isinstance(machine, LinearMachine):
+        message = (
+            "control.current_loop.schedule: the machine's inductances are constant, so are the "
+            "gains; remove it"
+        )
+        raise document.error(message, path)
+    if loop.method == "given":
+        message = (
+            "control.current_loop.schedule: given gains are constant; write another method, or "
+            "schedule: false"
+        )
+        raise document.error(message, path)
+
+
+def sampling_warning(machine: Machine, f_s: float) -> str:
+    """Sentence on a sampling (Hz) that is slow against the electrical frequency at top speed,
+    or an empty text.
+    """
+    if machine.omega_m_max is None:
+        return ""
+    f_e = machine.pole_pairs * machine.omega_m_max / (2.0 * math.pi)
+    if f_s >= 10.0 * f_e:
+        return ""
+    return (
+        f"at {format_quantity(machine.omega_m_max, 'rpm')} there are only {f_s / f_e:.2g} samples "
+        "per electrical period; the current control needs about ten"
+    )
+
+
+def check_sampling(section: ControlSection, f_sw: float, document: YamlDocument) -> None:
+    """Check the sampling against the switching frequency ``f_sw`` in Hz.
+
+    Raises `InputError` with a position.
+    """
+    sampling = section.sampling_frequency
+    if sampling is not None and not f_sw / 10.0 <= sampling.si <= 2.0 * f_sw * (
+        1.0 + ROUNDING_OF_DATA
+    ):
+        raise document.error(
+            f"control.sampling_frequency {sampling.text} does not belong to a switching frequency "
+            f"of {format_quantity(f_sw, 'Hz')}; write {format_quantity(f_sw / 10.0, 'Hz')} to "
+            f"{format_quantity(2.0 * f_sw, 'Hz')}",
+            ("control", "sampling_frequency"),
+        )
+
+
+@about("control")
+def read_control(
+    section: ControlSection,
+    machine: Machine,
+    inverter: Inverter,
+    i_max: float,
+    rated_speed: float | None,
+    reading: Reading,
+) -> ControlSettings:
+    """Controllers in SI units, with the bases that the file leaves open.
+
+    ``i_max`` in A (peak) is the current limit of the drive, ``rated_speed`` in rad/s (mechanical)
+    that of the machine, if known. Gains are taken as required, see `read_gain_wish`.
+    """
+    f_s = si_of(section.sampling_frequency)
+    if f_s is None:
+        f_s = inverter.f_sw
+        reading.remarks.append(
+            "control.sampling_frequency is taken as the switching frequency, "
+            f"{format_quantity(f_s, 'Hz')}"
+        )
+    warning = sampling_warning(machine, f_s)
+    reading.remarks.extend([warning] if warning else [])
+    speed_loop, observer = section.speed_loop, section.observer
+    return ControlSettings(
+        t_s=1.0 / f_s,
+        current_loop=settings_from(CurrentLoopSettings, section.current_loop),
+        speed_loop=None if speed_loop is None else settings_from(SpeedLoopSettings, speed_loop),
+        observer=None if observer is None else settings_from(ObserverSettings, observer),
+        bases=read_bases(section.per_unit, machine, inverter, i_max, rated_speed, reading),
+        tolerances=read_tolerances(
+            section.tolerances, speed_loop is not None, machine, inverter, i_max, reading
+        ),
+    )
+
+
+def read_gain_wish(
+    section: ControlSection, named: bool, needed: bool, document: YamlDocument
+) -> GainWish:
+    """Whether the design can do without gains, checked against what needs them.
+
+    ``named`` says that the file has the section, ``needed`` that something else of the design
+    needs gains. Raises `InputError` with a position.
+    """
+    if section.gains:
+        return "required" if named or needed else "optional"
+    wants = (section.speed_loop, section.observer, section.tolerances)
+    if needed or section.current_loop.schedule or any(part is not None for part in wants):
+        raise document.error(
+            "control.gains is false, but the speed loop, observer, schedule, tolerances, "
+            "export.control or simulation of this design need gains; leave it out, or those",
+            ("control", "gains"),
+        )
+    return "none"

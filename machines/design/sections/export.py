@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pydantic import Field
 
+from dqforge.machines.design.from_section import settings_from
 from dqforge.machines.design.settings import (
     ExportSettings,
 )
@@ -14,15 +13,6 @@ from dqforge.machines.entries.kinds import (
     Prefix,
     Section,
 )
-
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
-
-
-def read_export(sections: DesignFile) -> ExportSettings:
-    export = sections.export
-    return ExportSettings(export.prefix, export.vectors, tuple(dict.fromkeys(export.control)))
-
 
 _EXPORT = ExportSettings(prefix="motor")
 
@@ -40,3 +30,8 @@ class ExportSection(Section):
         default=_EXPORT.control,
         description="control functions as C: float32, q15, q31 or a list of them; default none",
     )
+
+
+def read_export(section: ExportSection) -> ExportSettings:
+    """What the section ``export`` asks for."""
+    return settings_from(ExportSettings, section, control=tuple(dict.fromkeys(section.control)))

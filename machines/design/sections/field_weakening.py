@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pydantic import Field
 
+from dqforge.machines.design.from_section import settings_from
 from dqforge.machines.design.reading import Reading
 from dqforge.machines.design.settings import (
     WeakeningSettings,
@@ -18,51 +17,8 @@ from dqforge.machines.entries.kinds import (
     Speed,
 )
 from dqforge.machines.entries.rules import si_of
+from dqforge.machines.names import Strategy
 from dqforge.machines.units.quantities import format_quantity
-
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
-
-
-def read_weakening(
-    sections: DesignFile, machine: Machine, reading: Reading
-) -> WeakeningSettings | None:
-    """Two-dimensional references, None where the file asks for none; a speed that it
-    leaves open is remarked on.
-
-    Raises
-    ------
-    InputError
-        The strategy is not mtpa, or nothing tells the largest speed.
-    """
-    section, document = sections.field_weakening, reading.document
-    if section is None:
-        return None
-    if sections.operation.strategy != "mtpa":
-        message = (
-            "field_weakening needs operation.strategy mtpa; write that, or leave the section out"
-        )
-        raise document.error(message, ("field_weakening",), key=True)
-    omega_m = si_of(section.speed)
-    if omega_m is None:
-        if machine.omega_m_max is None:
-            message = (
-                "field_weakening: nothing tells the largest speed; write {speed: 6000 rpm} here"
-            )
-            raise document.error(message, ("field_weakening",), key=True)
-        omega_m = machine.omega_m_max
-        reading.remarks.append(
-            f"field_weakening.speed is {format_quantity(omega_m, 'rpm')}: machine.max_speed"
-        )
-    default = WeakeningSettings(omega_m)
-    torque_error, excess = si_of(section.torque_error), si_of(section.voltage_excess)
-    return WeakeningSettings(
-        omega_m,
-        default.torque_error if torque_error is None else torque_error,
-        default.voltage_excess if excess is None else excess,
-        section.flash,
-    )
-
 
 _WEAKENING = WeakeningSettings(omega_m=1.0)
 
@@ -89,3 +45,36 @@ class WeakeningSection(Section):
         le=100_000,
         description="largest number of bytes of code and constants",
     )
+
+
+def read_weakening(
+    section: WeakeningSection | None, strategy: Strategy, machine: Machine, reading: Reading
+) -> WeakeningSettings | None:
+    """Two-dimensional references, None where the file asks for none; a speed that it
+    leaves open is remarked on.
+
+    Raises
+    ------
+    InputError
+        The strategy is not mtpa, or nothing tells the largest speed.
+    """
+    document = reading.document
+    if section is None:
+        return None
+    if strategy != "mtpa":
+        message = (
+            "field_weakening needs operation.strategy mtpa; write that, or leave the section out"
+        )
+        raise document.error(message, ("field_weakening",), key=True)
+    omega_m = si_of(section.speed)
+    if omega_m is None:
+        if machine.omega_m_max is None:
+            message = (
+                "field_weakening: nothing tells the largest speed; write {speed: 6000 rpm} here"
+            )
+            raise document.error(message, ("field_weakening",), key=True)
+        omega_m = machine.omega_m_max
+        reading.remarks.append(
+            f"field_weakening.speed is {format_quantity(omega_m, 'rpm')}: machine.max_speed"
+        )
+    return settings_from(WeakeningSettings, section, omega_m=omega_m)

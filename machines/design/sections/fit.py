@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pydantic import Field
 
-from dqforge.machines.design.sections.operation import check_speed
+from dqforge.machines.design.from_section import settings_from
+from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.sections.operation import OperationSection
 from dqforge.machines.design.settings import (
     FitBudget,
     FitSettings,
+    PerUnitBases,
 )
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.dq_machines.torque_limit import largest_torque_within
@@ -20,7 +21,7 @@ from dqforge.machines.entries.kinds import (
     SmallShare,
     Torque,
 )
-from dqforge.machines.entries.rules import Quantity, si_of
+from dqforge.machines.entries.rules import Quantity
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import (
     BreakpointMode,
@@ -29,129 +30,8 @@ from dqforge.machines.names import (
     FitMethod,
     NumberFormat,
 )
+from dqforge.machines.places import about
 from dqforge.machines.units.quantities import format_quantity
-
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
-
-
-def check_fit(sections: DesignFile, machine: Machine, i_max: float, document: YamlDocument) -> None:
-    """Check strategy, form and domain of the current references.
-
-    Raises `InputError` with a position.
-    """
-    strategy, fit = sections.operation.strategy, sections.fit
-    if strategy == "id0" and machine.psi_pm == 0.0:
-        message = "operation.strategy: id0 gives no torque without magnets; write strategy: mtpa"
-        raise document.error(message, ("operation", "strategy"))
-    _check_form(sections, machine, document)
-    check_speed(sections, machine, document)
-    _check_budget(sections, document)
-    largest = largest_torque_within(machine, i_max, strategy)
-    end = largest if fit.torque_max is None else fit.torque_max.si
-    if fit.breakpoints is not None:
-        _check_breakpoints(fit.breakpoints, fit.segments, end, document)
-
-
-def _check_form(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
-    """Check that the machine and the strategy have the form that is asked for."""
-    form, path = sections.fit.form, ("fit", "form")
-    if sections.fit.torque_error is not None or sections.fit.loss_penalty is not None:
-        return  # it is searched for
-    if (form == "even-odd" or sections.fit.flat_at_zero) and sections.fit.degree < 2:
-        reason = "form: even-odd" if form == "even-odd" else "flat_at_zero"
-        raise document.error(
-            f"fit.degree: {reason} needs degree 2 or more; write degree: 3", ("fit", "degree")
-        )
-    if not isinstance(machine, LinearMachine):
-        if form != "polynomial" and "form" in sections.fit.model_fields_set:
-            message = (
-                f"fit.form: {form} needs constant inductances, the machine saturates; write form: "
-                "polynomial"
-            )
-            raise document.error(message, path)
-        return
-    if (
-        sections.operation.strategy == "mtpa"
-        and form == "closed-form"
-        and machine.l_d == machine.l_q
-    ):
-        message = (
-            "fit.form: closed-form needs inductance_d and inductance_q to differ; write form: "
-            "torque-exact"
-        )
-        raise document.error(message, path)
-    if form == "even-odd" and machine.psi_pm == 0.0:
-        message = (
-            "fit.form: even-odd needs currents that are smooth at zero torque; write form: "
-            "polynomial"
-        )
-        raise document.error(message, path)
-    if form in ("closed-form", "even-odd") and sections.operation.speed is not None:
-        other = "polynomial" if machine.psi_pm == 0.0 else "torque-exact"
-        message = (
-            f"fit.form: {form} follows the MTPA locus, which operation.speed leaves; write form: "
-            f"{other}"
-        )
-        raise document.error(message, path)
-    if form == "torque-exact" and machine.psi_pm == 0.0:
-        other = "closed-form" if sections.operation.speed is None else "polynomial"
-        message = (
-            "fit.form: torque-exact divides by the magnet torque, the machine has none; write "
-            f"form: {other}"
-        )
-        raise document.error(message, path)
-
-
-def _check_budget(sections: DesignFile, document: YamlDocument) -> None:
-    """Check that what a budget searches for is not given as well."""
-    fit = sections.fit
-    budget = [
-        key for key in ("torque_error", "loss_penalty", "flash") if getattr(fit, key) is not None
-    ]
-    for key in ("form", "degree", "segments", "breakpoints", "breakpoint_mode"):
-        if budget and key in fit.model_fields_set:
-            message = f"fit.{key} is chosen by the budget fit.{budget[0]}; remove one of the two"
-            raise document.error(message, ("fit", key), key=True)
-    if budget == ["flash"]:
-        message = (
-            "fit.flash alone says nothing about errors; write torque_error: 0.2 % or loss_penalty: "
-            "0.1 %, too"
-        )
-        raise document.error(message, ("fit", "flash"), key=True)
-
-
-def _check_breakpoints(
-    breakpoints: tuple[Quantity, ...], segments: int, end: float, document: YamlDocument
-) -> None:
-    path = ("fit", "breakpoints")
-    if len(breakpoints) != segments - 1:
-        raise document.error(
-            f"fit.breakpoints lists {len(breakpoints)}, but {segments} segments meet at "
-            f"{segments - 1}; write segments: {len(breakpoints) + 1}, or {segments - 1} "
-            "breakpoints",
-            path,
-        )
-    for index, point in enumerate(breakpoints):
-        before = breakpoints[index - 1].si if index else 0.0
-        if point.si <= before:
-            message = (
-                f"fit.breakpoints: {point.text} does not ascend; write the breakpoints in order"
-            )
-            raise document.error(message, (*path, index))
-        if point.si >= end:
-            limit = format_quantity(end, "N m")
-            message = (
-                f"fit.breakpoints: {point.text} lies beyond the end of the domain, {limit}; write "
-                "less"
-            )
-            raise document.error(message, (*path, index))
-
-
-def read_budget(section: FitSection) -> FitBudget | None:
-    found = FitBudget(si_of(section.torque_error), si_of(section.loss_penalty), section.flash)
-    return None if found == FitBudget() else found
-
 
 _FIT = FitSettings()
 
@@ -196,4 +76,146 @@ class FitSection(Section):
     core: Core = Field(default=_FIT.core, description="whose cycles the choice by a budget counts")
     flash: ByteCount | None = Field(
         default=None, ge=8, le=100_000, description="budget: bytes of constants (256 B)"
+    )
+
+
+def check_fit(
+    fit: FitSection,
+    operation: OperationSection,
+    machine: Machine,
+    i_max: float,
+    document: YamlDocument,
+) -> None:
+    """Check form and domain of the current references; ``i_max`` in A is the current limit.
+
+    Raises `InputError` with a position.
+    """
+    _check_form(fit, operation, machine, document)
+    _check_budget(fit, document)
+    largest = largest_torque_within(machine, i_max, operation.strategy)
+    end = largest if fit.torque_max is None else fit.torque_max.si
+    if fit.breakpoints is not None:
+        _check_breakpoints(fit.breakpoints, fit.segments, end, document)
+
+
+def _check_form(
+    fit: FitSection, operation: OperationSection, machine: Machine, document: YamlDocument
+) -> None:
+    """Check that the machine and the strategy have the form that is asked for."""
+    form, path = fit.form, ("fit", "form")
+    if fit.torque_error is not None or fit.loss_penalty is not None:
+        return  # it is searched for
+    if (form == "even-odd" or fit.flat_at_zero) and fit.degree < 2:
+        reason = "form: even-odd" if form == "even-odd" else "flat_at_zero"
+        raise document.error(
+            f"fit.degree: {reason} needs degree 2 or more; write degree: 3", ("fit", "degree")
+        )
+    if not isinstance(machine, LinearMachine):
+        if form != "polynomial" and "form" in fit.model_fields_set:
+            message = (
+                f"fit.form: {form} needs constant inductances, the machine saturates; write form: "
+                "polynomial"
+            )
+            raise document.error(message, path)
+        return
+    if operation.strategy == "mtpa" and form == "closed-form" and machine.l_d == machine.l_q:
+        message = (
+            "fit.form: closed-form needs inductance_d and inductance_q to differ; write form: "
+            "torque-exact"
+        )
+        raise document.error(message, path)
+    if form == "even-odd" and machine.psi_pm == 0.0:
+        message = (
+            "fit.form: even-odd needs currents that are smooth at zero torque; write form: "
+            "polynomial"
+        )
+        raise document.error(message, path)
+    if form in ("closed-form", "even-odd") and operation.speed is not None:
+        other = "polynomial" if machine.psi_pm == 0.0 else "torque-exact"
+        message = (
+            f"fit.form: {form} follows the MTPA locus, which operation.speed leaves; write form: "
+            f"{other}"
+        )
+        raise document.error(message, path)
+    if form == "torque-exact" and machine.psi_pm == 0.0:
+        other = "closed-form" if operation.speed is None else "polynomial"
+        message = (
+            "fit.form: torque-exact divides by the magnet torque, the machine has none; write "
+            f"form: {other}"
+        )
+        raise document.error(message, path)
+
+
+def _check_budget(fit: FitSection, document: YamlDocument) -> None:
+    """Check that what a budget searches for is not given as well."""
+    budget = [
+        key for key in ("torque_error", "loss_penalty", "flash") if getattr(fit, key) is not None
+    ]
+    for key in ("form", "degree", "segments", "breakpoints", "breakpoint_mode"):
+        if budget and key in fit.model_fields_set:
+            message = f"fit.{key} is chosen by the budget fit.{budget[0]}; remove one of the two"
+            raise document.error(message, ("fit", key), key=True)
+    if budget == ["flash"]:
+        message = (
+            "fit.flash alone says nothing about errors; write torque_error: 0.2 % or loss_penalty: "
+            "0.1 %, too"
+        )
+        raise document.error(message, ("fit", "flash"), key=True)
+
+
+def _check_breakpoints(
+    breakpoints: tuple[Quantity, ...], segments: int, end: float, document: YamlDocument
+) -> None:
+    path = ("fit", "breakpoints")
+    if len(breakpoints) != segments - 1:
+        raise document.error(
+            f"fit.breakpoints lists {len(breakpoints)}, but {segments} segments meet at "
+            f"{segments - 1}; write segments: {len(breakpoints) + 1}, or {segments - 1} "
+            "breakpoints",
+            path,
+        )
+    for index, point in enumerate(breakpoints):
+        before = breakpoints[index - 1].si if index else 0.0
+        if point.si <= before:
+            message = (
+                f"fit.breakpoints: {point.text} does not ascend; write the breakpoints in order"
+            )
+            raise document.error(message, (*path, index))
+        if point.si >= end:
+            limit = format_quantity(end, "N m")
+            message = (
+                f"fit.breakpoints: {point.text} lies beyond the end of the domain, {limit}; write "
+                "less"
+            )
+            raise document.error(message, (*path, index))
+
+
+def read_budget(section: FitSection) -> FitBudget | None:
+    """Limits that a form is chosen by; None where the section names none."""
+    found = settings_from(FitBudget, section)
+    return None if found == FitBudget() else found
+
+
+@about("fit")
+def read_fit(
+    section: FitSection, machine: Machine, bases: PerUnitBases, reading: Reading
+) -> FitSettings:
+    """Settings of the fit; what the machine or the number format cannot have is no default."""
+    form, budget = section.form, read_budget(section)
+    open_form = "form" not in section.model_fields_set
+    if open_form and not isinstance(machine, LinearMachine):
+        form = "polynomial"
+        reading.remarks.append(
+            "fit.form is polynomial: the machine saturates, so that no other form holds"
+        )
+    elif open_form and section.format in ("q15", "q31"):
+        form = "polynomial"
+        reading.remarks.append(f"fit.form is polynomial: {section.format} has no other")
+    return settings_from(
+        FitSettings,
+        section,
+        form=form,
+        budget=budget,
+        format="float32" if section.format is None and budget is None else section.format,
+        full_scale=(bases.torque, bases.current),
     )

@@ -4,13 +4,11 @@ the library made constants.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pydantic import Field
 
-from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
+from dqforge.machines.design.reading import Reading
 from dqforge.machines.devices.device import DeviceModel
-from dqforge.machines.devices.inverter import Topology
+from dqforge.machines.devices.inverter import Inverter, Topology
 from dqforge.machines.devices.sections import DeviceEntry, DeviceReference, DeviceSection
 from dqforge.machines.devices.switch import SwitchDevice
 from dqforge.machines.entries.kinds import (
@@ -25,11 +23,40 @@ from dqforge.machines.entries.kinds import (
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_yaml import YamlDocument
-from dqforge.machines.places import KeyPath
+from dqforge.machines.places import KeyPath, about
 from dqforge.machines.units.quantities import format_quantity
 
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
+
+class InverterSection(Section):
+    """The inverter."""
+
+    topology: Topology = Field(
+        default="three-wire", description="three-wire: two-level bridge, star point not connected"
+    )
+    v_dc: Voltage = Field(description="DC-link voltage (V)")
+    switching_frequency: Rate = Field(description="carrier frequency (Hz)")
+    dead_time: DeadTime | None = Field(default=None, description="dead time (s); default 0")
+    max_current: PhaseCurrent | None = Field(
+        default=None, description="largest phase current (A); kind peak (default) or rms"
+    )
+    coolant_temperature: Temperature | None = Field(
+        default=None,
+        description=(
+            "temperature that thermal_resistance refers to (degC, also without a unit); default 25"
+        ),
+    )
+    capacitor_esr: OnResistance | None = Field(
+        default=None,
+        description=(
+            "series resistance of the DC-link capacitor (Ohm) for loss maps and missions; default 0"
+        ),
+    )
+    device: DeviceEntry | None = Field(
+        default=None,
+        description=(
+            "the switch, needed for losses: its constants, or a file or name of the library"
+        ),
+    )
 
 
 _DEFAULT_JUNCTION = 175.0  # degC, usual for the power modules of today
@@ -195,68 +222,39 @@ def _constants(section: DeviceSection, reading: Reading) -> SwitchDevice:
     )
 
 
-def check_inverter(sections: DesignFile, document: YamlDocument) -> None:
-    """Check dead time and sampling against the switching frequency.
-
-    Raises `InputError` with a position.
-    """
-    f_sw = sections.inverter.switching_frequency.si
-    dead_time = sections.inverter.dead_time
+def check_inverter(section: InverterSection, document: YamlDocument) -> None:
+    """Check the dead time against the switching frequency; raises `InputError` with a position."""
+    f_sw, dead_time = section.switching_frequency.si, section.dead_time
     if dead_time is not None and dead_time.si >= 0.5 / f_sw:
         raise document.error(
             f"inverter.dead_time {dead_time.text} is not shorter than half a switching period, "
             f"{format_quantity(0.5 / f_sw, 's')}; check both units",
             ("inverter", "dead_time"),
         )
-    sampling = sections.control.sampling_frequency
-    if sampling is not None and not f_sw / 10.0 <= sampling.si <= 2.0 * f_sw * (
-        1.0 + ROUNDING_OF_DATA
-    ):
-        raise document.error(
-            f"control.sampling_frequency {sampling.text} does not belong to a switching frequency "
-            f"of {format_quantity(f_sw, 'Hz')}; write {format_quantity(f_sw / 10.0, 'Hz')} to "
-            f"{format_quantity(2.0 * f_sw, 'Hz')}",
-            ("control", "sampling_frequency"),
-        )
-    if sections.losses is not None and sections.inverter.device is None:
-        raise document.error(
-            "losses: the loss comparison needs the switch; write the section inverter.device, or "
-            "remove losses",
-            ("losses",),
-            key=True,
-        )
+
+
+@about("inverter")
+def read_inverter(section: InverterSection, machine_limit: float, reading: Reading) -> Inverter:
+    """Inverter in SI units.
+
+    The machine's current limit in A (peak) is where tables of a device are made constants.
+    """
+    limit = section.max_current
+    coolant = si_of(section.coolant_temperature)
+    i_max = None if limit is None else reading.peak(limit, "inverter.max_current")
+    largest = machine_limit if i_max is None else min(machine_limit, i_max)
+    device, model = read_inverter_device(section, largest, reading)
+    return Inverter(
+        v_dc=section.v_dc.si,
+        f_sw=section.switching_frequency.si,
+        device=device,
+        coolant_temperature=DEFAULT_COOLANT if coolant is None else coolant,
+        dead_time=si_of(section.dead_time) or 0.0,
+        i_max=i_max,
+        topology=section.topology,
+        device_model=model,
+        capacitor_esr=si_of(section.capacitor_esr) or 0.0,
+    )
 
 
 DEFAULT_COOLANT = 25.0
-
-
-class InverterSection(Section):
-    """The inverter."""
-
-    topology: Topology = Field(
-        default="three-wire", description="three-wire: two-level bridge, star point not connected"
-    )
-    v_dc: Voltage = Field(description="DC-link voltage (V)")
-    switching_frequency: Rate = Field(description="carrier frequency (Hz)")
-    dead_time: DeadTime | None = Field(default=None, description="dead time (s); default 0")
-    max_current: PhaseCurrent | None = Field(
-        default=None, description="largest phase current (A); kind peak (default) or rms"
-    )
-    coolant_temperature: Temperature | None = Field(
-        default=None,
-        description=(
-            "temperature that thermal_resistance refers to (degC, also without a unit); default 25"
-        ),
-    )
-    capacitor_esr: OnResistance | None = Field(
-        default=None,
-        description=(
-            "series resistance of the DC-link capacitor (Ohm) for loss maps and missions; default 0"
-        ),
-    )
-    device: DeviceEntry | None = Field(
-        default=None,
-        description=(
-            "the switch, needed for losses: its constants, or a file or name of the library"
-        ),
-    )

@@ -4,7 +4,7 @@ and where they are compared.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import Field
 
@@ -34,8 +34,34 @@ from dqforge.machines.names import (
 )
 from dqforge.machines.units.quantities import format_quantity
 
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
+_LOSSES = LossSettings(points=())
+
+
+class PointSection(Section):
+    """One operating point."""
+
+    torque: PointTorque = Field(description="torque (N m)")
+    speed: PointSpeed = Field(description="mechanical speed (rad/s; write rpm)")
+
+
+class LossSection(Section):
+    """Which alternatives are compared, and where."""
+
+    points: Annotated[Listing[PointSection], Field(min_length=1, max_length=1000)] = Field(
+        default=(), description="operating points, a list of {torque: ..., speed: ...}"
+    )
+    mission: FileName | None = Field(
+        default=None,
+        description=(
+            "text file beside the design with time, speed and torque, over which energy is counted"
+        ),
+    )
+    strategies: Annotated[Listing[LossStrategy], Field(min_length=1, max_length=10)] = Field(
+        default=_LOSSES.strategies, description="strategies to compare: mtpa, id0, least-loss"
+    )
+    modulations: Annotated[Listing[ModulationName], Field(min_length=1, max_length=12)] = Field(
+        default=_LOSSES.modulations, description="modulations to compare"
+    )
 
 
 _REFERENCE = 20.0
@@ -103,7 +129,9 @@ def read_winding_heat(section: MachineSection, coolant: float) -> WindingHeat | 
     )
 
 
-def read_losses(sections: DesignFile, machine: Machine, reading: Reading) -> LossSettings | None:
+def read_losses(
+    section: LossSection | None, machine: Machine, reading: Reading
+) -> LossSettings | None:
     """Loss comparison, None where the file asks for none.
 
     Raises
@@ -111,7 +139,6 @@ def read_losses(sections: DesignFile, machine: Machine, reading: Reading) -> Los
     InputError
         There is neither a point nor a mission, or the file of the mission cannot be used.
     """
-    section = sections.losses
     if section is None:
         return None
     if not section.points and section.mission is None:
@@ -137,13 +164,25 @@ def _mission(name: str, machine: Machine, reading: Reading) -> Mission:
     return found
 
 
-def check_comparison(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
-    """Check the loss comparison: no alternative twice, no point beyond the largest speed."""
-    if sections.losses is None:
+def check_losses(
+    section: LossSection | None, has_device: bool, machine: Machine, document: YamlDocument
+) -> None:
+    """Check the loss comparison: a switch, no alternative twice, no point beyond the largest speed.
+
+    Raises `InputError` with a position.
+    """
+    if section is None:
         return
+    if not has_device:
+        raise document.error(
+            "losses: the loss comparison needs the switch; write the section inverter.device, or "
+            "remove losses",
+            ("losses",),
+            key=True,
+        )
     for key, names in (
-        ("strategies", sections.losses.strategies),
-        ("modulations", sections.losses.modulations),
+        ("strategies", section.strategies),
+        ("modulations", section.modulations),
     ):
         for index, name in enumerate(names):
             if name in names[:index]:
@@ -151,40 +190,10 @@ def check_comparison(sections: DesignFile, machine: Machine, document: YamlDocum
                     f"losses.{key}: '{name}' is listed twice; remove one", ("losses", key, index)
                 )
     most = machine.omega_m_max
-    for index, point in enumerate(sections.losses.points):
+    for index, point in enumerate(section.points):
         if most is not None and abs(point.speed.si) > most * (1.0 + ROUNDING_OF_DATA):
             shown, limit = format_quantity(point.speed.si, "rpm"), format_quantity(most, "rpm")
             message = f"losses.points[{index}].speed: {shown} is above machine.max_speed {limit}"
             raise document.error(
                 f"{message}; {bare_speed_hint(point.speed)}", ("losses", "points", index, "speed")
             )
-
-
-_LOSSES = LossSettings(points=())
-
-
-class PointSection(Section):
-    """One operating point."""
-
-    torque: PointTorque = Field(description="torque (N m)")
-    speed: PointSpeed = Field(description="mechanical speed (rad/s; write rpm)")
-
-
-class LossSection(Section):
-    """Which alternatives are compared, and where."""
-
-    points: Annotated[Listing[PointSection], Field(min_length=1, max_length=1000)] = Field(
-        default=(), description="operating points, a list of {torque: ..., speed: ...}"
-    )
-    mission: FileName | None = Field(
-        default=None,
-        description=(
-            "text file beside the design with time, speed and torque, over which energy is counted"
-        ),
-    )
-    strategies: Annotated[Listing[LossStrategy], Field(min_length=1, max_length=10)] = Field(
-        default=_LOSSES.strategies, description="strategies to compare: mtpa, id0, least-loss"
-    )
-    modulations: Annotated[Listing[ModulationName], Field(min_length=1, max_length=12)] = Field(
-        default=_LOSSES.modulations, description="modulations to compare"
-    )

@@ -6,13 +6,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dqforge.machines.design import datasheet
 from dqforge.machines.design.datasheet import FluxStatement
 from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
 from dqforge.machines.design.sections.back_emf import read_phase_machine, read_saliency
 from dqforge.machines.design.sections.delta import check_connection
+from dqforge.machines.design.sections.fit import FitSection
 from dqforge.machines.design.sections.flux_map import FluxMaps, read_flux_maps
 from dqforge.machines.design.sections.machine import MachineSection, SaturationSection
 from dqforge.machines.design.speed_remarks import bare_speed_hint
@@ -28,10 +29,6 @@ from dqforge.machines.names import MachineModel
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.places import about
 from dqforge.machines.units.quantities import format_quantity
-
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
-
 
 _COPPER = 0.00393
 
@@ -420,16 +417,13 @@ def _check_rated_current(current: float, machine: Machine, document: YamlDocumen
     )
 
 
-def check_halves(sections: DesignFile, document: YamlDocument) -> None:
+def check_halves(machine: MachineSection, fit: FitSection, document: YamlDocument) -> None:
     """Refuse what cannot keep the halves of a flux map apart."""
-    section = sections.machine.flux_map
+    section = machine.flux_map
     if section is None or section.symmetry != "keep":
         return
-    budget = any(
-        part is not None
-        for part in (sections.fit.torque_error, sections.fit.loss_penalty, sections.fit.flash)
-    )
-    if budget or sections.fit.format in ("q15", "q31"):
+    budget = any(part is not None for part in (fit.torque_error, fit.loss_penalty, fit.flash))
+    if budget or fit.format in ("q15", "q31"):
         raise document.error(
             "machine.flux_map.symmetry: keep needs references in float32 of a given form; write "
             "fit: format: float32 and leave the budget out, or symmetry: average",

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import Field
 
+from dqforge.machines.design.from_section import settings_from
 from dqforge.machines.design.reading import Reading
 from dqforge.machines.design.settings import (
     ChoiceSettings,
 )
 from dqforge.machines.design.speed_remarks import bare_speed_hint
+from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.kinds import (
     Current,
@@ -31,22 +33,95 @@ from dqforge.machines.names import (
 )
 from dqforge.machines.units.quantities import format_quantity
 
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
+_CHOICE = ChoiceSettings(f_min=1.0, f_max=1.0, omega_m=1.0)
+
+
+class BandSection(Section):
+    """A band of frequencies."""
+
+    min: Rate = Field(description="its lower end (Hz)")
+    max: Rate = Field(description="its upper end (Hz)")
+
+
+class ChoiceSection(Section):
+    """Modulator and switching frequency that lose least over torque and speed, and a rule for the firmware."""
+
+    min_frequency: Rate = Field(description="least switching frequency (Hz), for noise and control")
+    max_frequency: Rate = Field(description="largest switching frequency (Hz)")
+    avoid: Annotated[Listing[BandSection], Field(max_length=10)] = Field(
+        default=(),
+        description=(
+            "bands of switching frequencies that are not used, a list of {min: ..., max: ...}"
+        ),
+    )
+    modulations: Annotated[Listing[ModulationName], Field(min_length=1, max_length=12)] = Field(
+        default=_CHOICE.modulations, description="modulators to choose from; default all"
+    )
+    strategy: Strategy | None = Field(
+        default=None, description="whose currents flow; default operation.strategy"
+    )
+    speed: Speed | None = Field(
+        default=None,
+        description="largest mechanical speed (rad/s; write rpm); default machine.max_speed",
+    )
+    ripple_current: Current | None = Field(
+        default=None, description="largest ripple of a phase current (A, r.m.s.); default: any"
+    )
+    ripple_share: Share | None = Field(
+        default=None,
+        description="the same as a share of the r.m.s. current limit (write 2 %), instead",
+    )
+    max_junction_temperature: Temperature | None = Field(
+        default=None,
+        description=(
+            "largest junction temperature (degC, also without a unit); default the device's"
+        ),
+    )
+    carrier_ratio: Ratio | None = Field(
+        default=None,
+        description="least number of carrier periods in an electrical period; default 20",
+    )
+    ripple_resistance: ResistanceRatio | None = Field(
+        default=None,
+        description=(
+            "winding resistance at the switching frequency over that of the fundamental; default 1"
+        ),
+    )
+    torques: int = Field(default=_CHOICE.torques, ge=2, le=60, description="torques of the grid")
+    speeds: int = Field(default=_CHOICE.speeds, ge=2, le=60, description="speeds of the grid")
+    frequencies: int = Field(
+        default=_CHOICE.frequencies,
+        ge=2,
+        le=16,
+        description="switching frequencies that the search for a rule begins with",
+    )
+    questions: int = Field(
+        default=_CHOICE.questions,
+        ge=0,
+        le=2,
+        description="questions that the rule in the header may ask",
+    )
 
 
 _SECTION = "modulation_choice"
 
 
 def read_choice(
-    sections: DesignFile, machine: Machine, i_max: float, reading: Reading
+    section: ChoiceSection | None,
+    strategy: Strategy,
+    inverter: Inverter,
+    machine: Machine,
+    i_max: float,
+    reading: Reading,
 ) -> ChoiceSettings | None:
     """Choice of modulator and switching frequency, None where the file asks for none.
 
     Parameters
     ----------
-    sections, machine, reading:
-        The file, the machine in it, and where remarks go.
+    section, strategy:
+        The section, and the strategy of the design.
+    inverter, machine, reading:
+        The drive, and where remarks go.
     i_max:
         Current limit in A (peak), to which a share of the ripple refers.
 
@@ -56,31 +131,23 @@ def read_choice(
         The inverter has no device, a range is empty, a modulator is named twice, the ripple is
         given twice, or nothing tells the largest speed.
     """
-    section = sections.modulation_choice
     if section is None:
         return None
     document = reading.document
-    if sections.inverter.device is None:
+    if inverter.device is None:
         message = f"{_SECTION} needs the switch; write the section inverter.device"
         raise document.error(message, (_SECTION,), key=True)
     _check(section, reading)
-    default = ChoiceSettings(section.min_frequency.si, section.max_frequency.si, 1.0)
-    ratio, resistance = si_of(section.carrier_ratio), si_of(section.ripple_resistance)
-    return ChoiceSettings(
-        f_min=default.f_min,
-        f_max=default.f_max,
+    return settings_from(
+        ChoiceSettings,
+        section,
+        f_min=section.min_frequency.si,
+        f_max=section.max_frequency.si,
         omega_m=_speed(section, machine, reading),
-        strategy=sections.operation.strategy if section.strategy is None else section.strategy,
-        modulations=section.modulations,
+        strategy=strategy if section.strategy is None else section.strategy,
         bands=tuple((band.min.si, band.max.si) for band in section.avoid),
         ripple_max=_ripple(section, i_max, reading),
         junction_max=si_of(section.max_junction_temperature),
-        carrier_ratio=default.carrier_ratio if ratio is None else ratio,
-        ripple_resistance=default.ripple_resistance if resistance is None else resistance,
-        torques=section.torques,
-        speeds=section.speeds,
-        frequencies=section.frequencies,
-        questions=section.questions,
     )
 
 
@@ -151,73 +218,3 @@ def _speed(section: ChoiceSection, machine: Machine, reading: Reading) -> float:
             f"{_SECTION}.speed: {shown}; {bare_speed_hint(section.speed)}", (_SECTION, "speed")
         )
     return given
-
-
-_CHOICE = ChoiceSettings(f_min=1.0, f_max=1.0, omega_m=1.0)
-
-
-class BandSection(Section):
-    """A band of frequencies."""
-
-    min: Rate = Field(description="its lower end (Hz)")
-    max: Rate = Field(description="its upper end (Hz)")
-
-
-class ChoiceSection(Section):
-    """Modulator and switching frequency that lose least over torque and speed, and a rule for the firmware."""
-
-    min_frequency: Rate = Field(description="least switching frequency (Hz), for noise and control")
-    max_frequency: Rate = Field(description="largest switching frequency (Hz)")
-    avoid: Annotated[Listing[BandSection], Field(max_length=10)] = Field(
-        default=(),
-        description=(
-            "bands of switching frequencies that are not used, a list of {min: ..., max: ...}"
-        ),
-    )
-    modulations: Annotated[Listing[ModulationName], Field(min_length=1, max_length=12)] = Field(
-        default=_CHOICE.modulations, description="modulators to choose from; default all"
-    )
-    strategy: Strategy | None = Field(
-        default=None, description="whose currents flow; default operation.strategy"
-    )
-    speed: Speed | None = Field(
-        default=None,
-        description="largest mechanical speed (rad/s; write rpm); default machine.max_speed",
-    )
-    ripple_current: Current | None = Field(
-        default=None, description="largest ripple of a phase current (A, r.m.s.); default: any"
-    )
-    ripple_share: Share | None = Field(
-        default=None,
-        description="the same as a share of the r.m.s. current limit (write 2 %), instead",
-    )
-    max_junction_temperature: Temperature | None = Field(
-        default=None,
-        description=(
-            "largest junction temperature (degC, also without a unit); default the device's"
-        ),
-    )
-    carrier_ratio: Ratio | None = Field(
-        default=None,
-        description="least number of carrier periods in an electrical period; default 20",
-    )
-    ripple_resistance: ResistanceRatio | None = Field(
-        default=None,
-        description=(
-            "winding resistance at the switching frequency over that of the fundamental; default 1"
-        ),
-    )
-    torques: int = Field(default=_CHOICE.torques, ge=2, le=60, description="torques of the grid")
-    speeds: int = Field(default=_CHOICE.speeds, ge=2, le=60, description="speeds of the grid")
-    frequencies: int = Field(
-        default=_CHOICE.frequencies,
-        ge=2,
-        le=16,
-        description="switching frequencies that the search for a rule begins with",
-    )
-    questions: int = Field(
-        default=_CHOICE.questions,
-        ge=0,
-        le=2,
-        description="questions that the rule in the header may ask",
-    )

@@ -4,10 +4,9 @@ and what is checked across it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pydantic import Field
 
+from dqforge.machines.design.from_section import settings_from
 from dqforge.machines.design.reading import ROUNDING_OF_DATA
 from dqforge.machines.design.settings import (
     OperationSettings,
@@ -26,47 +25,6 @@ from dqforge.machines.names import (
     Strategy,
 )
 from dqforge.machines.units.quantities import format_quantity
-
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
-
-
-def check_speed(sections: DesignFile, machine: Machine, document: YamlDocument) -> None:
-    """Check the speed for which the field is weakened."""
-    operation, weakening = sections.operation, sections.field_weakening
-    for key in ("modulation", "voltage_margin"):
-        if operation.speed is None and weakening is None and key in operation.model_fields_set:
-            message = (
-                f"operation.{key} limits the voltage at a speed; write speed: 3000 rpm, or remove "
-                "the key"
-            )
-            raise document.error(message, ("operation", key), key=True)
-    if operation.speed is None:
-        return
-    if operation.strategy == "id0":
-        message = (
-            "operation.speed: id0 cannot weaken the field; write strategy: mtpa, or remove the "
-            "speed"
-        )
-        raise document.error(message, ("operation", "speed"), key=True)
-    most = machine.omega_m_max
-    if most is not None and operation.speed.si > most * (1.0 + ROUNDING_OF_DATA):
-        shown, limit = format_quantity(operation.speed.si, "rpm"), format_quantity(most, "rpm")
-        message = (
-            f"operation.speed: {shown} is above machine.max_speed {limit}; "
-            f"{bare_speed_hint(operation.speed)}"
-        )
-        raise document.error(message, ("operation", "speed"))
-
-
-def read_operation(section: OperationSection) -> OperationSettings:
-    return OperationSettings(
-        section.strategy,
-        si_of(section.speed),
-        section.modulation,
-        si_of(section.voltage_margin) or 0.0,
-    )
-
 
 _OPERATION = OperationSettings()
 
@@ -91,3 +49,44 @@ class OperationSection(Section):
         default=None,
         description="share of that voltage kept free for control (write 5 %); default 0",
     )
+
+
+def check_operation(
+    operation: OperationSection, weakened: bool, machine: Machine, document: YamlDocument
+) -> None:
+    """Check the strategy, and the speed for which the field is weakened.
+
+    ``weakened`` says that the design has a two-dimensional reference. Raises `InputError` with a
+    position.
+    """
+    if operation.strategy == "id0" and machine.psi_pm == 0.0:
+        message = "operation.strategy: id0 gives no torque without magnets; write strategy: mtpa"
+        raise document.error(message, ("operation", "strategy"))
+    for key in ("modulation", "voltage_margin"):
+        if operation.speed is None and not weakened and key in operation.model_fields_set:
+            message = (
+                f"operation.{key} limits the voltage at a speed; write speed: 3000 rpm, or remove "
+                "the key"
+            )
+            raise document.error(message, ("operation", key), key=True)
+    if operation.speed is None:
+        return
+    if operation.strategy == "id0":
+        message = (
+            "operation.speed: id0 cannot weaken the field; write strategy: mtpa, or remove the "
+            "speed"
+        )
+        raise document.error(message, ("operation", "speed"), key=True)
+    most = machine.omega_m_max
+    if most is not None and operation.speed.si > most * (1.0 + ROUNDING_OF_DATA):
+        shown, limit = format_quantity(operation.speed.si, "rpm"), format_quantity(most, "rpm")
+        message = (
+            f"operation.speed: {shown} is above machine.max_speed {limit}; "
+            f"{bare_speed_hint(operation.speed)}"
+        )
+        raise document.error(message, ("operation", "speed"))
+
+
+def read_operation(section: OperationSection) -> OperationSettings:
+    """What the section ``operation`` asks for."""
+    return settings_from(OperationSettings, section, omega_m=si_of(section.speed))

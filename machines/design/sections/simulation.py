@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
@@ -36,10 +36,6 @@ from dqforge.machines.plants.scenario import (
     Shape,
     SpeedSource,
 )
-
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
-
 
 Instant = Annotated[Quantity, QuantityRule("time", 0.0, 1e4)]
 
@@ -435,7 +431,7 @@ def _errors(section: PlantErrorsSection) -> PlantErrors:
 
 
 def read_scenario(
-    sections: DesignFile,
+    section: SimulationSection | None,
     machine: Machine,
     inverter: Inverter,
     control: ControlSettings,
@@ -449,7 +445,6 @@ def read_scenario(
         No or several references, a profile that is none, or something that the design lacks for it;
         with a position.
     """
-    section = sections.simulation
     if section is None:
         return None
     mode, reference, reference_d = _references(section, reading)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import Field
 
@@ -14,10 +14,6 @@ from dqforge.machines.entries.kinds import Section
 from dqforge.machines.entries.rules import Quantity, QuantityRule
 from dqforge.machines.entries.two_sided import Between, PartOrTimeRule, ShareRule
 from dqforge.machines.units.quantities import format_quantity
-
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
-
 
 DeviationKey = Annotated[Quantity | Between, ShareRule()]
 
@@ -72,7 +68,12 @@ _LOW_CURRENT = 0.1  # of the current limit
 
 
 def read_tolerances(
-    sections: DesignFile, machine: Machine, inverter: Inverter, i_max: float, reading: Reading
+    section: TolerancesSection | None,
+    has_speed_loop: bool,
+    machine: Machine,
+    inverter: Inverter,
+    i_max: float,
+    reading: Reading,
 ) -> Tolerances | None:
     """Tolerances in SI units, None where the file has no such section.
 
@@ -84,20 +85,19 @@ def read_tolerances(
     InputError
         A tolerance has nothing that it could change, or is larger than what it belongs to.
     """
-    section, document = sections.control.tolerances, reading.document
+    document = reading.document
     if section is None:
         return None
-    control = sections.control
     for key, missing, why in (
         ("psi_pm", machine.psi_pm == 0.0, "the machine has no magnets"),
         (
             "psi_pm",
-            control.speed_loop is None,
+            not has_speed_loop,
             "it changes the speed loop alone, and there is none",
         ),
         (
             "inertia",
-            control.speed_loop is None,
+            not has_speed_loop,
             "it changes the speed loop alone, and there is none",
         ),
     ):

@@ -4,10 +4,11 @@ and what is checked across it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pydantic import Field
 
+from dqforge.machines.design.from_section import settings_from
+from dqforge.machines.design.sections.inverter import InverterSection
+from dqforge.machines.design.sections.machine import MachineSection
 from dqforge.machines.design.settings import (
     WaveformSettings,
 )
@@ -26,70 +27,6 @@ from dqforge.machines.names import (
     OpenPhase,
     WaveformForm,
 )
-
-if TYPE_CHECKING:
-    from dqforge.machines.design.schema import DesignFile
-
-
-def check_waveform(sections: DesignFile, document: YamlDocument) -> None:
-    """Check that the section on phase currents, and a topology with a neutral,
-    have a machine they are for.
-    """
-    is_waveform = sections.machine.model == "waveform"
-    if sections.waveform.model_fields_set and not is_waveform:
-        message = (
-            "waveform: phase currents are shaped for a machine of model: waveform; write it, or "
-            "remove the section"
-        )
-        raise document.error(message, ("waveform",), key=True)
-    if sections.machine.inductance_harmonics is not None:
-        _check_saliency(sections, document)
-    if sections.inverter.topology != "three-wire" and not is_waveform:
-        raise document.error(
-            f"inverter.topology: {sections.inverter.topology} serves machines of model: waveform; "
-            "write three-wire",
-            ("inverter", "topology"),
-        )
-
-
-def _check_saliency(sections: DesignFile, document: YamlDocument) -> None:
-    """Check that nothing is asked for that needs constant inductances."""
-    if sections.waveform.form == "table":
-        message = (
-            "waveform.form: a table over the angle needs currents in proportion to the torque, "
-            "which those of a machine with inductance_harmonics are not; write harmonics"
-        )
-        raise document.error(message, ("waveform", "form"))
-    if sections.inverter.topology == "diode-neutral":
-        message = (
-            "inverter.topology: diode-neutral is not offered for a machine with "
-            "inductance_harmonics; write three-wire"
-        )
-        raise document.error(message, ("inverter", "topology"))
-    if sections.simulation is not None:
-        message = (
-            "simulation: a machine with inductance_harmonics is not simulated, the simulated "
-            "phases have constant inductances; remove the section"
-        )
-        raise document.error(message, ("simulation",), key=True)
-
-
-_WAVEFORM = WaveformSettings()
-
-
-def read_waveform(section: WaveformSection) -> WaveformSettings:
-    error = si_of(section.error)
-    return WaveformSettings(
-        torque=si_of(section.torque),
-        omega_m=si_of(section.speed),
-        ripple=si_of(section.ripple) or 0.0,
-        neutral=si_of(section.neutral_current),
-        open_phase=section.open_phase,
-        slew=si_of(section.slew_rate),
-        form=section.form,
-        error=_WAVEFORM.error if error is None else error,
-    )
-
 
 _WAVEFORM = WaveformSettings()
 
@@ -118,4 +55,68 @@ class WaveformSection(Section):
     form: WaveformForm = Field(default=_WAVEFORM.form, description="what the firmware evaluates")
     error: SmallShare | None = Field(
         default=None, description="largest error of it over the peak; default 0.5 %"
+    )
+
+
+def check_waveform(
+    section: WaveformSection,
+    machine: MachineSection,
+    inverter: InverterSection,
+    simulated: bool,
+    document: YamlDocument,
+) -> None:
+    """Check that the section on phase currents, and a topology with a neutral,
+    have a machine they are for.
+
+    ``simulated`` says that the design is simulated. Raises `InputError` with a position.
+    """
+    is_waveform = machine.model == "waveform"
+    if section.model_fields_set and not is_waveform:
+        message = (
+            "waveform: phase currents are shaped for a machine of model: waveform; write it, or "
+            "remove the section"
+        )
+        raise document.error(message, ("waveform",), key=True)
+    if machine.inductance_harmonics is not None:
+        _check_saliency(section, inverter, simulated, document)
+    if inverter.topology != "three-wire" and not is_waveform:
+        raise document.error(
+            f"inverter.topology: {inverter.topology} serves machines of model: waveform; "
+            "write three-wire",
+            ("inverter", "topology"),
+        )
+
+
+def _check_saliency(
+    section: WaveformSection, inverter: InverterSection, simulated: bool, document: YamlDocument
+) -> None:
+    """Check that nothing is asked for that needs constant inductances."""
+    if section.form == "table":
+        message = (
+            "waveform.form: a table over the angle needs currents in proportion to the torque, "
+            "which those of a machine with inductance_harmonics are not; write harmonics"
+        )
+        raise document.error(message, ("waveform", "form"))
+    if inverter.topology == "diode-neutral":
+        message = (
+            "inverter.topology: diode-neutral is not offered for a machine with "
+            "inductance_harmonics; write three-wire"
+        )
+        raise document.error(message, ("inverter", "topology"))
+    if simulated:
+        message = (
+            "simulation: a machine with inductance_harmonics is not simulated, the simulated "
+            "phases have constant inductances; remove the section"
+        )
+        raise document.error(message, ("simulation",), key=True)
+
+
+def read_waveform(section: WaveformSection) -> WaveformSettings:
+    """What the section ``waveform`` asks for."""
+    return settings_from(
+        WaveformSettings,
+        section,
+        omega_m=si_of(section.speed),
+        neutral=si_of(section.neutral_current),
+        slew=si_of(section.slew_rate),
     )

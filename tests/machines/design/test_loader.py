@@ -20,7 +20,7 @@ from dqforge.machines.errors import InputError
 
 
 def _corpus() -> ModuleType:
-    path = Path(__file__).with_name("broken_designs.py")
+    path = Path(__file__).resolve().parents[2] / "broken_designs.py"
     spec = importlib.util.spec_from_file_location("broken_designs", path)
     assert spec is not None
     assert spec.loader is not None
