@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 from dqforge.machines.losses.mission import Mission
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import (
     BreakpointMode,
     Core,
@@ -295,7 +296,7 @@ class ChoiceSettings:
     f_max: float
     omega_m: float
     strategy: Strategy = "mtpa"
-    modulations: tuple[ModulationName, ...] = get_args(ModulationName)
+    modulations: tuple[ModulationName, ...] = tuple(MODULATORS)
     bands: tuple[tuple[float, float], ...] = ()
     ripple_max: float | None = None
     junction_max: float | None = None

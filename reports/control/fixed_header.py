@@ -14,6 +14,7 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.optimizer.fixed_control.arithmetic import Integers
 from dqforge.optimizer.fixed_control.design import FixedControlFit
 from dqforge.optimizer.fixed_control.gains import FixedGain
@@ -26,7 +27,6 @@ from dqforge.optimizer.fixed_control.step import (
     PiForm,
 )
 from dqforge.optimizer.fixed_control.transforms import (
-    FIXED_MODULATORS,
     full_scale,
     rotation,
     sine_steps,
@@ -70,7 +70,10 @@ def fixed_control_from(plain: Mapping[str, Any], width: int) -> FixedControl:
         found = FixedControl(
             width=_one_of(plain["width"], (width,)),
             bases=_bases(plain["bases"]),
-            modulation=_one_of(plain["modulation"], FIXED_MODULATORS),
+            modulation=_one_of(
+                plain["modulation"],
+                tuple(name for name in MODULATORS if MODULATORS[name].in_integers),
+            ),
             dc_scale=_whole(plain["dc_scale"], 0, 8),
             dc_least=_whole(plain["dc_least"], 1, full_scale(width)),
             limit=_gain(plain["limit"], width),
@@ -257,7 +260,8 @@ def control_fixed_context(design: Design, fit: FixedControlFit) -> PlainData:
         "inverse_root": round(2**bits / math.sqrt(3.0)),
         "half_root": round(2**bits * math.sqrt(0.75)),
         "two_thirds": round(2**bits * 2 / 3),
-        "modulation": control.modulation,
+        "modulator": MODULATORS[control.modulation],
+        "third_share": round(2**bits * 4 * MODULATORS[control.modulation].share),
         "dc_scale": control.dc_scale,
         "dc_least": control.dc_least,
         "limit": asdict(control.limit),

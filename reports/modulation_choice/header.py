@@ -7,13 +7,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.modulation_choice.rule import Leaf, Question, Rule, SimplifiedChoice, decide
@@ -153,9 +154,7 @@ def emitted_from(plain: Mapping[str, Any]) -> EmittedRule:
 
 
 def _name(value: Any) -> ModulationName:
-    found: ModulationName = next(
-        name for name in (*get_args(ModulationName), None) if name in (value, None)
-    )
+    found: ModulationName = next(name for name in (*MODULATORS, None) if name in (value, None))
     if found is None:
         raise ValueError
     return found

@@ -14,6 +14,7 @@ import pytest
 import dqforge
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.modulation.modulators import MODULATORS, modulate
+from dqforge.machines.modulation.zero_sequence import DELAY, load_turn, zero_sequence_of
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import (
     DOUBLES,
@@ -28,7 +29,6 @@ from dqforge.machines.transforms import (
     park_inverse,
     phases_to_dq,
 )
-from dqforge.machines.zero_sequence import DELAY, load_turn, zero_sequence_of
 from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges
 from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS, Codes
 

@@ -21,7 +21,6 @@ from dqforge.machines.devices.switch import SwitchDevice
 from dqforge.machines.losses.constant_device import bridge_load
 from dqforge.machines.modulation.clamping import (
     DISCONTINUOUS,
-    MEAN_SWITCHED_SHARE,
     clamping_angle,
     commutation_share,
     resting_phase,
@@ -121,7 +120,7 @@ def test_switching_loss_against_quadrature_of_waveforms_written_out(
 
 @settings(deadline=None)
 @given(
-    st.sampled_from(MODULATORS),
+    st.sampled_from(tuple(MODULATORS)),
     st.floats(0.01, 0.5),
     st.floats(-math.pi, math.pi),
     st.floats(-math.pi, math.pi),
@@ -245,10 +244,10 @@ def test_mean_shares_are_the_means_over_all_load_angles() -> None:
         factor = switching_loss_factor(name, lags)
         if name in {"gdpwm", "ddt-gdpwm"}:
             assert switching_loss_factor(name, [-0.5, 0.0, 0.5]) == pytest.approx(
-                3 * [MEAN_SWITCHED_SHARE[name]]
+                3 * [MODULATORS[name].mean_loss_factor]
             )
         else:
-            assert factor.mean() == pytest.approx(MEAN_SWITCHED_SHARE[name], rel=1e-6)
+            assert factor.mean() == pytest.approx(MODULATORS[name].mean_loss_factor, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", MODULATORS)
