@@ -3,7 +3,7 @@
 Phases to stationary and to rotor coordinates, amplitude-invariant: a balanced sine of peak 1 is a
 vector of length 1. Each function takes its operations from `Numbers`. `Floats` evaluates it on
 numpy arrays, in double precision or, in single, as the emitted C does to the last bit; codes of
-fixed point (`dqforge.optimizer.fixed_control.step.transforms.Codes`) make it the model of the
+fixed point (`dqforge.optimizer.fixed_control.transforms.Codes`) make it the model of the
 emitted integers and, on ranges, the proof that no word overflows.
 """
 

@@ -70,6 +70,11 @@ class Solution:
     negative: NegativeHalf | None = None
 
     @property
+    def positive(self) -> Design:
+        """The design as torques of the positive sign see it."""
+        return signed_designs(self.design)[0]
+
+    @property
     def reference(self) -> Emitted:
         """What the firmware evaluates for torques of both signs."""
         if self.negative is None:

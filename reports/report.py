@@ -13,7 +13,6 @@ import numpy as np
 from dqforge import __version__
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.current_reference.signed import signed_designs
 from dqforge.optimizer.loops.gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.control.fixed_tables import control_fixed_html
@@ -32,9 +31,6 @@ from dqforge.reports.main_header.header import header_context
 from dqforge.reports.modulation_choice.html import choice_part
 from dqforge.reports.observers.html import observer_tables
 from dqforge.reports.observers.speed_loop_text import left_words
-from dqforge.reports.operating_points.html import (
-    copper_saving,
-)
 from dqforge.reports.pages.certificate_text import proof_title, proven_text
 from dqforge.reports.pages.figures_style import save, to_svg
 from dqforge.reports.pages.html_table import HtmlTable
@@ -140,7 +136,7 @@ def tiles(solution: Solution, verification: Verification | None) -> list[Tile]:
             ),
         ),
     ]
-    saving = copper_saving(solution)
+    saving = solution.curves.saving
     if saving is not None:
         detail = (
             f"{watts(saving.chosen)} instead of {watts(saving.id0)} at "
@@ -161,7 +157,7 @@ def tiles(solution: Solution, verification: Verification | None) -> list[Tile]:
 def summary(solution: Solution, verification: Verification | None) -> Markup:
     """One paragraph with the key numbers."""
     fit, errors, design = solution.fit, solution.fit.errors, solution.design
-    where = operation_text(design)
+    where = operation_text(fit.speed)
     sentences = [
         (
             "The current reference follows "
@@ -183,7 +179,7 @@ def summary(solution: Solution, verification: Verification | None) -> Markup:
             f"{quantity(half.fit.torque_max, 'N m')}; its torque errs by at most "
             f"{quantity(ceiling(half.fit.errors.torque), 'N m', 3)} ({proof})."
         )
-    saving = copper_saving(solution)
+    saving = solution.curves.saving
     if saving is not None:
         where = quantity(saving.torque, "N m")
         sentences.append(
@@ -214,12 +210,11 @@ def _figures(solution: Solution) -> dict[str, Markup]:
     """The figures as inline SVG, by name."""
     from markupsafe import Markup
 
-    design, fit = solution.design, solution.fit
-    positive = signed_designs(design)[0]
+    design, positive, fit = solution.design, solution.positive, solution.fit
     drawn: dict[str, Callable[[], Figure]] = {
         "mtpa": lambda: plot_mtpa(positive, solution.curves, fit),
         "fit": lambda: plot_fit(positive, fit),
-        "errors": lambda: plot_errors(positive, fit),
+        "errors": lambda: plot_errors(fit),
     }
     gains = solution.loops
     if gains is not None:

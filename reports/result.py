@@ -28,7 +28,7 @@ from dqforge.reports.observers.speed_header import plain_speed_observer
 from dqforge.reports.operating_points.plain import plain_curves
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.waveforms.header import plain_phase_reference
-from dqforge.reports.waveforms.tables import plain_waveforms
+from dqforge.reports.waveforms.tables import plain_phase_fit, plain_waveforms
 
 
 def plain_design(design: Design) -> PlainData:
@@ -119,6 +119,7 @@ def plain_solution(solution: Solution) -> PlainData:
         "losses": plain_losses(solution.losses),
         "mission": None if solution.mission is None else plain_mission(solution.mission),
         "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),
+        "waveform_fit": None if solution.phases is None else plain_phase_fit(solution.phases),
         "waveform_header": None
         if solution.phases is None
         else plain_phase_reference(solution.phases.reference),

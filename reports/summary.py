@@ -56,7 +56,7 @@ def _errors_text(errors: ReferenceErrors) -> str:
 
 def run_tables(solution: Solution, verification: Verification | None) -> list[Table]:
     """The short summary of a run."""
-    fit, gains, where = solution.fit, solution.loops, operation_text(solution.design)
+    fit, gains, where = solution.fit, solution.loops, operation_text(solution.fit.speed)
     polynomial = fit.d or fit.q
     plural = "" if polynomial is None or polynomial.segments == 1 else "s"
     shape = (

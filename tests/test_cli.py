@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 import re
 import sys
 from collections.abc import Callable
@@ -632,6 +633,11 @@ def test_capture_of_the_back_emf(run: Run, tmp_path: Path) -> None:
     assert "13.33 V/krpm (phase peak)" in shown.out
     found = json.loads(run("bemf", "scope.csv", "--json").out)["bemf"]
     assert found["frequency_Hz"] == pytest.approx(50.0, rel=1e-6)
+    assert found["constants_Vs_per_rad"] == {}
+    assert found["omega_m_rad_per_s"] is None
+    paired = json.loads(run("bemf", "scope.csv", "--pole-pairs", "2", "--json").out)["bemf"]
+    assert paired["constants_Vs_per_rad"]["phase_peak"] == pytest.approx(0.12732, rel=1e-3)
+    assert paired["omega_m_rad_per_s"] == pytest.approx(math.pi * 50.0, rel=1e-6)
     assert found["amplitudes_Wb"][1][4] / found["amplitudes_Wb"][1][0] == pytest.approx(
         0.03, rel=1e-3
     )

@@ -3,7 +3,8 @@ from samples to harmonics per speed.
 
 Convention: theta is the electrical angle of the d axis from phase a, and
 
-    e_k / omega_e = - sum_h A_kh sin(h theta - phi_kh),    psi_k = sum_h (A_kh / h) cos(h theta - phi_kh),
+    e_k / omega_e = - sum_h A_kh sin(h theta - phi_kh),
+        psi_k = sum_h (A_kh / h) cos(h theta - phi_kh),
 
 so that phi is the phase of the magnet's flux linkage and an ideal machine has phi_1 = 0, 120 and
 -120 degrees in phases a, b and c. The d axis lies along the positive sequence of the fundamental:
@@ -149,19 +150,62 @@ def analyse(
         )
     checks.check_flat(capture.voltages, origin)
     findings: list[str] = []
-    voltages = capture.voltages
     if timed:
-        frequency, share = motions.rough_frequency(axis, voltages)
-        tell(0.1)
-        checks.check_line(share, origin)
-        samples = 1.0 / (frequency * motions.sample_interval(axis))
-        checks.check_length(axis.size / samples, samples, origin)
-        findings += checks.check_clipping(voltages, samples, origin)
-        motion = motions.rough_motion(axis, voltages, frequency)
-        tell(0.2)
+        motion, samples = _found_motion(axis, capture.voltages, origin, findings, tell)
     else:
         motion, samples = _given_motion(axis, origin)
     count = _orders_resolved(harmonics, samples, findings)
+    motion, start = _coarse_fit(capture, motion, samples, count, origin)
+    tell(0.3)
+    voltages = capture.voltages
+    if capture.connection == "line-to-line":
+        findings += _line_to_line_findings(voltages)
+        voltages, start = _TO_PHASES @ voltages, _TO_PHASES @ start
+    fit = numerics.fit_harmonics(
+        motion, voltages, count, start, lambda share: tell(0.3 + 0.6 * share)
+    )
+    checks.check_condition(fit, origin)
+    checks.check_length(_periods(fit.motion), samples, origin)
+    if timed:
+        checks.check_speed(fit.motion.frequency, pole_pairs, speed, origin)
+        omega = fit.motion.unit_speed
+    else:
+        omega = _speed_of_angle(capture, pole_pairs, speed, origin, findings)
+    steps = np.array([numerics.resolution(row) for row in capture.voltages]) * timed
+    return _result(fit, omega, steps, capture.connection, capture.quantity, findings, origin)
+
+
+def _found_motion(
+    time: FloatArray,
+    voltages: FloatArray,
+    origin: Origin,
+    findings: list[str],
+    tell: Callable[[float], None],
+) -> tuple[Motion, float]:
+    """Motion that voltages over the time in s, shape (N,), show, and how
+    many samples make a period.
+    """
+    frequency, share = motions.rough_frequency(time, voltages)
+    tell(0.1)
+    checks.check_line(share, origin)
+    samples = 1.0 / (frequency * motions.sample_interval(time))
+    checks.check_length(time.size / samples, samples, origin)
+    findings += checks.check_clipping(voltages, samples, origin)
+    motion = motions.rough_motion(time, voltages, frequency)
+    tell(0.2)
+    return motion, samples
+
+
+def _coarse_fit(
+    capture: BemfCapture, motion: Motion, samples: float, count: int, origin: Origin
+) -> tuple[Motion, ComplexArray]:
+    """The motion with what disturbs it, and the first harmonics of the channels, shape (3, H):
+    where the fit begins.
+
+    A few samples of each period suffice for both, and for the checks of
+    what kind of signal this is.
+    """
+    voltages = capture.voltages
     stride = max(1, int(samples / _COARSE_SAMPLES))
     thin = replace(origin, lines=origin.lines[::stride])
     coarse = numerics.fit_harmonics(
@@ -179,24 +223,7 @@ def analyse(
     fundamentals = coarse.coefficients[: 2 if derived else 3, 0]
     checks.check_ratios(fundamentals, origin)
     checks.check_displacements(fundamentals, origin)
-    start = coarse.coefficients
-    del coarse  # its residual may be large
-    tell(0.3)
-    if capture.connection == "line-to-line":
-        findings += _line_to_line_findings(voltages)
-        voltages, start = _TO_PHASES @ voltages, _TO_PHASES @ start
-    fit = numerics.fit_harmonics(
-        motion, voltages, count, start, lambda share: tell(0.3 + 0.6 * share)
-    )
-    checks.check_condition(fit, origin)
-    checks.check_length(_periods(fit.motion), samples, origin)
-    if timed:
-        checks.check_speed(fit.motion.frequency, pole_pairs, speed, origin)
-        omega = fit.motion.unit_speed
-    else:
-        omega = _speed_of_angle(capture, pole_pairs, speed, origin, findings)
-    steps = np.array([numerics.resolution(row) for row in capture.voltages]) * timed
-    return _result(fit, omega, steps, capture.connection, capture.quantity, findings, origin)
+    return motion, coarse.coefficients
 
 
 def analyse_period(

@@ -154,27 +154,6 @@ def capture_from_tables(tables: Sequence[TextTable], options: CaptureOptions) ->
     return BemfCapture(source, time, angle, voltages, tables[0].lines, options.connection, quantity)
 
 
-def capture_from_table(
-    table: TextTable,
-    *,
-    connection: Connection = "phase",
-    time_unit: str | None = None,
-    voltage_unit: str | None = None,
-    columns: Sequence[str | int] | None = None,
-    scale: tuple[float, float, float] = (1.0, 1.0, 1.0),
-    pole_pairs: int | None = None,
-    interval: float | None = None,
-) -> BemfCapture:
-    """Samples in SI units from the columns of one file.
-
-    The options are those of `CaptureOptions`.
-    """
-    options = CaptureOptions(
-        connection, time_unit, voltage_unit, columns, scale, pole_pairs, interval
-    )
-    return capture_from_tables([table], options)
-
-
 def _part(table: TextTable, options: CaptureOptions) -> _Part:
     """Axis and channels of one table."""
     origin = Origin(table.source, table.lines)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
-from dqforge.machines.library_files import LibraryFiles
+from dqforge.machines.files.library_files import LibraryFiles
 
 _TEMPLATE = "template"
 

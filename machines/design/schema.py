@@ -6,6 +6,7 @@ The models hold what the file says; `dqforge.machines.design.loader` turns it in
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from pydantic import Field
@@ -91,6 +92,9 @@ def _tidied(schema: Any) -> Any:
             choices = [choice for choice in value if choice != {"type": "null"}]
             # An optional entry with several forms arrives as a choice within a choice.
             tidy |= _tidied(choices[0]) if len(choices) == 1 else {"anyOf": _tidied(choices)}
+        elif key == "description" and isinstance(value, str):
+            # Docstrings are wrapped; a description has one line for each of its paragraphs.
+            tidy[key] = re.sub(r"(?<!\n)\n(?!\n)", " ", value)
         else:
             tidy[key] = _tidied(value)
     return tidy

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dqforge.machines.devices.device import DeviceModel
 from dqforge.machines.devices.library_format import read_device_yaml
-from dqforge.machines.library_files import LibraryFiles
+from dqforge.machines.files.library_files import LibraryFiles
 
 _FILES = LibraryFiles("device", "devices")
 

@@ -116,11 +116,6 @@ class CurrentRegion:
         """Whether currents in A lie inside or on the edge, any one shape."""
         return np.asarray(self.beyond(i_d, i_q) <= _ON_THE_EDGE * self.size)
 
-    def nearest_edge(self, i_d: FloatArray, i_q: FloatArray) -> NDArray[np.intp]:
-        """Number of the edge beyond which, or next to which, currents in A of shape (N,) lie."""
-        gaps = np.multiply.outer(self.normal_d, i_d) + np.multiply.outer(self.normal_q, i_q)
-        return np.asarray(np.argmax(gaps - self.offset[:, np.newaxis], axis=0))
-
     def end_of_ray(self, angle: float) -> float:
         """Current in A at which a ray from zero current, at an angle in rad, leaves the region."""
         along = self.normal_d * np.cos(angle) + self.normal_q * np.sin(angle)

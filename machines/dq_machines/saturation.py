@@ -40,7 +40,8 @@ class SaturationModel:
 
     ::
 
-        i_d = (a_d0 + a_dd |psi_d|^s + a_dq/(v + 2) |psi_d|^u |psi_q|^(v + 2)) psi_d + g_b (psi_d - psi_n)
+        i_d = (a_d0 + a_dd |psi_d|^s + a_dq/(v + 2) |psi_d|^u |psi_q|^(v + 2)) psi_d
+              + g_b (psi_d - psi_n)
         i_q = (a_q0 + a_qq |psi_q|^t + a_dq/(u + 2) |psi_d|^(u + 2) |psi_q|^v) psi_q + k_q g_b psi_q
         g_b = a_b w^e / (1 + a_bp w^e),   w^2 = (psi_d - psi_n)^2 + k_q psi_q^2
 

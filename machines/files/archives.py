@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.named_arrays import MOST_POINTS, NamedArray, check_bytes, unreadable
+from dqforge.machines.files.named_arrays import MOST_POINTS, NamedArray, check_bytes, reading
 
 _MOST_CHUNK = 32_000_000
 
@@ -23,7 +23,7 @@ value of it is asked for."""
 def arrays_of_npz(content: bytes, source: str) -> list[NamedArray]:
     """Arrays of an NPZ archive; Python objects in it are never loaded."""
     found = []
-    try:
+    with reading("NPZ", source):
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             check_bytes(sum(member.file_size for member in archive.infolist()), source)
             for member in archive.infolist():
@@ -38,8 +38,6 @@ def arrays_of_npz(content: bytes, source: str) -> list[NamedArray]:
                     values = np.empty((), dtype=object)
                 if isinstance(values, np.ndarray):  # a member that is no array comes as bytes
                     found.append(NamedArray(name, name, values))
-    except Exception as error:  # a damaged archive raises anything
-        raise unreadable(error, "NPZ", source) from error
     return found
 
 
@@ -91,11 +89,8 @@ def arrays_of_hdf5(content: bytes, source: str) -> list[NamedArray]:
             )
         )
 
-    try:
-        with h5py.File(io.BytesIO(content), "r") as file:
-            file.visititems(visit)
-    except Exception as error:
-        raise unreadable(error, "HDF5", source) from error
+    with reading("HDF5", source), h5py.File(io.BytesIO(content), "r") as file:
+        file.visititems(visit)
     return found
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.files import named_arrays as flux_map_arrays
-from dqforge.machines.files.named_arrays import NamedArray, check_bytes, unreadable
+from dqforge.machines.files.named_arrays import NamedArray, check_bytes, reading
 
 _MATRIX, _COMPRESSED = 14, 15
 
@@ -46,10 +46,8 @@ def arrays_of_mat4(content: bytes, source: str) -> list[NamedArray]:
     if 0 not in content[:4]:  # the first number, 0 to 4052, of the format that has no mark
         raise InputError("this is no MATLAB 4, 5 or 7.3 file; save it again", source=source)
     check_bytes(len(content), source)  # it holds numbers as they are, of 8 bytes at most
-    try:
+    with reading("MATLAB", source):
         variables = loadmat(io.BytesIO(content))
-    except Exception as error:
-        raise unreadable(error, "MATLAB", source) from error
     return [
         NamedArray(name, name, values)
         for name, values in variables.items()
@@ -66,7 +64,7 @@ def arrays_of_mat5(content: bytes, source: str) -> list[NamedArray]:
     order = "<" if content[126:128] == b"IM" else ">"
     found: list[NamedArray] = []
     total = 0
-    try:
+    with reading("MATLAB", source):
         for kind, element in _elements(memoryview(content)[128:], order):
             variables = [(kind, element)]
             if kind == _COMPRESSED:
@@ -79,8 +77,6 @@ def arrays_of_mat5(content: bytes, source: str) -> list[NamedArray]:
             for inner, variable in variables:
                 if inner == _MATRIX:
                     found += _variable(variable, order)
-    except Exception as error:
-        raise unreadable(error, "MATLAB", source) from error
     return found
 
 

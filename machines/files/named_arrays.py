@@ -4,7 +4,8 @@ and their limits.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,9 +92,23 @@ def check_bytes(total: int, source: str) -> None:
         raise InputError(f"{message}; save those of the map alone, or a coarser one", source=source)
 
 
-def unreadable(error: Exception, form: str, source: str) -> InputError:
-    """What to say of an archive that its library could not read."""
-    if isinstance(error, InputError):
-        return error
-    reason = " ".join(str(error).split())[:200] or type(error).__name__
-    return InputError(f"cannot read this {form} file ({reason}); save it again", source=source)
+@contextmanager
+def reading(form: str, source: str) -> Iterator[None]:
+    """Around a library's reader, which raises anything for a damaged file:
+    that becomes one line for the user.
+
+    Raises
+    ------
+    InputError
+        What was raised within; of one that the library did not know as such its reason,
+        and what to do.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(
+            f"cannot read this {form} file ({reason}); save it again", source=source
+        ) from error

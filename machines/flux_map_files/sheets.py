@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import IO
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.named_arrays import unreadable
+from dqforge.machines.files.named_arrays import reading
 
 _MOST_BYTES = 64_000_000
 
@@ -46,7 +46,7 @@ def sheets(content: bytes, source: str) -> list[tuple[str, bytes]]:
     from python_calamine import CalamineWorkbook
 
     found = []
-    try:
+    with reading("xlsx", source):
         _check_claims(content, source)
         book = CalamineWorkbook.from_filelike(io.BytesIO(content))
         for name in book.sheet_names:
@@ -59,8 +59,6 @@ def sheets(content: bytes, source: str) -> list[tuple[str, bytes]]:
                 found.append(
                     (name, "\n".join("\t".join(map(_text, row)) for row in _trimmed(rows)).encode())
                 )
-    except Exception as error:  # a damaged workbook raises anything
-        raise unreadable(error, "xlsx", source) from error
     if not found:
         raise InputError("no sheet holds numbers", source=source)
     return found

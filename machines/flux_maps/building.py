@@ -198,7 +198,7 @@ def build_flux_map(
         The points do not make a map, or not that of a machine; see also
         `check_points` and `check_map`.
     """
-    source = points.source
+    source, angle, symmetry = points.source, treatment.frame_angle, treatment.symmetry
     _check_size(points.i_d.size, source)
     check_holes(points)
     check_outliers(points)
@@ -206,75 +206,102 @@ def build_flux_map(
     check_points(merged.points, axes)
     known, said = _scaling(points, scaling)
     compared = None if pole_pairs is None else check_torque(points, pole_pairs, known, torque)
-    findings = (*points.findings, *said, *_conversion(axes, known), *merged.findings)
-    findings = findings if compared is None else (*findings, compared.sentence)
     single = converted(merged.points, axes, known)
-    plane, noise, is_grid = _plane(single, treatment.frame_angle)
+    plane, noise, is_grid = _plane(single, angle)
+    turned = _turned(single, angle)
     if plane.asymmetry > _WORST_ASYMMETRY * _largest(single.psi_d, single.psi_q):
-        if treatment.fit != "interpolate":
-            _refuse_single_points(plane, _turned(single, treatment.frame_angle), source)
-        raise InputError(
-            "the halves i_q > 0 and i_q < 0 are no mirror images: they lie "
-            f"{format_quantity(plane.asymmetry, 'Wb')} from their mean; psi_d must be even and "
-            "psi_q odd in i_q (d along the magnets), check the signs",
-            source=source,
-        )
+        raise _unequal_halves(plane, turned, treatment, source)
     _check_size(plane.psi[0].size, source)
-    turned_points = _turned(single, treatment.frame_angle)
-    noise = _noise_of_repeats(converted(points, axes, known)) or noise
-    whole, symmetry = plane, treatment.symmetry
     if plane.raw is None and symmetry != "average":
-        raise InputError(
-            f"symmetry: {symmetry} needs points of both halves, i_q > 0 and i_q < 0; leave it out",
-            source=source,
+        message = (
+            f"symmetry: {symmetry} needs points of both halves, i_q > 0 and i_q < 0; leave it out"
         )
-    if symmetry in ("positive", "negative"):
-        plane = _one_half(plane, symmetry)
-        turned_points = _half_of(turned_points, symmetry)
-        if plane.hull is not None:
-            plane = replace(
-                plane,
-                hull=plane.hull.within(CurrentRegion.hull(turned_points.i_d, turned_points.i_q)),
-            )
-    zero = _zero_current(plane.i_d, source)
-    if treatment.frame_angle:
-        findings = (
-            *findings,
-            f"the frame was turned by {np.degrees(treatment.frame_angle):.4g} deg (electrical)",
-        )
+        raise InputError(message, source=source)
+    noise = _noise_of_repeats(converted(points, axes, known)) or noise
+    whole = _Given(plane, turned, noise, is_grid)
+    given = _chosen(whole, symmetry)
+    zero = _zero_current(given.plane.i_d, source)
+    flux_map, used = _fitted(given, given.plane.psi, treatment.fit, source, extrapolate=extrapolate)
+    halves = None
+    if plane.raw is not None:
+        halves = _fitted(whole, plane.raw, used.used, source, extrapolate=extrapolate, even=False)[
+            0
+        ]
+    findings = (
+        *points.findings,
+        *said,
+        *_conversion(axes, known),
+        *merged.findings,
+        *(() if compared is None else (compared.sentence,)),
+        *((f"the frame was turned by {np.degrees(angle):.4g} deg (electrical)",) if angle else ()),
+        *(map(_kept, given.plane.findings) if symmetry == "keep" else given.plane.findings),
+        *zero,
+        *check_map(flux_map, source, expected_psi_pm),
+    )
+    misfit = energy_misfit(flux_map)
+    return FluxMapReading(
+        flux_map, findings, misfit, plane.asymmetry, used, halves, merged.scatter, compared
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Given:
+    """What is fitted: a plane, the points behind it in its frame, their noise,
+    and whether they fill a grid.
+    """
+
+    plane: _Plane
+    points: FluxPoints
+    noise: FluxNoise | None
+    is_grid: bool
+
+
+def _unequal_halves(
+    plane: _Plane, points: FluxPoints, treatment: FluxTreatment, source: str
+) -> InputError:
+    """What to say of halves that are no mirror images; where few points make them differ,
+    these are named instead.
+    """
+    if treatment.fit != "interpolate":
+        _refuse_single_points(plane, points, source)
+    return InputError(
+        "the halves i_q > 0 and i_q < 0 are no mirror images: they lie "
+        f"{format_quantity(plane.asymmetry, 'Wb')} from their mean; psi_d must be even and psi_q "
+        "odd in i_q (d along the magnets), check the signs",
+        source=source,
+    )
+
+
+def _chosen(whole: _Given, symmetry: FluxSymmetry) -> _Given:
+    """The half that is wanted, completed by its mirror image; both where none is."""
+    if symmetry not in ("positive", "negative"):
+        return whole
+    plane, points = _one_half(whole.plane, symmetry), _half_of(whole.points, symmetry)
+    if plane.hull is not None:
+        plane = replace(plane, hull=plane.hull.within(CurrentRegion.hull(points.i_d, points.i_q)))
+    return replace(whole, plane=plane, points=points)
+
+
+def _fitted(
+    given: _Given,
+    psi: FloatArray,
+    fit: FluxFitName,
+    source: str,
+    *,
+    extrapolate: bool,
+    even: bool = True,
+) -> tuple[FluxMap, FluxFit]:
+    """Flux map of flux linkages in Wb, shape (2, M, N), on the axes of a plane,
+    and how it was made.
+    """
     try:
-        flux_map, used = fit_flux(
-            _data(plane, plane.psi, turned_points, noise, is_grid=is_grid), treatment.fit, source
-        )
-        flux_map = FluxMap(
-            flux_map.i_d, flux_map.i_q, flux_map.psi_d, flux_map.psi_q, extrapolate, plane.hull
-        )
-        halves = None
-        if whole.raw is not None:
-            data = _data(
-                whole, whole.raw, _turned(single, treatment.frame_angle), noise, is_grid=is_grid
-            )
-            both = fit_flux(data, used.used, source, even=False)[0]
-            halves = FluxMap(both.i_d, both.i_q, both.psi_d, both.psi_q, extrapolate, whole.hull)
+        data = _data(given.plane, psi, given.points, given.noise, is_grid=given.is_grid)
+        found, used = fit_flux(data, fit, source, even=even)
+        return FluxMap(
+            found.i_d, found.i_q, found.psi_d, found.psi_q, extrapolate, given.plane.hull
+        ), used
     except InputError as error:
         raise InputError(error.message, source=source) from None
-    checked = check_map(flux_map, source, expected_psi_pm)
-    done = (
-        tuple(_kept(sentence) for sentence in plane.findings)
-        if symmetry == "keep"
-        else plane.findings
-    )
-    findings = (*findings, *done, *zero, *checked)
-    return FluxMapReading(
-        flux_map,
-        findings,
-        energy_misfit(flux_map),
-        whole.asymmetry,
-        used,
-        halves,
-        merged.scatter,
-        compared,
-    )
 
 
 def _refuse_single_points(plane: _Plane, points: FluxPoints, source: str) -> None:

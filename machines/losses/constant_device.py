@@ -155,10 +155,13 @@ def bridge_load(
 
     ::
 
-        MOSFET     P_cond = 3 R <i^2> = 3/2 R |i|^2                              (synchronous rectification)
+        MOSFET     P_cond = 3 R <i^2> = 3/2 R |i|^2
+                   (synchronous rectification)
         IGBT       P_cond = 3 < s (V_CE0 |i| + r_CE i^2) + (1 - s) (V_F0 |i| + r_F i^2) >
-                   with s = u where i > 0, and s = 1 - u elsewhere; u the duty cycle of the upper switch
-        switching  P_sw   = 3 f_sw (E_on + E_off + E_rr) / (I_ref V_ref) v_dc < |i|, 0 where clamped >
+                   with s = u where i > 0, and s = 1 - u elsewhere; u the duty cycle of the upper
+                   switch
+        switching  P_sw
+                   = 3 f_sw (E_on + E_off + E_rr) / (I_ref V_ref) v_dc < |i|, 0 where clamped >
 
     where < > is the average over an electrical period, to rounding (`sector_waveforms`).
 

@@ -139,7 +139,8 @@ def machine_budget(
 
     ::
 
-        e     = j omega_e psi                           back-EMF, psi and the torque from the currents given
+        e     = j omega_e psi
+              back-EMF, psi and the torque from the currents given
         i_t   = i + e P_iron / (3/2 |e|^2)              current at the terminals
         R     = r_s (r + k_ac omega_e^2 / r)            r = 1 + alpha (T_winding - T_ref)
         v     = (R + 2/3 k_m omega_e^2) i_t + e

@@ -40,13 +40,6 @@ DISCONTINUOUS: frozenset[ModulationName] = frozenset(
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
-def commutation_share(name: ModulationName) -> float:
-    """Commutations per carrier period relative to continuous modulators,
-    which make two in each phase: 1 or 2/3.
-    """
-    return 2.0 / 3.0 if MODULATORS[name].rests else 1.0
-
-
 def compared_at(
     name: ModulationName, voltage: FloatArray, current: FloatArray
 ) -> tuple[Triple[Reals], Triple[Reals], Pair[Reals] | None, Pair[Reals] | None]:
@@ -142,7 +135,8 @@ def switching_loss_factor(name: ModulationName, load_angle: ArrayLike) -> FloatA
 
     ::
 
-        SLF(phi) = 1 - 1/2 sum over the intervals where a phase rests in a half wave of  int |cos(x - phi)| dx
+        SLF(phi) = 1 - 1/2 sum over the intervals where a phase rests in a half wave of
+            int |cos(x - phi)| dx
 
     for losses proportional to the current; x from the peak of the phase's reference. The intervals
     in degrees are -60 to 0 (DPWM0), -30 to 30 (DPWM1), 0 to 60 (DPWM2), -60 to -30 and 30 to 60

@@ -5,7 +5,8 @@ integral of the difference between switched and wanted voltage, the harmonic flu
 both ends and in the middle of the period and straight between the switching instants. For the phase
 with the duty cycle u it is, less the part common to the three phases and in terms of v_dc T,
 
-    g(s) = -G(s, 1 - u) / 2,   G(s, a) = min(s, a) (1 - max(s, a)),   s = 0 to 1 over the first half of the period
+    g(s) = -G(s, 1 - u) / 2,   G(s, a) = min(s, a) (1 - max(s, a)),
+                               s = 0 to 1 over the first half of the period
 
 and -g over the second half. G is the Green's function of a string,
 whose products integrate in closed form:
@@ -112,18 +113,6 @@ def flux_moments(duty: FloatArray) -> FloatArray:
     a = np.minimum(off[..., :, None], off[..., None, :])
     b = np.maximum(off[..., :, None], off[..., None, :])
     return np.asarray(a * (1.0 - b) * (1.0 - a**2 - (1.0 - b) ** 2) / 24.0)
-
-
-def flux_ripple_square(duty: FloatArray) -> FloatArray:
-    """Mean square of the harmonic flux vector over a carrier period (...), in (v_dc T)^2,
-    of duty cycles (..., 3).
-
-    The vector is amplitude-invariant: half of its mean square is the mean square of a phase,
-    averaged over the phases.
-    """
-    moments = flux_moments(duty)
-    own = np.trace(moments, axis1=-2, axis2=-1)
-    return np.asarray((2.0 * own - 2.0 / 3.0 * np.sum(moments, axis=(-2, -1))) / 3.0)
 
 
 def harmonic_distortion_factor(

@@ -4,13 +4,13 @@
 ::
 
     SPWM           V0 = v_dc / 2
-    THIPWM6        V0 = v_dc / 2 - V cos(3 alpha) / 6       alpha the angle of the voltage vector from phase a
+    THIPWM6        V0 = v_dc / 2 - V cos(3 alpha) / 6
     THIPWM4        V0 = v_dc / 2 - V cos(3 alpha) / 4
     SVPWM          V0 = (v_dc - V_max - V_min) / 2
-    discontinuous  V0 = v_dc - V_max   where the highest phase rests,   -V_min   where the lowest does
+    discontinuous  V0 = v_dc - V_max where the highest phase rests, -V_min where the lowest does
 
-Paper 000 (14) prints -V_max in the last case, which would clamp no phase.
-Which of the two phases rests:
+with alpha the angle of the voltage vector from phase a. Paper 000 (14) prints -V_max in the last
+case, which would clamp no phase. Which of the two phases rests:
 
 ::
 

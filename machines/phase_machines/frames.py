@@ -172,8 +172,10 @@ def frame_angles(shape: FloatArray) -> FrameAngles:
 
     ::
 
-        theta_x = atan2(-F_alpha, F_beta) - theta     a_x = sqrt(3/2) / |F_alphabeta|       (2.34), (2.36)
-        theta_y = atan2(-F_qx, F_0x)                  a_y = sqrt(3/2) / |F_alphabeta0|      (3.12), (3.16)
+        theta_x = atan2(-F_alpha, F_beta) - theta     a_x = sqrt(3/2) / |F_alphabeta|
+            (2.34), (2.36)
+        theta_y = atan2(-F_qx, F_0x)                  a_y = sqrt(3/2) / |F_alphabeta0|
+            (3.12), (3.16)
 
     (3.12) prints F_qy for F_qx, and its arctangent loses the quadrant; here F_qy > 0, so that
     theta_y is -90 degrees without zero sequence, where the paper has 90.

@@ -228,7 +228,8 @@ def hysteresis_frequency(
     A phase then is a half bridge on an inductance: the error crosses the band 2 h with the
     slopes (v_dc/2 -+ v) / L,
 
-        f = ((v_dc/2)^2 - v^2) / (2 v_dc h L),   average over a sinusoid v of amplitude V:  v^2 -> V^2 / 2
+        f = ((v_dc/2)^2 - v^2) / (2 v_dc h L),   average over a sinusoid v of amplitude V:
+            v^2 -> V^2 / 2
 
     Parameters
     ----------

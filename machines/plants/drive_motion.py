@@ -4,8 +4,10 @@ as the firmware sees them.
 A reference for judging observers. The speed is given, so that nothing but the
 observer can be wrong. Per period
 
-    the currents are sampled at k t_s; a PI controller with decoupling computes a voltage from them with the true angle;
-    it acts from (k + 1) t_s to (k + 2) t_s, held in stationary coordinates (one period of computation delay).
+    the currents are sampled at k t_s; a PI controller with decoupling computes a voltage from
+    them with the true angle;
+    it acts from (k + 1) t_s to (k + 2) t_s, held in stationary coordinates (one period of
+    computation delay).
 
 The machine is integrated in stationary coordinates,
 

@@ -18,6 +18,7 @@ from dqforge.optimizer.current_reference.cost_model import AXES
 from dqforge.optimizer.current_reference.forms import (
     ClosedForm,
     CurrentReference,
+    ErrorCurves,
     Form,
     Polynomials,
     Proportional,
@@ -25,6 +26,7 @@ from dqforge.optimizer.current_reference.forms import (
     ReferenceErrors,
     ReluctanceClosedForm,
     TorqueExact,
+    error_curves,
     reference_errors,
 )
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
@@ -40,7 +42,13 @@ from dqforge.optimizer.curves.fitting import (
 from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.curves.segmentations import Segmentations
 from dqforge.optimizer.curves.single_precision import SinglePolynomial
-from dqforge.optimizer.operating_points.current_choice import CurrentChoice, domain_end
+from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint, domain_end
+
+_CURVE_SAMPLES = 1600
+
+"""Torques at which the errors are kept over the torque, some more where a
+reference has breakpoints."""
+
 
 _LARGEST_BASE = 1e18
 
@@ -54,7 +62,9 @@ class ReferenceFit:
     ``form`` is the name of the form that is emitted: one of the settings' names, or
     ``proportional`` where the exact reference is a straight line, or ``reluctance`` for the exact
     square root. ``d`` and ``q`` are the polynomials in double, A over N m, where the form has them.
-    ``errors`` are those of the arithmetic of ``reference``.
+    ``errors`` are the largest ones of the arithmetic of ``reference``, ``curves`` those over the
+    torque, without fused multiply-add. ``speed`` is the one speed for which the reference weakens
+    the field, and the voltage that it keeps there; None where the voltage limits nothing.
     """
 
     settings: FitSettings
@@ -64,6 +74,8 @@ class ReferenceFit:
     q: PiecewisePolynomial | None
     reference: Reference
     errors: ReferenceErrors
+    curves: ErrorCurves
+    speed: SpeedPoint | None
 
 
 def _cost(curves: list[Curve], settings: FitSettings) -> Callable[[FloatArray], float]:
@@ -239,13 +251,15 @@ def fit_reference(choice: CurrentChoice, settings: FitSettings) -> ReferenceFit:
     if number_format != "float32":
         reference = in_fixed_point(choice, settings, end, fits)
     return ReferenceFit(
-        settings,
-        name,
-        end,
-        fits.get("d"),
-        fits.get("q"),
-        reference,
-        reference_errors(choice, reference),
+        settings=settings,
+        form=name,
+        torque_max=end,
+        d=fits.get("d"),
+        q=fits.get("q"),
+        reference=reference,
+        errors=reference_errors(choice, reference),
+        curves=error_curves(choice, reference, reference.samples(_CURVE_SAMPLES)),
+        speed=choice.speed,
     )
 
 

@@ -108,16 +108,3 @@ def local_coefficients(chebyshev: FloatArray, edges: FloatArray) -> FloatArray:
         chebyshev @ _chebyshev_to_local(degree) / half_width ** np.arange(degree + 1)
     )
     return converted
-
-
-def absolute_coefficients(piecewise: PiecewisePolynomial) -> FloatArray:
-    """Ascending powers of t itself per segment, shape (S, n + 1), the form that paper
-    000 prints in its Table 2.
-    """
-    absolute = np.zeros_like(piecewise.coefficients)
-    for row, (start, series) in enumerate(
-        zip(piecewise.edges[:-1], piecewise.coefficients, strict=True)
-    ):
-        shifted = np.polynomial.Polynomial(series)(np.polynomial.Polynomial([-start, 1.0]))
-        absolute[row, : shifted.coef.size] = shifted.coef
-    return absolute

@@ -17,6 +17,7 @@ from dqforge.optimizer.curves.two_family_levelling import Aims, level
 from dqforge.optimizer.field_weakening.border_curves import Mtpa, fit_limit, fit_mtpa, in_double
 from dqforge.optimizer.field_weakening.certificate import SurfaceCertificate, certify_step
 from dqforge.optimizer.field_weakening.drop_reference import DropReference
+from dqforge.optimizer.field_weakening.error_chart import ErrorChart, error_chart
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 from dqforge.optimizer.field_weakening.form import (
     SingleSurface,
@@ -114,7 +115,8 @@ class WeakeningFit:
 
     ``reference`` are the currents over torque and flux linkage, ``step`` the whole step over
     torque, voltage and speed that is emitted. ``certificate`` is None for machines that are neither
-    linear nor flux maps, and where no bound could be proven.
+    linear nor flux maps, and where no bound could be proven. ``chart`` are the errors over the
+    domain.
     """
 
     settings: WeakeningSettings
@@ -124,11 +126,19 @@ class WeakeningFit:
     voltage: VoltageErrors
     trials: tuple[SurfaceTrial, ...]
     certificate: SurfaceCertificate | None
+    chart: ErrorChart
 
     @property
     def region(self) -> WeakeningRegion:
         """Domain of torque and available flux linkage."""
         return self.domain.flux
+
+    @property
+    def largest_torque_error(self) -> float:
+        """Largest sampled error of the torque in N m, over flux linkages as over voltages and
+        speeds.
+        """
+        return max(self.errors.torque, self.voltage.torque)
 
     @property
     def reference(self) -> WeakeningReference:
@@ -288,8 +298,16 @@ def fit_weakening(
             continue
         trials.append(replace(trial, chosen=keeps))
         if errors is not None and voltage is not None and keeps:
-            certificate = certify_step(domain, step)
-            return WeakeningFit(settings, domain, step, errors, voltage, tuple(trials), certificate)
+            return WeakeningFit(
+                settings=settings,
+                domain=domain,
+                step=step,
+                errors=errors,
+                voltage=voltage,
+                trials=tuple(trials),
+                certificate=certify_step(domain, step),
+                chart=error_chart(region, step.surface),
+            )
     raise NoSolutionError(_refusal(trials, settings))
 
 

@@ -66,6 +66,11 @@ class VoltageRegion:
         return self.flux.machine
 
     @property
+    def largest_drop(self) -> float:
+        """What the resistance takes of the voltage at the current limit, in V."""
+        return self.machine.r_s * self.flux.i_max
+
+    @property
     def per_torque(self) -> float:
         """2 R/(3/2 p) in Ohm: what speed and torque take off the squared voltage."""
         return 2.0 * self.machine.r_s / (1.5 * self.machine.pole_pairs)

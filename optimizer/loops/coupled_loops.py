@@ -5,9 +5,12 @@ Each axis alone is judged as if the decoupling were perfect. It is not: its indu
 the design, it works with currents one period old, and the voltage stands still in the stator while
 the rotor turns on. With d + j q:
 
-    l_d di_d/dt = -R i_d + omega l_q i_q + g v_d,    l_q di_q/dt = -R i_q - omega l_d i_d + g v_q (- omega psi)
-    v(k T + s)  = exp(j omega (a - T - s)) v[k-1],   0 <= s < T       a: angle advance of the emitted control, in time
-    v[k]        = -(kp + ki T) i[k] + I[k-1] + (-omega l_q' i_q[k], omega l_d' i_d[k]),   I[k] = I[k-1] - ki T i[k]
+    l_d di_d/dt = -R i_d + omega l_q i_q + g v_d,
+        l_q di_q/dt = -R i_q - omega l_d i_d + g v_q (- omega psi)
+    v(k T + s)  = exp(j omega (a - T - s)) v[k-1],   0 <= s < T
+                a: angle advance of the emitted control, in time
+    v[k]        = -(kp + ki T) i[k] + I[k-1] + (-omega l_q' i_q[k], omega l_d' i_d[k]),
+                I[k] = I[k-1] - ki T i[k]
 
 for references of zero; magnets and references are inputs and move no pole. The poles are the
 eigenvalues of this map of (i, v, I), six states.

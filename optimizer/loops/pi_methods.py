@@ -42,8 +42,10 @@ def current_pi(
 ) -> tuple[float, float]:
     """Gains (kp in V/A, ki in V/(A s)) of one axis, before any check of the loop.
 
-        bandwidth            kp = w L             ki = w R               (pole cancelled; w crossover without delay)
-        damping              kp = 2 xi w L - R    ki = w^2 L             (poles of s^2 + 2 xi w s + w^2)
+        bandwidth            kp = w L             ki = w R
+                             (pole cancelled; w crossover without delay)
+        damping              kp = 2 xi w L - R    ki = w^2 L
+                             (poles of s^2 + 2 xi w s + w^2)
         magnitude-optimum    kp = L/(2 T)         ki = kp R/L            T = 1.5 t_s
         symmetrical-optimum  kp = L/(a T)         ki = kp/(a^2 T)        T = 1.5 t_s, spread a
 
@@ -72,7 +74,8 @@ def speed_pi(
     """Gains (kp in N m s/rad, ki in N m/rad) of the speed loop, before any check of the loop.
 
         bandwidth            kp = w J             ki = kp w/4
-        damping              kp = 2 xi w J - B    ki = w^2 J             (poles of s^2 + 2 xi w s + w^2)
+        damping              kp = 2 xi w J - B    ki = w^2 J
+                             (poles of s^2 + 2 xi w s + w^2)
         symmetrical-optimum  kp = J/(a T)         ki = kp/(a^2 T)        T = t_sum, spread a
 
     With ki = kp w/4 and B = 0 the loop without delays has the double pole s^2 + w s + w^2/4 = (s +

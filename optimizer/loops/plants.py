@@ -93,7 +93,8 @@ class DisturbanceResponse:
 def close_pi(plant: SampledSystem, kp: float, ki: float) -> PiLoop:
     """Close a backward-Euler PI around a plant with the inputs (manipulated value, disturbance).
 
-        C(z) = kp + ki t_s z/(z - 1),  i.e.  d[k] = d[k-1] + kp (e[k] - e[k-1]) + ki t_s e[k]   (paper 001, (8.9))
+        C(z) = kp + ki t_s z/(z - 1),  i.e.  d[k] = d[k-1] + kp (e[k] - e[k-1]) + ki t_s e[k]
+                                       (paper 001, (8.9))
 
     The plant's first output is measured and must not depend directly on
     the first input (``d`` = 0).

@@ -225,6 +225,16 @@ def compare_drives(
     )
 
 
+def dead_time_share(inverter: Inverter, alternatives: Alternatives) -> tuple[float, float]:
+    """Least and largest share of the linear range that dead time takes of the alternatives."""
+    kept = [
+        float(dead_time_factor(name, inverter.dead_time, frequency))
+        for name in alternatives.modulations
+        for frequency in alternatives.frequencies
+    ]
+    return 1.0 - max(kept), 1.0 - min(kept)
+
+
 def least(total: FloatArray) -> NDArray[np.intp]:
     """Flat index over the first three axes of the least total (S, M, F, P), shape (P,);
     -1 where all are infinite.

@@ -6,15 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
+from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.modulation.modulators import linear_limit
-from dqforge.optimizer.losses.drive_budget import BudgetOptions
+from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions
 from dqforge.optimizer.losses.drive_comparison import (
     Alternatives,
     DriveComparison,
     compare_drives,
+    dead_time_share,
     usable_limit,
 )
 from dqforge.optimizer.operating_points.characteristics import (
@@ -27,14 +28,70 @@ from dqforge.optimizer.operating_points.characteristics import (
 
 @dataclass(frozen=True, slots=True)
 class LossMap:
-    """A comparison over N torques in N m and M mechanical speeds in rad/s.
+    """A comparison of A alternatives over N torques in N m and M mechanical speeds in rad/s.
 
-    Its points run row by row.
+    Its points run row by row, P = N M. ``dead_time_share`` is what dead time takes of the linear
+    range, least and most of the alternatives.
     """
 
     torque: FloatArray
     omega_m: FloatArray
     comparison: DriveComparison
+    dead_time_share: tuple[float, float]
+
+    @property
+    def usable(self) -> BoolArray:
+        """Where each alternative drives the point within all limits, shape (A, P)."""
+        return self.comparison.usable.reshape(-1, self.comparison.torque.size)
+
+    @property
+    def shared(self) -> BoolArray:
+        """Points that all alternatives drive, shape (P,); those that drive none do not count."""
+        somewhere = np.any(self.usable, axis=1)
+        points = np.zeros(self.comparison.torque.size, dtype=np.bool_)
+        return np.all(self.usable[somewhere], axis=0) if np.any(somewhere) else points
+
+    @property
+    def mean_losses(self) -> FloatArray:
+        """Mean losses in W by kind over the shared points, shape (parts, A);
+        NaN where there is no such point.
+        """
+        somewhere, shared = np.any(self.usable, axis=1), self.shared
+        columns = []
+        for part in PARTS:
+            values = getattr(self.comparison.budget, part).reshape(self.usable.shape)
+            mean = (
+                np.mean(values[:, shared], axis=1)
+                if np.any(shared)
+                else np.full(somewhere.size, np.nan)
+            )
+            columns.append(np.where(somewhere, mean, np.nan))
+        return np.stack(columns)
+
+    @property
+    def hottest_junction(self) -> FloatArray:
+        """Largest junction temperature in degC where each alternative is usable, shape (A,);
+        -inf where nowhere.
+        """
+        return self._largest(self.comparison.budget.junction_temperature)
+
+    @property
+    def largest_ripple(self) -> FloatArray:
+        """Largest ripple current in A where each alternative is usable, shape (A,);
+        -inf where nowhere.
+        """
+        return self._largest(self.comparison.budget.ripple_current)
+
+    def _largest(self, values: FloatArray) -> FloatArray:
+        return np.asarray(
+            np.max(values.reshape(self.usable.shape), axis=1, initial=-np.inf, where=self.usable)
+        )
+
+    @property
+    def least_share(self) -> FloatArray:
+        """Share of the points at which each alternative loses least, shape (A,)."""
+        best = self.comparison.best
+        return np.bincount(best[best >= 0], minlength=self.usable.shape[0]) / best.size
 
 
 def budget_options(design: Design) -> BudgetOptions:
@@ -72,4 +129,4 @@ def solve_map(
         options=budget_options(design),
         margin=margin,
     )
-    return LossMap(torque, omega, comparison)
+    return LossMap(torque, omega, comparison, dead_time_share(design.inverter, alternatives))

@@ -33,6 +33,7 @@ from dqforge.optimizer.losses.drive_budget import (
 )
 from dqforge.optimizer.losses.drive_comparison import (
     Alternatives,
+    dead_time_share,
     least,
     strategy_currents,
     usable_limit,
@@ -112,12 +113,16 @@ class MissionComparison:
     """All alternatives over one mission.
 
     ``best`` is the index of the usable run that loses least, or -1.
+
+    ``dead_time_share`` is what dead time takes of the linear range,
+    least and most of the alternatives.
     """
 
     mission: Mission
     alternatives: Alternatives
     runs: tuple[MissionRun, ...]
     best: int
+    dead_time_share: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +193,8 @@ def compare_mission(
     totals = np.array([run.total if run.usable else np.inf for run in runs]).reshape(
         *alternatives.shape, 1
     )
-    return MissionComparison(mission, alternatives, tuple(runs), int(least(totals)[0]))
+    taken = dead_time_share(inverter, alternatives)
+    return MissionComparison(mission, alternatives, tuple(runs), int(least(totals)[0]), taken)
 
 
 def _runs(

@@ -29,7 +29,6 @@ from dqforge.optimizer.modulation_choice.limits import (
     frequency_marks,
     limit_marks,
 )
-from dqforge.optimizer.modulation_choice.rule import SimplifiedChoice, simplify
 
 _NODES = 13
 
@@ -84,16 +83,6 @@ class BestChoice:
     def found(self) -> BoolArray:
         """Where something keeps the limits."""
         return np.asarray(self.modulation >= 0)
-
-
-@dataclass(frozen=True, slots=True)
-class ListedChoice:
-    """A rule over a short list of alternatives (modulator, switching frequency in Hz),
-    and what it costs.
-    """
-
-    alternatives: tuple[tuple[ModulationName, float], ...]
-    simplified: SimplifiedChoice
 
 
 def _splined(values: FloatArray, nodes: FloatArray, fine: FloatArray) -> FloatArray:
@@ -313,35 +302,6 @@ def listed_frequencies(limits: ChoiceLimits, count: int = _LISTED) -> FloatArray
     listed = np.round(np.geomspace(limits.f_min, limits.f_max, count), -2)
     found = np.unique(np.concatenate([np.clip(listed, limits.f_min, limits.f_max), limits.edges()]))
     return found[limits.outside_bands(found)]
-
-
-def listed_choice(
-    machine: Machine,
-    inverter: Inverter,
-    points: ChoicePoints,
-    modulations: Sequence[ModulationName],
-    limits: ChoiceLimits,
-    *,
-    options: BudgetOptions | None = None,
-) -> ListedChoice:
-    """Rule over torque and speed that takes one of a short list of alternatives.
-
-    Parameters as in `best_choice`.
-
-    Raises
-    ------
-    NoSolutionError
-        At some point nothing on the list keeps the limits.
-    """
-    frequencies = listed_frequencies(limits)
-    names = tuple(modulations)
-    loss, kept = permitted_losses(
-        machine, inverter, points, names, frequencies, limits, options=options
-    )
-    alternatives = tuple((name, float(frequency)) for name in names for frequency in frequencies)
-    kept = kept.reshape(len(alternatives), -1).T
-    loss = np.where(kept, loss.reshape(len(alternatives), -1).T, 0.0)
-    return ListedChoice(alternatives, simplify(loss, kept, rule_quantities(points), points.weights))
 
 
 def rule_quantities(points: ChoicePoints) -> dict[str, FloatArray]:

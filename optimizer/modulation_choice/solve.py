@@ -111,6 +111,23 @@ class ModulationChoice:
         """The rule for the header."""
         return self.rules[self.settings.questions]
 
+    @property
+    def unreached_share(self) -> float:
+        """Share of the map that lies beyond what current and voltage allow."""
+        return float(np.mean(~self.reached))
+
+    @property
+    def idle_share(self) -> float:
+        """Share of the map that can be reached, but where nothing keeps all limits."""
+        return float(np.mean(self.reached & ~self.asked))
+
+    @property
+    def binding_shares(self) -> dict[str, float]:
+        """Share of the points where the rules were asked at which each limit binds the best
+        choice.
+        """
+        return {name: float(np.mean(mark[self.asked])) for name, mark in self.best.binding.items()}
+
     def price(self, rule: PricedRule) -> float:
         """What a rule costs above the best choice, relative to that."""
         return rule.mean_loss / self.best_mean - 1.0

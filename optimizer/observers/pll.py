@@ -3,7 +3,8 @@
 Model: the speed is constant, theta[k+1] = theta[k] + t_s omega[k]. Per sample
 
     theta_p = theta[k-1] + t_s omega[k-1]                 prediction
-    theta[k] = theta_p + l_1 eps,  omega[k] = omega[k-1] + l_2 eps,    eps = measured angle - theta_p
+    theta[k] = theta_p + l_1 eps,  omega[k] = omega[k-1] + l_2 eps,
+                                   eps = measured angle - theta_p
 
 The errors follow z^2 - (2 - l_1 - l_2 t_s) z + (1 - l_1) = 0. With z = exp(s t_s) for the roots of
 s^2 + 2 zeta w s + w^2 (the continuous gains 2 zeta w and w^2 of ODrive, moteus, NXP and motulator)

@@ -41,7 +41,8 @@ class ReducedOrderObserver:
 
     Continuous, with the pole ``continuous_pole`` in 1/s:
 
-        dzeta/dt = continuous_pole zeta + rate_u u_q + rate_i i_q,   omega_hat = zeta - c_continuous i_q
+        dzeta/dt = continuous_pole zeta + rate_u u_q + rate_i i_q,
+            omega_hat = zeta - c_continuous i_q
 
     Sampled every ``t_s`` seconds, as the firmware runs it, with the pole ``a`` =
     exp(continuous_pole t_s):

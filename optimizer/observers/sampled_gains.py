@@ -79,7 +79,9 @@ def slopes_at(model: SampledGains, x: Reals) -> list[Reals]:
 
 
 def next_currents(e: list[Reals], i: Pair, v: Pair) -> Pair:
-    """Currents in A one sample after ``i`` in A under the voltage ``v`` in V, with the entries ``e``."""
+    """Currents in A one sample after ``i`` in A under the voltage ``v`` in V, with the
+    entries ``e``.
+    """
     return (
         (((e[0] * i[0] + e[5] * i[1]) + e[2] * v[0]) + e[7] * v[1]) + e[4],
         (((e[6] * i[0] + e[1] * i[1]) + e[8] * v[0]) + e[3] * v[1]) + e[9],

@@ -100,6 +100,15 @@ class OperatingMap:
         """Whether conduction and switching loss are counted."""
         return self.losses.with_inverter
 
+    @property
+    def best_efficiency(self) -> float:
+        """Largest efficiency of all points; NaN where none has one."""
+        return (
+            float(np.nanmax(self.efficiency))
+            if np.any(np.isfinite(self.efficiency))
+            else float("nan")
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Envelope:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.current_region import CurrentRegion
-from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
+from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, copper_loss
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Strategy
 from dqforge.optimizer.operating_points.mtpa import id0_currents, mtpa_at_current, mtpa_currents
@@ -62,7 +62,7 @@ class OperatingPoints:
     ``stationarity`` is the scaled derivative of the copper loss along the curve of constant torque,
     zero at the optimum (not meaningful for ``id0``, where limited, and where the field is
     weakened). ``held`` marks currents that the data of a flux map hold on their edge: better ones
-    may lie beyond.
+    may lie beyond. ``copper`` is the copper loss in W.
     """
 
     torque_request: FloatArray
@@ -73,6 +73,7 @@ class OperatingPoints:
     torque_residual: FloatArray
     stationarity: FloatArray
     held: NDArray[np.bool_]
+    copper: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,8 +271,9 @@ class CurrentChoice:
             float(np.max(np.abs(granted), initial=0.0)), 1e-300
         )
         sine = _stationarity(self.machine, i_d, i_q)
+        copper = copper_loss(self.machine.r_s, i_d, i_q)
         return OperatingPoints(
-            request, granted, i_d, i_q, limited, residual, sine, self.held(np.abs(granted))
+            request, granted, i_d, i_q, limited, residual, sine, self.held(np.abs(granted)), copper
         )
 
     def curves(self, end: float) -> dict[str, Callable[[FloatArray], FloatArray]]:

@@ -28,6 +28,7 @@ from dqforge.optimizer.waveforms.phase_currents import (
     WaveformFigures,
     dq_waveform,
     figures,
+    spectrum,
     unit_currents,
 )
 from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
@@ -53,7 +54,8 @@ class RuleCurrents:
 
     ``currents`` in A, shape (3, N); ``torque`` in N m, shape (N,); ``figures`` hold arrays of shape
     (1,). ``obstacles`` names what the currents break: no neutral for the zero sequence, the current
-    limit, or the dc link.
+    limit, or the dc link. ``harmonics`` are the amplitudes of the currents in A (peak), shape (3,
+    H), of orders 0 to H - 1.
     """
 
     rule: Rule
@@ -61,6 +63,7 @@ class RuleCurrents:
     torque: FloatArray
     figures: WaveformFigures
     obstacles: tuple[str, ...]
+    harmonics: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,7 +291,9 @@ def _judged(
         obstacles.append("dc link")
     if limits.open_phase is not None and np.any(currents["abc".index(limits.open_phase)]):
         obstacles.append("open phase")
-    return RuleCurrents(rule, currents, machine.torque(currents), found, tuple(obstacles))
+    return RuleCurrents(
+        rule, currents, machine.torque(currents), found, tuple(obstacles), spectrum(currents)[0]
+    )
 
 
 def _has_no_neutral(topology: Topology) -> bool:

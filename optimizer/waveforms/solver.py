@@ -370,22 +370,3 @@ def require_solution(
         f"no phase currents make {torque:.4g} N m at {omega_m * 30.0 / np.pi:.4g} rpm within "
         f"{limits.v_dc:.4g} V ({limits.topology}) and {limits.i_max:.4g} A: {reason}"
     )
-
-
-def ripple_front(
-    machine: PhaseMachine,
-    torque: float,
-    omega_m: float,
-    limits: WaveformLimits,
-    ripples: FloatArray,
-) -> FloatArray:
-    """Least copper loss in W, shape (R,), over permitted deviations of the torque in N m;
-    NaN where infeasible.
-    """
-    from dataclasses import replace
-
-    found = [
-        solve_waveforms(machine, torque, omega_m, replace(limits, ripple=float(ripple)))
-        for ripple in ripples
-    ]
-    return np.array([solution.copper[0] for solution in found])

@@ -50,6 +50,31 @@ class CaptureReading:
     result: BemfResult
     pole_pairs: int | None
 
+    @property
+    def constants(self) -> dict[str, float]:
+        """Back-EMF constants in V s/rad (mechanical) as data sheets name them.
+
+        None without a number of pole pairs.
+        """
+        if self.pole_pairs is None:
+            return {}
+        constant = self.pole_pairs * self.result.psi_pm
+        kinds = {
+            "phase peak": 1.0,
+            "phase rms": 1.0 / math.sqrt(2.0),
+            "line-to-line rms": math.sqrt(1.5),
+        }
+        return {kind: constant * factor for kind, factor in kinds.items()}
+
+    @property
+    def omega_m(self) -> float:
+        """Mechanical speed in rad/s; NaN without a number of pole pairs, or over an angle."""
+        return (
+            math.nan
+            if self.pole_pairs is None
+            else 2.0 * math.pi * self.result.frequency / self.pole_pairs
+        )
+
 
 def _scale(text: str | None) -> tuple[float, float, float]:
     if text is None:
@@ -148,13 +173,10 @@ def _constant_rows(reading: CaptureReading) -> list[tuple[str, str]]:
     ]
     if reading.pole_pairs is None:
         return [*rows, ("back-EMF constant", "needs --pole-pairs")]
-    per_krpm = reading.pole_pairs * psi * 1000.0 * math.pi / 30.0
-    kinds = {
-        "phase peak": 1.0,
-        "phase rms": 1.0 / math.sqrt(2.0),
-        "line-to-line rms": math.sqrt(1.5),
-    }
-    text = ", ".join(f"{per_krpm * factor:.4g} V/krpm ({kind})" for kind, factor in kinds.items())
+    per_krpm = 1000.0 * math.pi / 30.0
+    text = ", ".join(
+        f"{value * per_krpm:.4g} V/krpm ({kind})" for kind, value in reading.constants.items()
+    )
     return [*rows, ("back-EMF constant", text)]
 
 
@@ -238,6 +260,14 @@ def plain_capture(reading: CaptureReading) -> PlainData:
     """Everything that was found, as arrays per phase."""
     result = reading.result
     return {
+        "quantity": reading.capture.quantity,
+        "samples": reading.capture.voltages.shape[1],
+        "pole_pairs": reading.pole_pairs,
+        "omega_m_rad_per_s": reading.omega_m,
+        "constants_Vs_per_rad": {
+            kind.replace(" ", "_").replace("-", "_"): value
+            for kind, value in reading.constants.items()
+        },
         "frequency_Hz": result.frequency,
         "drift": result.drift,
         "periods": result.periods,

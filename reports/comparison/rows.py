@@ -11,9 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.current_reference.cost_model import reference_bytes
 from dqforge.reports.comparison.sources import Side
-from dqforge.reports.current_reference.plain import from_plain
 
 Value = float | str | None
 
@@ -137,15 +135,6 @@ def _derived(
     return Row(section, label, unit, of(sides[0]), of(sides[1]))
 
 
-def _bytes(side: Side) -> float:
-    try:
-        return float(reference_bytes(from_plain(side.result["header"]["reference"])))
-    except (InputError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(
-            "header.reference: cannot be read; run the design again", source=side.source
-        ) from error
-
-
 def _checksum(side: Side) -> str:
     text = json.dumps(side.result["header"]["reference"], sort_keys=True)
     return hashlib.sha256(text.encode("ascii")).hexdigest()[:12]
@@ -184,7 +173,7 @@ def _reference_rows(sides: tuple[Side, Side]) -> list[Row]:
             _share_row(sides, section, f"{label}, proven", unit, "fit", "certificate", key)
             for label, key, unit in _ERRORS
         ),
-        _derived(sides, section, "bytes of constants", "", _bytes),
+        _derived(sides, section, "bytes of constants", "", lambda side: side.constant_bytes),
         _derived(sides, section, "checksum of constants", "", _checksum),
     ]
     for key, unit, label in (

@@ -13,6 +13,7 @@ from typing import Any
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.pages.envelope import FORMAT, to_text
 from dqforge.reports.pages.files import LARGEST_FILE, LARGEST_JSON, read_output
 from dqforge.reports.plain_data import PlainData
@@ -56,6 +57,8 @@ class Side:
         The header without comments and prefixes; None where there is none.
     header_only:
         True where ``result`` holds nothing but the name of the design and the digest of its file.
+    constant_bytes:
+        Bytes of the constants of the current reference; None for a header alone.
     """
 
     source: str
@@ -63,6 +66,7 @@ class Side:
     macros: dict[str, str] | None
     code: str | None = None
     header_only: bool = False
+    constant_bytes: float | None = None
 
     @property
     def name(self) -> str:
@@ -126,6 +130,7 @@ def solved_side(source: str, design: Design) -> Side:
     """The side of a design, solved and emitted as `dqforge run` does, without a file being
     written.
     """
+    from dqforge.optimizer.current_reference.cost_model import reference_bytes
     from dqforge.optimizer.solution import solve
     from dqforge.reports.main_header.header import header_files
 
@@ -134,7 +139,14 @@ def solved_side(source: str, design: Design) -> Side:
     header = header_files(solution)[f"{prefix}.h"].decode("ascii")
     # Through the text, so that both sides are rounded alike.
     result = json.loads(to_text("run", design.name, plain_solution(solution)))
-    return Side(source, result, header_macros(header, prefix), header_code(header, prefix))
+    size = float(reference_bytes(solution.reference))
+    return Side(
+        source,
+        result,
+        header_macros(header, prefix),
+        header_code(header, prefix),
+        constant_bytes=size,
+    )
 
 
 def header_code(header: str, prefix: str) -> str:
@@ -197,7 +209,19 @@ def _from_result(text: str, path: Path) -> Side:
                 f"{part}: is missing or no object; run the design again", source=source
             )
     macros, code = _header_beside(path, result["header"].get("prefix"))
-    return Side(text, result, macros, code)
+    return Side(text, result, macros, code, constant_bytes=_constant_bytes(result, text))
+
+
+def _constant_bytes(result: PlainData, source: str) -> float:
+    """Bytes of the constants of the reference that a result describes."""
+    from dqforge.optimizer.current_reference.cost_model import reference_bytes
+
+    try:
+        return float(reference_bytes(from_plain(result["header"]["reference"])))
+    except (InputError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            "header.reference: cannot be read; run the design again", source=source
+        ) from error
 
 
 def _from_header(text: str, path: Path) -> Side:

@@ -50,7 +50,8 @@ class ControlState:
         """Everything at rest."""
         zeros = [np.zeros(count, dtype=np.float32) for _ in range(9)]
         return cls(
-            zeros[0], zeros[1], zeros[2], (zeros[3], zeros[4]), (zeros[5], zeros[6]), zeros[7], zeros[8],
+            zeros[0], zeros[1], zeros[2], (zeros[3], zeros[4]), (zeros[5], zeros[6]), zeros[7],
+            zeros[8],
             np.zeros(count, dtype=np.uint32),
         )  # fmt: skip
 

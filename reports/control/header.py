@@ -31,7 +31,8 @@ _PIS = ("d", "q", "speed")
 
 
 _NUMBERS = (
-    "pole_pairs", "r_s", "l_d", "l_q", "psi_pm", "voltage_share", "advance", "torque_max", "speed_filter",
+    "pole_pairs", "r_s", "l_d", "l_q", "psi_pm", "voltage_share", "advance", "torque_max",
+    "speed_filter",
 )  # fmt: skip
 
 

@@ -172,7 +172,7 @@ def _argument_text(reference: Emitted) -> list[str]:
 
 def reference_context(solution: Solution, plain: PlainData) -> PlainData:
     """Ladders, comment and constants of the evaluator for the header's template."""
-    fit, where = solution.fit, operation_text(solution.design)
+    fit, where = solution.fit, operation_text(solution.fit.speed)
     below = plain.get("negative")
     shape = (
         f"{fit.settings.method}, degree {fit.settings.degree}, {fit.settings.segments} segment(s) "

@@ -14,8 +14,8 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.fit import ReferenceFit
-from dqforge.optimizer.current_reference.forms import PENALTY_FROM, ErrorCurves, error_curves
-from dqforge.optimizer.operating_points.solve import Curves, current_choice
+from dqforge.optimizer.current_reference.forms import PENALTY_FROM, ErrorCurves
+from dqforge.optimizer.operating_points.solve import Curves
 from dqforge.reports.pages.figures_style import (
     AXIS_COLOURS,
     BLUE,
@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_SAMPLES = 1600
-
-
 _DASHES = (0, (4.0, 2.0))
 
 
@@ -55,13 +52,6 @@ def breakpoints(fit: ReferenceFit) -> FloatArray:
     """Breakpoints of both axes in N m, ascending, shape (B,)."""
     found = [polynomial.breakpoints for polynomial in (fit.d, fit.q) if polynomial is not None]
     return np.unique(np.concatenate(found)) if found else np.empty(0)
-
-
-def sampled_errors(design: Design, fit: ReferenceFit) -> ErrorCurves:
-    """Errors of the reference in the arithmetic of the firmware, from zero
-    to the end of its domain.
-    """
-    return error_curves(current_choice(design), fit.reference, fit.reference.samples(_SAMPLES))
 
 
 def _at(fit: ReferenceFit, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -287,7 +277,7 @@ def plot_fit(design: Design, fit: ReferenceFit) -> Figure:
     """The currents over torque, exact and as the firmware evaluates them,
     and the error of each axis below.
     """
-    curves = sampled_errors(design, fit)
+    curves = fit.curves
     with style():
         figure = new_figure(
             "fit", 5.2, "Exact and fitted currents over torque, and the error of each axis"
@@ -380,11 +370,11 @@ def _draw_penalty(
     axes.yaxis.set_major_formatter(FuncFormatter(_power_label))
 
 
-def plot_errors(design: Design, fit: ReferenceFit) -> Figure:
+def plot_errors(fit: ReferenceFit) -> Figure:
     """Torque error and copper loss above the least over torque, of the float32
     arithmetic of the firmware.
     """
-    curves = sampled_errors(design, fit)
+    curves = fit.curves
     shown = fit.errors.loss_relative > ROUNDING
     loaded = curves.torque >= PENALTY_FROM * fit.torque_max
     with style():

@@ -38,7 +38,7 @@ from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.curves.single_precision import SingleArray, SinglePolynomial, multiply_add
 from dqforge.optimizer.negative_torques import NegativeHalf
 from dqforge.reports.current_reference.data_text import plain_data_use
-from dqforge.reports.operating_points.plain import plain_curves
+from dqforge.reports.operating_points.plain import plain_curves, plain_speed
 from dqforge.reports.pages.certificate_text import plain_certificate
 from dqforge.reports.plain_data import PlainData, shortest
 
@@ -297,6 +297,11 @@ def plain_fit(
         "method": fit.settings.method,
         "degree": fit.settings.degree,
         "segments": fit.settings.segments,
+        "breakpoints": "searched" if fit.settings.breakpoints is None else "given",
+        "exact_at_zero": fit.settings.exact_at_zero,
+        "continuous": fit.settings.continuous,
+        "core": fit.settings.core,
+        "holds_at": plain_speed(fit.speed),
         "torque_max_Nm": fit.torque_max,
         "d": _plain_polynomial(fit.d),
         "q": _plain_polynomial(fit.q),

@@ -52,8 +52,8 @@ def _coefficient_rows(axis: str, polynomial: PiecewisePolynomial | None) -> list
     ]
 
 
-def _voltage_notes(design: Design, fit: ReferenceFit) -> tuple[str, ...]:
-    where, excess = operation_text(design), fit.errors.voltage_excess
+def _voltage_notes(fit: ReferenceFit) -> tuple[str, ...]:
+    where, excess = operation_text(fit.speed), fit.errors.voltage_excess
     if excess is None:
         return ()
     return (f"for {where}; the fit takes at most {rounded_up(100.0 * excess)} % more voltage",)
@@ -135,7 +135,7 @@ def fit_tables(
         note,
         *proof,
         *([limits] if limits else []),
-        *_voltage_notes(design, fit),
+        *_voltage_notes(fit),
         *_poor_fit_notes(design, fit),
     )
     tables = [

@@ -17,11 +17,11 @@ def percent(value: float) -> str:
 def domain_text(fit: WeakeningFit) -> str:
     """Speed, voltage, range of the flux linkage, and size in one line."""
     region, domain = fit.region, fit.domain
-    drop = domain.machine.r_s * region.i_max
     return (
         f"up to {format_quantity(fit.settings.omega_m, 'rpm', 4)} at "
         f"{format_quantity(domain.v_max, 'V', 4)}, of which the resistance takes up to "
-        f"{format_quantity(drop, 'V', 3)}; {format_quantity(region.flux_min, 'Wb', 4)} to "
+        f"{format_quantity(domain.largest_drop, 'V', 3)}; "
+        f"{format_quantity(region.flux_min, 'Wb', 4)} to "
         f"{format_quantity(region.flux_max, 'Wb', 4)}; {fit.step.coefficients} constants, below "
         f"{fit.step.flash} B on a Cortex-M4F (estimate)"
     )
@@ -43,7 +43,7 @@ def errors_text(fit: WeakeningFit) -> str:
 
 def _torque(fit: WeakeningFit) -> float:
     """Largest sampled error of the torque over the largest torque."""
-    return max(fit.errors.torque, fit.voltage.torque) / fit.region.torque_max
+    return fit.largest_torque_error / fit.region.torque_max
 
 
 def _voltage(fit: WeakeningFit) -> float:

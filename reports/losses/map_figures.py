@@ -13,7 +13,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.mission_budget import MissionComparison
-from dqforge.reports.losses.map_tables import alternative_text, common_points
+from dqforge.reports.losses.map_tables import alternative_text
 from dqforge.reports.pages.figures_style import (
     FAINT,
     INK,
@@ -160,7 +160,7 @@ def _draw_winners(axes: Axes, found: LossMap, alternatives: Alternatives) -> Non
 def plot_loss_map(found: LossMap) -> Figure:
     """Who loses least at each torque and speed, and the mean losses of each alternative below."""
     alternatives = found.comparison.alternatives
-    means, shared = common_points(found)
+    means = found.mean_losses
     ranked = _ranked(np.sum(means, axis=0))
     below = max(len(ranked), 1) * _ROW + 0.75
     height = 3.6 + below
@@ -177,8 +177,8 @@ def plot_loss_map(found: LossMap) -> Figure:
             labels = [alternative_text(alternatives, k) for k in ranked]
             _draw_bars(lower, labels, means[:, ranked], 0, "W")
         lower.set_xlabel(
-            f"Mean loss in W over the {100.0 * float(np.mean(shared)):.0f} % of the map that all "
-            "drive"
+            f"Mean loss in W over the {100.0 * float(np.mean(found.shared)):.0f} % of the map that "
+            "all drive"
         )
     return figure
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
-from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.optimizer.losses.drive_comparison import Alternatives
@@ -46,32 +45,6 @@ def alternative_text(alternatives: Alternatives, index: int, *, plain: bool = Tr
     return ", ".join(words)
 
 
-def common_points(found: LossMap) -> tuple[FloatArray, FloatArray]:
-    """Mean losses in W by kind (parts, A) over the points that all usable alternatives share,
-    and their mask (P,).
-
-    Alternatives that are usable nowhere do not count; NaN where there is no such point.
-    """
-    comparison = found.comparison
-    usable = comparison.usable.reshape(-1, comparison.torque.size)
-    somewhere = np.any(usable, axis=1)
-    shared = (
-        np.all(usable[somewhere], axis=0)
-        if np.any(somewhere)
-        else np.zeros(usable.shape[1], dtype=np.bool_)
-    )
-    columns = []
-    for part in PARTS:
-        values = getattr(comparison.budget, part).reshape(usable.shape)
-        mean = (
-            np.mean(values[:, shared], axis=1)
-            if np.any(shared)
-            else np.full(usable.shape[0], np.nan)
-        )
-        columns.append(np.where(somewhere, mean, np.nan))
-    return np.stack(columns), np.asarray(shared, dtype=np.float64)
-
-
 def _watt(value: float) -> str:
     if not math.isfinite(value):
         return "-"
@@ -85,18 +58,12 @@ def _shown_parts(values: FloatArray) -> list[int]:
 
 def map_tables(design: Design, found: LossMap) -> list[Table]:
     """Alternatives with their mean losses, and a coarse map of the winners."""
-    comparison, alternatives = found.comparison, found.comparison.alternatives
-    count = comparison.torque.size
-    usable = comparison.usable.reshape(-1, count)
-    means, shared = common_points(found)
-    budget, kinds = comparison.budget, _shown_parts(means)
-    wins = np.bincount(comparison.best[comparison.best >= 0], minlength=usable.shape[0])
+    alternatives, usable, means = found.comparison.alternatives, found.usable, found.mean_losses
+    kinds = _shown_parts(means)
+    hottest, ripple, least = found.hottest_junction, found.largest_ripple, found.least_share
     rows = []
     for k in range(usable.shape[0]):
-        s, m, f = np.unravel_index(k, alternatives.shape)
         strategy, modulation, frequency = alternatives.label(k)
-        hot = np.max(budget.junction_temperature[s, m, f][usable[k]], initial=-np.inf)
-        ripple = np.max(budget.ripple_current[s, m, f][usable[k]], initial=-np.inf)
         cells = [_watt(float(means[part, k])) for part in kinds]
         rows.append(
             (
@@ -106,10 +73,10 @@ def map_tables(design: Design, found: LossMap) -> list[Table]:
                 format_quantity(frequency, "Hz", 4),
                 *cells,
                 _watt(float(np.sum(means[:, k]))),
-                _watt(float(hot)),
-                _watt(float(ripple)),
+                _watt(float(hottest[k])),
+                _watt(float(ripple[k])),
                 f"{100.0 * np.mean(usable[k]):.0f}",
-                f"{100.0 * wins[k] / count:.0f}",
+                f"{100.0 * least[k]:.0f}",
             )
         )
     headings = [f"{part_label(PARTS[part])} W" for part in kinds]
@@ -118,12 +85,12 @@ def map_tables(design: Design, found: LossMap) -> list[Table]:
     title = f"{design.name}: losses over {found.torque.size} torques by {found.omega_m.size} speeds"
     notes = [
         (
-            f"mean losses over the {100.0 * np.mean(shared):.0f} % of the points that all "
+            f"mean losses over the {100.0 * np.mean(found.shared):.0f} % of the points that all "
             "alternatives drive"
         )
     ]
-    notes += _bridge_notes(design) + _dead_time_notes(design, alternatives)
-    if np.any(~budget.within_tables & comparison.usable):
+    notes += _bridge_notes(design) + _dead_time_notes(found.dead_time_share)
+    if np.any(~found.comparison.budget.within_tables & found.comparison.usable):
         notes.append("at some points the device tables are carried on beyond their ends")
     return [Table(title, columns, tuple(rows), tuple(notes)), _winner_table(found)]
 
@@ -132,20 +99,12 @@ def _bridge_notes(design: Design) -> list[str]:
     return [] if design.inverter.device is not None else [WITHOUT_BRIDGE]
 
 
-def _dead_time_notes(design: Design, alternatives: Alternatives) -> list[str]:
+def _dead_time_notes(taken: tuple[float, float]) -> list[str]:
     """What dead time takes of the voltage, from the least to the most of the alternatives."""
-    taken = [
-        100.0 * (1.0 - float(dead_time_factor(name, design.inverter.dead_time, frequency)))
-        for name in alternatives.modulations
-        for frequency in alternatives.frequencies
-    ]
-    if max(taken) == 0.0:
+    low, high = (100.0 * share for share in taken)
+    if high == 0.0:
         return []
-    share = (
-        f"{max(taken):.2g} %"
-        if min(taken) == max(taken)
-        else f"{min(taken):.2g} to {max(taken):.2g} %"
-    )
+    share = f"{high:.2g} %" if low == high else f"{low:.2g} to {high:.2g} %"
     return [f"dead time is made up for, which takes {share} of the linear range"]
 
 
@@ -182,8 +141,8 @@ def plain_map(found: LossMap) -> PlainData:
     """Axes, alternatives with totals over the map (torque by speed), and the index of the best."""
     comparison, alternatives = found.comparison, found.comparison.alternatives
     shape = (found.torque.size, found.omega_m.size)
-    count = comparison.torque.size
-    usable = comparison.usable.reshape(-1, count)
+    count, usable, means = comparison.torque.size, found.usable, found.mean_losses
+    hottest, ripple, least = found.hottest_junction, found.largest_ripple, found.least_share
     columns = {
         "total_W": comparison.budget.total,
         "junction_degC": comparison.budget.junction_temperature,
@@ -191,11 +150,13 @@ def plain_map(found: LossMap) -> PlainData:
         "capacitor_current_A": comparison.budget.capacitor_current,
     }
     rows = []
-    means, _ = common_points(found)
     for k in range(usable.shape[0]):
         strategy, modulation, frequency = alternatives.label(k)
         row: PlainData = {"strategy": strategy, "modulation": modulation, "frequency_Hz": frequency}
         row["mean_W"] = dict(zip(PARTS, means[:, k].tolist(), strict=True))
+        row["mean_total_W"] = float(np.sum(means[:, k]))
+        row |= {"junction_max_degC": hottest[k], "ripple_current_max_A": ripple[k]}
+        row |= {"usable_share": float(np.mean(usable[k])), "least_share": least[k]}
         row["usable"] = usable[k].reshape(shape)
         row |= {
             name: values.reshape(-1, count)[k].reshape(shape) for name, values in columns.items()
@@ -206,6 +167,9 @@ def plain_map(found: LossMap) -> PlainData:
         "omega_m_rad_per_s": found.omega_m,
         "alternatives": rows,
         "best": comparison.best.reshape(shape),
+        "shared_share": float(np.mean(found.shared)),
+        "dead_time_share": list(found.dead_time_share),
+        "within_tables": not bool(np.any(~comparison.budget.within_tables & comparison.usable)),
     }
 
 
@@ -272,7 +236,7 @@ def mission_tables(design: Design, found: MissionComparison) -> list[Table]:
             "come back"
         ),
     ]
-    notes += _bridge_notes(design) + _dead_time_notes(design, found.alternatives)
+    notes += _bridge_notes(design) + _dead_time_notes(found.dead_time_share)
     if len(found.runs) > _MOST_ROWS:
         notes.append(f"{len(found.runs) - _MOST_ROWS} more alternatives are in the JSON")
     if math.isfinite(first.winding_temperature):
@@ -304,6 +268,8 @@ def plain_mission(found: MissionComparison) -> PlainData:
             "lines_not_reached": run.missed,
             "usable": run.usable,
             "within_tables": run.within_tables,
+            "steady": run.steady,
+            "cool_enough": run.cool_enough,
         }
         for run in found.runs
     ]
@@ -312,8 +278,13 @@ def plain_mission(found: MissionComparison) -> PlainData:
         best = found.runs[found.best]
         course = {"time_s": best.time, "junction_degC": best.junction}
     best_index = None if found.best < 0 else found.best
+    mission = found.mission
     return {
-        "source": found.mission.source,
+        "source": mission.source,
+        "intervals": mission.length.size,
+        "duration_s": float(mission.time[-1] - mission.time[0]),
+        "findings": list(mission.findings),
+        "dead_time_share": list(found.dead_time_share),
         "alternatives": rows,
         "best": best_index,
         "course": course,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dqforge.optimizer.losses.point_comparison import LossComparison
+from dqforge.reports.pages.labels import obstacle
 from dqforge.reports.plain_data import PlainData
 
 
@@ -32,6 +33,8 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
             "friction_W": budget.friction[index],
             "feasible": comparison.usable[index],
             "reached": comparison.reached[index],
+            "torque_made_Nm": comparison.most[index],
+            "obstacle": obstacle(comparison, index),
             "saving_percent": comparison.saving[index],
         }
         for p, point in enumerate(comparison.points)

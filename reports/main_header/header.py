@@ -16,7 +16,6 @@ from dqforge.optimizer.current_reference.forms import Emitted, SignedReference
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.fixed_control.gains import pi_integers
 from dqforge.optimizer.loops.gains import LoopGains, per_unit
-from dqforge.optimizer.operating_points.characteristics import voltage_limit
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.title import title
 from dqforge.reports.current_reference.evaluator import (
@@ -105,10 +104,9 @@ def _torque_limits(reference: Emitted) -> list[PlainData]:
 
 def _operation_group(solution: Solution) -> list[PlainData]:
     """The speed for which the references weaken the field, where there is one."""
-    operation = solution.design.operation
-    if operation.omega_m is None:
+    speed = solution.fit.speed
+    if speed is None:
         return []
-    limit = voltage_limit(solution.design.inverter, operation.modulation, operation.voltage_margin)
     return [
         {
             "title": "The one speed for which the current references hold",
@@ -119,10 +117,10 @@ def _operation_group(solution: Solution) -> list[PlainData]:
                 )
             ],
             "entries": [
-                _entry("REFERENCE_SPEED_RAD_PER_S", operation.omega_m, "mechanical speed, rad/s"),
+                _entry("REFERENCE_SPEED_RAD_PER_S", speed.omega_m, "mechanical speed, rad/s"),
                 _entry(
                     "REFERENCE_VOLTAGE_V",
-                    limit.v_max,
+                    speed.v_max,
                     "phase amplitude that is not exceeded there, V",
                 ),
             ],

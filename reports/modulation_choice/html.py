@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
 from dqforge.reports.modulation_choice.text import (
     alternative_text,
@@ -48,7 +46,7 @@ def _text(choice: ModulationChoice) -> str:
 
 
 def _left_out(choice: ModulationChoice) -> str:
-    idle = float(np.mean(choice.reached & ~choice.asked))
+    idle = choice.idle_share
     return (
         f"At {share(idle)} of the map nothing keeps all limits; rule and means leave that out."
         if idle > 0.0

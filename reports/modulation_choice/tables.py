@@ -84,17 +84,12 @@ def choice_notes(choice: ModulationChoice) -> list[str]:
         *limits_text(choice.settings),
         f"limits that bind the best choice: {bound} of the points",
     ]
-    count = choice.asked.size
-    unreached, idle = int(np.sum(~choice.reached)), int(np.sum(choice.reached & ~choice.asked))
-    if unreached:
+    unreached, idle = 100.0 * choice.unreached_share, 100.0 * choice.idle_share
+    if unreached > 0.0:
+        notes.append(f"{unreached:.0f} % of the map lies beyond what current and voltage allow")
+    if idle > 0.0:
         notes.append(
-            f"{100.0 * unreached / count:.0f} % of the map lies beyond what current and voltage "
-            "allow"
-        )
-    if idle:
-        notes.append(
-            f"at {100.0 * idle / count:.1f} % of the map nothing keeps all limits; rule and means "
-            "leave it out"
+            f"at {idle:.1f} % of the map nothing keeps all limits; rule and means leave it out"
         )
     return notes
 
@@ -174,6 +169,11 @@ def plain_choice(choice: ModulationChoice) -> PlainData:
         "binding": {
             name.replace(" ", "_"): mark.reshape(shape) for name, mark in best.binding.items()
         },
+        "binding_share": {
+            name.replace(" ", "_"): share for name, share in choice.binding_shares.items()
+        },
+        "unreached_share": choice.unreached_share,
+        "idle_share": choice.idle_share,
         "asked": choice.asked.reshape(shape),
         "best_mean_W": choice.best_mean,
         "rules": [_plain_priced(choice, rule) for rule in choice.rules],

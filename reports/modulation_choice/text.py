@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from dqforge.machines.design.settings import ChoiceSettings
 from dqforge.machines.names import ModulationName
 from dqforge.machines.units.quantities import format_quantity
@@ -107,10 +105,9 @@ def binding_shares(choice: ModulationChoice) -> dict[str, float]:
 
     Those that bind nowhere are left out.
     """
-    shares = {
-        name: float(np.mean(mark[choice.asked])) for name, mark in choice.best.binding.items()
+    return {
+        BINDING_TEXT[name]: share for name, share in choice.binding_shares.items() if share > 0.0
     }
-    return {BINDING_TEXT[name]: share for name, share in shares.items() if share > 0.0}
 
 
 def question_text(count: int) -> str:

@@ -120,7 +120,8 @@ def speed_observer_from(plain: Mapping[str, Any]) -> ReducedOrderGains:
 
 
 def observed_speeds(
-    gains: ReducedOrderGains, v: tuple[SingleArray, SingleArray], i: tuple[SingleArray, SingleArray],
+    gains: ReducedOrderGains, v: tuple[SingleArray, SingleArray], i: tuple[SingleArray,
+    SingleArray],
     theta_e: SingleArray, first: tuple[SingleArray, SingleArray],
 ) -> SingleArray:  # fmt: skip
     """What the C functions find over N sequences, operation by operation.

@@ -13,8 +13,8 @@ from dqforge.optimizer.operating_points.characteristics import (
     Loci,
     OperatingMap,
     VoltageLimit,
-    efficiency,
 )
+from dqforge.optimizer.operating_points.drive_points import DrivePoints
 from dqforge.optimizer.operating_points.loss_model import DriveLosses
 from dqforge.optimizer.operating_points.mtpa_locus import MtpaLocus
 from dqforge.optimizer.operating_points.point_problem import Active
@@ -60,7 +60,7 @@ def _point_row(points: OptimalPoints, losses: DriveLosses, k: int) -> tuple[str,
 
 
 def points_tables(
-    design: Design, points: OptimalPoints, losses: DriveLosses, limit: VoltageLimit, objective: str
+    design: Design, found: DrivePoints, limit: VoltageLimit, objective: str
 ) -> list[Table]:
     """One row per operating point: what was asked for, what can be had, what it loses,
     and what holds it.
@@ -79,7 +79,8 @@ def points_tables(
         "total W",
         "held by",
     )
-    rows = tuple(_point_row(points, losses, k) for k in range(points.torque.size))
+    points = found.points
+    rows = tuple(_point_row(points, found.losses, k) for k in range(points.torque.size))
     worst = float(np.max(points.kkt_residual, initial=0.0))
     violation = f"largest violation of the optimality conditions {worst:.1e} (relative)"
     notes = (_limit_note(limit), violation, *_extrapolation_notes(points))
@@ -137,17 +138,11 @@ def _loss_rows(losses: DriveLosses) -> list[tuple[str, str]]:
 
 
 def point_tables(
-    design: Design,
-    points: OptimalPoints,
-    losses: DriveLosses,
-    most: OptimalPoints,
-    limit: VoltageLimit,
-    objective: str,
+    design: Design, found: DrivePoints, most: OptimalPoints, limit: VoltageLimit, objective: str
 ) -> list[Table]:
     """One operating point in detail; ``most`` is the most torque in its direction at its speed."""
+    points, share = found.points, float(found.efficiency[0])
     torque, voltage = float(points.torque[0]), float(points.voltage[0])
-    power = points.torque * points.omega_m
-    share = float(efficiency(power, losses.total)[0])
     short = "" if points.reached[0] else " (no more)"
     current = float(np.hypot(points.i_d[0], points.i_q[0]))
     rows = [
@@ -158,8 +153,8 @@ def point_tables(
         ("i_d, i_q", f"{_number(points.i_d[0])} A, {_number(points.i_q[0])} A"),
         ("current", f"{current:.4g} A, {100.0 * current / design.i_max:.3g} % of the limit"),
         ("phase voltage", f"{voltage:.4g} V, {100.0 * voltage / limit.v_max:.3g} % of the limit"),
-        ("mechanical power", f"{_number(float(power[0]) * 1e-3)} kW"),
-        *_loss_rows(losses),
+        ("mechanical power", f"{_number(float(found.power[0]) * 1e-3)} kW"),
+        *_loss_rows(found.losses),
         ("efficiency", f"{100.0 * share:.2f} %" if math.isfinite(share) else "none"),
         (
             "most torque here",
@@ -247,11 +242,10 @@ def envelope_tables(
         f"map: {reached} of {chart.points.reached.size} points can be had; largest violation "
         f"{worst:.1e}"
     )
-    best = float(np.nanmax(chart.efficiency)) if np.any(np.isfinite(chart.efficiency)) else math.nan
     iron = ["iron"] if np.any(chart.losses.iron > 0.0) else []
     parts = ["copper", *iron, *(["conduction", "switching"] if chart.with_inverter else [])]
     losses = f"{', '.join(parts)} loss" if len(parts) > 1 else "copper loss alone"
-    best_text = f"best efficiency on the map {100.0 * best:.2f} % (with {losses})"
+    best_text = f"best efficiency on the map {100.0 * chart.best_efficiency:.2f} % (with {losses})"
     notes = (note, best_text, *_extrapolation_notes(chart.points))
     return [
         Table(f"{design.name}: limits", ("", ""), rows, (_limit_note(limit),)),
@@ -266,6 +260,7 @@ def _plain_points(points: OptimalPoints) -> PlainData:
         "omega_m_rad_per_s": points.omega_m,
         "i_d_A": points.i_d,
         "i_q_A": points.i_q,
+        "current_A": np.hypot(points.i_d, points.i_q),
         "voltage_V": points.voltage,
         "minimised_W": points.loss,
         "held_by": [Active(int(code)).label for code in points.active],
@@ -308,11 +303,7 @@ def _plain_locus(locus: MtpaLocus) -> PlainData:
 
 
 def plain_points(
-    points: OptimalPoints,
-    losses: DriveLosses,
-    most: OptimalPoints,
-    limit: VoltageLimit,
-    objective: str,
+    found: DrivePoints, most: OptimalPoints, limit: VoltageLimit, objective: str
 ) -> PlainData:
     """Operating points as arrays, their losses, the most torque at the speed,
     and the voltage limit they keep.
@@ -320,8 +311,10 @@ def plain_points(
     return {
         "limit": _plain_limit(limit),
         "objective": objective,
-        "points": _plain_points(points),
-        "losses": _plain_losses(losses),
+        "points": _plain_points(found.points),
+        "losses": _plain_losses(found.losses),
+        "power_W": found.power,
+        "efficiency": found.efficiency,
         "most_torque": _plain_points(most),
     }
 
@@ -348,8 +341,8 @@ def plain_map(
             "speed_max_rad_per_s": figures.speed_max,
             "held_by_data": figures.held,
         },
-        "envelope": _plain_points(envelope.points),
-        "braking_envelope": _plain_points(envelope.braking),
+        "envelope": _plain_points(envelope.points) | {"power_W": envelope.power},
+        "braking_envelope": _plain_points(envelope.braking) | {"power_W": envelope.braking_power},
         "loci": {
             "i_max_A": lines.i_max,
             "mtpa": _plain_locus(lines.mtpa),
@@ -362,5 +355,6 @@ def plain_map(
             "losses": _plain_losses(chart.losses),
             "loss_W": chart.loss,
             "efficiency": chart.efficiency,
+            "best_efficiency": chart.best_efficiency,
         },
     }

@@ -28,8 +28,9 @@ from dqforge.optimizer.operating_points.characteristics import (
     operating_map,
     voltage_limit,
 )
+from dqforge.optimizer.operating_points.drive_points import drive_points
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
-from dqforge.optimizer.operating_points.loss_model import drive_losses, loss_coefficients
+from dqforge.optimizer.operating_points.loss_model import loss_coefficients
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
@@ -143,15 +144,8 @@ def _points(design: Design, limit: VoltageLimit, request: Request) -> Reply:
     end = float(most.torque[0])
     shown = np.linspace(0.0, end, _CURVE_ROWS) if asked is None else np.array([asked])
     loss = _minimised(design, limit, request, np.asarray(omega))
-    points = optimal_points(machine, shown, omega, v_max=limit.v_max, i_max=i_max, loss=loss)
-    losses = drive_losses(
-        machine,
-        design.inverter,
-        points.i_d,
-        points.i_q,
-        points.omega_m,
-        modulation=limit.modulation,
-        extra=design.machine_loss,
+    found = drive_points(
+        machine, design.inverter, limit, shown, omega, i_max, loss=loss, extra=design.machine_loss
     )
 
     def figure() -> Any:
@@ -167,13 +161,11 @@ def _points(design: Design, limit: VoltageLimit, request: Request) -> Reply:
     one = asked is not None
     name = request.objective
     tables = (
-        point_tables(design, points, losses, most, limit, name)
+        point_tables(design, found, most, limit, name)
         if one
-        else points_tables(design, points, losses, limit, name)
+        else points_tables(design, found, limit, name)
     )
-    return Reply(
-        tables, {"operating_points": plain_points(points, losses, most, limit, name)}, figure
-    )
+    return Reply(tables, {"operating_points": plain_points(found, most, limit, name)}, figure)
 
 
 def _map(design: Design, limit: VoltageLimit, request: Request, torques: int, speeds: int) -> Reply:

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import LoadPoint
 from dqforge.machines.names import Core, NumberFormat
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.losses.drive_budget import PARTS, DriveBudget
 from dqforge.optimizer.losses.point_comparison import LossComparison
-from dqforge.optimizer.operating_points.characteristics import voltage_limit
+from dqforge.optimizer.operating_points.current_choice import SpeedPoint
 
 if TYPE_CHECKING:
     pass
@@ -116,17 +115,15 @@ def friction_text(comparison: LossComparison, point: int) -> str:
     )
 
 
-def operation_text(design: Design) -> str:
-    """Where the design's currents hold: the speed and the voltage limit,
-    or an empty text where there is none.
+def operation_text(speed: SpeedPoint | None) -> str:
+    """Where currents hold: the speed and the voltage limit, or an empty text where
+    the voltage limits nothing.
     """
-    operation = design.operation
-    if operation.omega_m is None:
+    if speed is None:
         return ""
-    limit = voltage_limit(design.inverter, operation.modulation, operation.voltage_margin)
     return (
-        f"{format_quantity(operation.omega_m, 'rpm', 4)} within "
-        f"{format_quantity(limit.v_max, 'V', 4)} (phase peak)"
+        f"{format_quantity(speed.omega_m, 'rpm', 4)} within {format_quantity(speed.v_max, 'V', 4)} "
+        "(phase peak)"
     )
 
 

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 
 def _source(name: str) -> str | None:
-    """Text of the template ``<room>/<file>``, which lies in the folder ``templates`` of its room."""
+    """Text of the template ``<room>/<file>``, which lies in the folder ``templates`` of its
+    room.
+    """
     room, _, file = name.partition("/")
     path = resources.files("dqforge.reports") / room / "templates" / file
     return path.read_text(encoding="utf-8") if path.is_file() else None

@@ -17,9 +17,7 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.optimizer.curves.breakpoints import search
 from dqforge.optimizer.curves.fitting import SideConditions, fit_curve, squared_error_integral
 from dqforge.optimizer.operating_points.mtpa import mtpa_currents, mtpa_per_unit, per_unit_base
-from dqforge.reports.pages.table import Table
-from dqforge.reports.papers.paper000_losses import LossRow, table_4, table_4_text
-from dqforge.reports.plain_data import PlainData
+from dqforge.reports.papers.paper000_losses import LossRow, table_4
 
 DESIGN_NAME = "paper000-ipmsm-100kw"
 
@@ -170,87 +168,3 @@ def reproduce_paper() -> Reproduction:
     """Recompute the three tables from the library drive."""
     design = catalogue.load(DESIGN_NAME)
     return Reproduction(table_1(), table_2(design), table_4(design))
-
-
-def reproduction_tables(reproduction: Reproduction) -> list[Table]:
-    """Tables for the terminal, printed values beside the recomputed ones."""
-    return [
-        _table_1_text(reproduction.breakpoints),
-        _table_2_text(reproduction.polynomials),
-        *table_4_text(reproduction.losses),
-    ]
-
-
-def _table_1_text(rows: tuple[BreakpointRow, ...]) -> Table:
-    return Table(
-        "Paper 000, Table 1: reduction of epsilon by a second segment, Lagrange on Chebyshev nodes "
-        "over 0 to 5 p.u.",
-        (
-            "degree",
-            "phi_d, phi_q p.u.",
-            "printed %",
-            "recomputed there %",
-            "best phi_d, phi_q p.u.",
-            "reached %",
-        ),
-        tuple(
-            (
-                str(row.degree),
-                "{:.4f}, {:.4f}".format(*row.printed_breakpoints),
-                f"{row.printed_reduction:.4f}",
-                f"{row.reduction:.2f}",
-                "{:.4g}, {:.4g}".format(*row.best_breakpoints),
-                f"{row.best_reduction:.2f}",
-            )
-            for row in rows
-        ),
-        (
-            (
-                "The printed reductions do not follow from the printed breakpoints; the paper "
-                "found those by a sweep."
-            ),
-        ),
-    )
-
-
-def _table_2_text(rows: tuple[PolynomialRow, ...]) -> Table:
-    return Table(
-        "Paper 000, Table 2: the printed polynomials against the exact MTPA over 0 to 250 N m",
-        ("axis", "degree", "breakpoint N m", "r.m.s. error A", "largest error A"),
-        tuple(
-            (
-                row.axis,
-                str(row.degree),
-                f"{row.breakpoint:.2f}",
-                f"{row.rms_error:.4f}",
-                f"{row.largest_error:.3f}",
-            )
-            for row in rows
-        ),
-        (
-            (
-                "Read as: columns degree 2, 3, 4 per axis with segments k = 0, 1; row m = 0 is the "
-                "highest power."
-            ),
-            (
-                "Machine: psi_pm = 0.1049 Wb, l_q - l_d = 242 uH, p = 4, identified; Table 5 "
-                "prints 8 pole pairs, no flux."
-            ),
-            "The paper's section 7.2 states a largest error of 1.09 A for degree 2.",
-            (
-                "Degree 3 on the q axis suffers from its printed digits: 1.62 +-0.005 A/(N m) is "
-                "+-1.2 A at 250 N m."
-            ),
-        ),
-    )
-
-
-def plain_reproduction(reproduction: Reproduction) -> PlainData:
-    """The three tables as plain data."""
-    from dataclasses import asdict
-
-    return {
-        "table_1": [asdict(row) for row in reproduction.breakpoints],
-        "table_2": [asdict(row) for row in reproduction.polynomials],
-        "table_4": [asdict(row) for row in reproduction.losses],
-    }

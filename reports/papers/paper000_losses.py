@@ -8,7 +8,6 @@ both.
 
 from __future__ import annotations
 
-import textwrap
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +20,6 @@ from dqforge.machines.names import ModulationName, Strategy
 from dqforge.optimizer.losses.drive_budget import DriveBudget, drive_budget
 from dqforge.optimizer.losses.switching_calibration import calibrate_switching
 from dqforge.optimizer.operating_points.mtpa import id0_currents, mtpa_currents
-from dqforge.reports.pages.table import Table
 
 Column = tuple[Strategy, ModulationName, float, float, float]
 
@@ -34,9 +32,6 @@ PRINTED_TABLE_4: tuple[Column, ...] = (
 
 """Strategy, modulator, total loss in W, junction temperature in degC,
 largest torque ripple in N m."""
-
-
-_WIDTH = 118
 
 
 POINT_TORQUE = 130.0
@@ -167,98 +162,3 @@ def table_4(design: Design) -> tuple[LossRow, ...]:
             )
         )
     return tuple(rows)
-
-
-def table_4_text(rows: tuple[LossRow, ...]) -> list[Table]:
-    """Two tables: losses and temperatures, and torque ripple; with what is wrong in the print."""
-    return [_losses_text(rows), _ripple_text(rows)]
-
-
-def _off(found: float, printed: float) -> str:
-    return f"{100.0 * (found / printed - 1.0):+.2f}"
-
-
-def _losses_text(rows: tuple[LossRow, ...]) -> Table:
-    cells = tuple(
-        (
-            row.strategy,
-            row.modulation,
-            f"{row.printed_loss:.0f}",
-            f"{row.loss:.1f}",
-            _off(row.loss, row.printed_loss),
-            f"{row.implied_loss:.1f}",
-            _off(row.loss, row.implied_loss),
-            f"{row.printed_junction:.2f}",
-            f"{row.junction:.2f}",
-            f"{row.junction - row.printed_junction:+.2f}",
-        )
-        for row in rows
-    )
-    second, third = rows[1], rows[2]
-    least = second.printed_loss - 0.5 * second.switching
-    calibrated = (
-        "Calibrated on the total of the first column alone, which gives the switching energy; the "
-        "others follow."
-    )
-    off_print, off_implied = (
-        _off(third.loss, third.printed_loss),
-        _off(third.loss, third.implied_loss),
-    )
-    misprint = (
-        f"Misprint: the third total, {third.printed_loss:.0f} W, contradicts its own temperature. "
-        "The line of temperature over inverter loss through the first two columns passes "
-        f"{third.printed_junction:.2f} degC at {third.implied_loss:.0f} W; and clamping saves at "
-        f"most half of the {second.switching:.0f} W that SPWM switches: {least:.0f} W is the least "
-        f"that can follow {second.printed_loss:.0f} W. The result is off by {off_print} % from the "
-        f"printed total, by {off_implied} % from the implied one."
-    )
-    cooling = (
-        "Thermal resistance and coolant temperature are not in the paper; the library drive's suit "
-        "all three columns."
-    )
-    notes = (calibrated, *textwrap.wrap(misprint, _WIDTH, break_on_hyphens=False), cooling)
-    return Table(
-        "Paper 000, Table 4: 130 N m, 300 rad/s, 500 V, 100 kHz",
-        (
-            "strategy",
-            "modulator",
-            "printed W",
-            "here W",
-            "off %",
-            "implied W",
-            "off %",
-            "junction degC",
-            "here degC",
-            "off K",
-        ),
-        cells,
-        notes,
-    )
-
-
-def _ripple_text(rows: tuple[LossRow, ...]) -> Table:
-    cells = tuple(
-        (
-            row.strategy,
-            row.modulation,
-            f"{row.printed_ripple:.2f}",
-            f"{row.switching_ripple:.3f}",
-            f"{row.printed_ripple - row.switching_ripple:.2f}",
-        )
-        for row in rows
-    )
-    here = [row.switching_ripple for row in rows]
-    printed = [row.printed_ripple for row in rows]
-    notes = (
-        f"At equal currents DDT-GDPWM adds {here[2] - here[1]:.2f} N m to the ripple of SPWM; the "
-        f"print adds {printed[2] - printed[1]:.2f}. The rest is the paper's finite-element "
-        "machine, whose slots are not published. It is larger with MTPA: the switching alone makes "
-        f"{here[0] - here[1]:.2f} N m less there than with i_d = 0, the voltage being lower, and "
-        f"the print has {printed[1] - printed[0]:.2f} N m more."
-    )
-    return Table(
-        "Paper 000, Table 4: largest torque ripple, peak to peak",
-        ("strategy", "modulator", "printed N m", "switching alone, here N m", "rest N m"),
-        cells,
-        tuple(textwrap.wrap(notes, _WIDTH, break_on_hyphens=False)),
-    )

@@ -15,9 +15,7 @@ import numpy as np
 from dqforge.machines.design import catalogue
 from dqforge.machines.names import ModulationName, Strategy
 from dqforge.machines.plants.scenario import Profile, Scenario
-from dqforge.reports.pages.table import Table
 from dqforge.reports.papers.transients import bench
-from dqforge.reports.plain_data import PlainData
 from dqforge.reports.simulation.compiled_plant import Simulation
 
 DESIGN_NAME = "paper000-ipmsm-100kw"
@@ -113,44 +111,3 @@ def load_tests() -> tuple[LoadTest, ...]:
         There is no compiler for the simulation.
     """
     return tuple(_test(*alternative) for alternative in ALTERNATIVES)
-
-
-def load_test_table(tests: tuple[LoadTest, ...]) -> Table:
-    """Speed and current of each alternative."""
-    rows = tuple(
-        (test.name, f"{test.deviation:.2f}", f"{test.end_error:.4f}", f"{test.torque:.2f}", f"{test.current:.2f}",
-         f"{test.expected:.2f}", f"{100.0 * (test.current / tests[0].current - 1.0):+.1f}")
-        for test in tests
-    )  # fmt: skip
-    columns = (
-        "alternative", "largest speed deviation rad/s", "at the end rad/s", "torque at the end N m", "current A (peak)",
-        "by equation A", "against i_d = 0 %",
-    )  # fmt: skip
-    return Table(
-        "Paper 000, Figure 5: 300 rad/s under 30 N m, a ramp to 90 N m, a step to 130 N m; emitted "
-        "C in the loop",
-        columns,
-        rows,
-        (
-            (
-                "Deviations after the first second. The paper prints curves: the speed is held, "
-                "MTPA needs less current."
-            ),
-            "Inertia and speed controller are inferred: the paper states neither.",
-        ),
-    )
-
-
-def plain_load_tests(tests: tuple[LoadTest, ...]) -> list[PlainData]:
-    """The figures as plain data."""
-    return [
-        {
-            "alternative": test.name,
-            "largest_deviation_rad_per_s": test.deviation,
-            "end_error_rad_per_s": test.end_error,
-            "torque_Nm": test.torque,
-            "current_A": test.current,
-            "current_by_equation_A": test.expected,
-        }
-        for test in tests
-    ]

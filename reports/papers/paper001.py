@@ -9,8 +9,7 @@ of the velocity form is.
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,16 +22,8 @@ from dqforge.optimizer.fixed_control.q_numbers import to_q
 from dqforge.optimizer.loops.gains import LoopGains, per_unit
 from dqforge.optimizer.observers.reduced_order import ObserverError, steady_state_error
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.pages.table import Table
-from dqforge.reports.papers.paper001_sensorless import (
-    PRINTED_ANGLE,
-    PRINTED_SPEED,
-    Estimator,
-    estimator_errors,
-    estimator_table,
-)
+from dqforge.reports.papers.paper001_sensorless import Estimator, estimator_errors
 from dqforge.reports.papers.transients import RPM, Bench, bench, settling_time
-from dqforge.reports.plain_data import PlainData
 from dqforge.reports.simulation.compiled_plant import Simulation
 
 DESIGN_NAME = "paper001-pmsm-bench"
@@ -371,134 +362,3 @@ def reproduce_paper() -> Reproduction:
             estimator=estimator,
             runs=Runs(reversal, sine, steps, sensorless, wrong),
         )
-
-
-def reproduction_tables(found: Reproduction) -> list[Table]:
-    """Printed beside found."""
-    integers = tuple(
-        (name, str(PRINTED_INTEGERS[name]), str(value)) for name, value in found.integers.items()
-    )
-    transients = tuple(
-        (row.name, f"{row.limit:.3g} ({row.origin})", f"{PRINTED_TIME:.1f}", f"{row.seconds:.3f}",
-         f"{100.0 * row.overshoot:.1f}", f"{row.peak_current:.2f}")
-        for row in found.transients
-    )  # fmt: skip
-    climbs = tuple(
-        (f"{row.start:.0f} to {row.target:.0f} rpm", f"{100.0 * row.share:.1f} % ({row.origin})", f"{row.reached:.0f}",
-         f"{row.seconds:.3f}" if math.isfinite(row.seconds) else "-")
-        for row in found.climbs
-    )  # fmt: skip
-    errors = tuple((name, f"{100.0 * value:+.3f}") for name, value in found.sensorless.items())
-    return [
-        Table(
-            "Paper 001, Table 8.1 as integers of the program",
-            ("gain", "printed", "found"),
-            integers,
-        ),
-        Table(
-            "Paper 001, section 8.4: time until the speed stays within 2 % of 1200 rpm, emitted C "
-            "in the loop",
-            (
-                "transient",
-                "limit of i_q in A",
-                "printed s",
-                "found s",
-                "overshoot %",
-                "peak current A",
-            ),
-            transients,
-            (
-                (
-                    "Gains, dead time, encoder and held outputs are those of the program; the d "
-                    "axis is not controlled."
-                ),
-                (
-                    "The thesis states no limit of the current in A. At one limit a reversal takes "
-                    "about twice a start: it"
-                ),
-                (
-                    "changes the speed by twice as much; so each printed time needs a limit of its "
-                    "own."
-                ),
-            ),
-        ),
-        Table(
-            "Paper 001, Figures 8.14 to 8.20: speeds of 2200 and 2700 rpm",
-            ("step", "limit of v_q, share of v_dc/sqrt(3)", "reached rpm", "within 2 % after s"),
-            climbs,
-            (
-                (
-                    "The thesis shows both speeds. Its program limits v_q to 13000 of 32768, for "
-                    "about 2600 rpm as it"
-                ),
-                (
-                    "says; delay and dead time, neither compensated, leave less. 2700 rpm must "
-                    "have been run without it."
-                ),
-            ),
-        ),
-        Table(
-            "Paper 001, Figures 8.27 and 8.28",
-            ("reference", "found"),
-            (
-                (
-                    "2 Hz, 200 rpm about 1200 rpm",
-                    f"{found.sine_amplitude:.1f} rpm, {found.sine_lag:.1f} deg behind",
-                ),
-                (
-                    "steps of 500 rpm every 0.5 s",
-                    f"within 2 % after at most {found.step_time:.3f} s",
-                ),
-            ),
-        ),
-        Table(
-            "Paper 001, section 8.5: steady error of the corrected observer at 1500 rpm (printed: "
-            "about 4 %)",
-            ("parameters", "error %"),
-            (
-                (
-                    "exact, emitted C in the loop, simulated",
-                    f"{100.0 * found.sensorless_error:+.3f}",
-                ),
-                *(("by formula: " + name, error) for name, error in errors),
-            ),
-        ),
-        estimator_table(found.estimator),
-    ]
-
-
-def plain_reproduction(found: Reproduction) -> PlainData:
-    """Tables as plain data."""
-    return {
-        "table_8_1": [
-            {"gain": name, "printed": PRINTED_INTEGERS[name], "found": value}
-            for name, value in found.integers.items()
-        ],
-        "transients": [
-            {
-                "transient": row.name,
-                "current_limit_A": row.limit,
-                "limit_from": row.origin,
-                "printed_s": PRINTED_TIME,
-                "found_s": row.seconds,
-                "overshoot": row.overshoot,
-                "peak_current_A": row.peak_current,
-                "largest_current_reference_A": row.asked,
-                "dead_time_s": row.dead_time,
-            }
-            for row in found.transients
-        ],
-        "speeds": [asdict(row) for row in found.climbs],
-        "sine": {"amplitude_rpm": found.sine_amplitude, "lag_deg": found.sine_lag},
-        "steps": {"settling_s": found.step_time},
-        "sensorless_1500_rpm": {
-            "printed_error": 0.04,
-            "simulated_error_exact_parameters": found.sensorless_error,
-            "by_formula": dict(found.sensorless),
-        },
-        "estimator_1500_rpm": {
-            "printed_speed_error": PRINTED_SPEED,
-            "printed_angle_error": PRINTED_ANGLE,
-            "found": [asdict(row) for row in found.estimator],
-        },
-    }

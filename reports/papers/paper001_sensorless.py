@@ -22,7 +22,6 @@ from dqforge.optimizer.observers.reduced_order import reduced_order_observer
 from dqforge.optimizer.solution import solve
 from dqforge.reports.control.header import plain_control
 from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
-from dqforge.reports.pages.table import Table
 from dqforge.reports.papers.transients import RPM, Bench
 from dqforge.reports.simulation.compiled_plant import Simulation, simulator
 from dqforge.reports.simulation.design_run import angle_error, controller_files
@@ -144,46 +143,3 @@ def estimator_errors(gains: Mapping[str, Any]) -> tuple[tuple[Estimator, ...], S
     held = Estimator(HELD, *_errors(runs[BENCH], bench.control.speed_loop.ratio))
     order = (rows[EXACT], rows[DEAD_TIME], rows[BENCH], rows[WARM], held, rows[NEEDED])
     return order, runs[BENCH]
-
-
-def estimator_table(rows: tuple[Estimator, ...]) -> Table:
-    """Found beside printed."""
-    lines = tuple(
-        (
-            row.name,
-            f"{100.0 * row.speed_error:+.2f}",
-            f"{360.0 * row.angle_error:.1f}",
-            f"{100.0 * row.angle_error:.1f}",
-        )
-        for row in rows
-    )
-    switched = next(row.switched for row in rows if row.switched is not None)
-    return Table(
-        "Paper 001, section 8.5: control without encoder at 1500 rpm (printed: about 4 % in speed, "
-        "10 % in position)",
-        ("the drive has", "speed error %", "position behind by deg", "in % of a turn"),
-        lines,
-        (
-            (
-                "Emitted C in the loop: speed by the reduced-order observer, position by the "
-                "voltage model of Matsui."
-            ),
-            (
-                "The dead time of the program, not compensated, and 0.7 % more magnet flux explain "
-                "the speed; the position"
-            ),
-            (
-                "is then 3.6 % of a turn off, not 10 %. R off by 30 %, L by 20 %, psi by 4 % or "
-                "v_dc by 5 % leave it"
-            ),
-            (
-                "at 4.5 % or less; a dead time that makes 10 % spoils the speed. Reading the "
-                "position out every tenth"
-            ),
-            "sample makes it 10 %; that this was done is a guess, it is not in the thesis.",
-            (
-                f"With every switching instant: {100.0 * switched[0]:+.2f} % and "
-                f"{360.0 * switched[1]:.1f} deg."
-            ),
-        ),
-    )

@@ -14,17 +14,17 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.phase_machines.frames import (
+    Frame,
     FrameAngles,
     frame_angles,
     frame_rms,
     loss_ratio_x_over_y,
     thesis_shapes,
+    transform,
 )
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.waveforms.comparison import require_phases
 from dqforge.optimizer.waveforms.phase_currents import spectrum, unit_currents
-from dqforge.reports.pages.table import Table
-from dqforge.reports.plain_data import PlainData
 
 DESIGN_NAME = "paper002-phase-waveforms"
 
@@ -42,13 +42,26 @@ PRINTED_TABLE_3_1 = {
 """R.m.s. of the components of the back-EMF of unit amplitude."""
 
 
-_COMPONENTS = ("d", "q", "qx", "qy", "zero")
+COMPONENTS = ("d", "q", "qx", "qy", "zero")
+
+"""Columns of the table, as `dq_frames` names them."""
+
+
+FRAMES: dict[str, Frame | None] = {
+    "2.3": None,
+    "2.4": "alphabeta0",
+    "2.5": "dq0",
+    "2.6": "dqx",
+    "3.2": "dqy",
+}
+
+"""The frame of each figure of the back-EMF; the phases themselves in the first."""
+
+
+_FRAME_POINTS = 720
 
 
 _TORQUE = 1.0
-
-
-_ORDERS = (1, 3, 5, 7, 9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +104,29 @@ def table_3_1() -> tuple[ComponentRow, ...]:
     rows = []
     for name, shape in thesis_shapes(ANGLES).items():
         found = frame_rms(shape)
-        values = {component: float(getattr(found, component)) for component in _COMPONENTS}
+        values = {component: float(getattr(found, component)) for component in COMPONENTS}
         rows.append(ComponentRow(name, PRINTED_TABLE_3_1[name], values, loss_ratio_x_over_y(shape)))
     return tuple(rows)
+
+
+def frame_curves() -> dict[str, dict[str, FloatArray]]:
+    """Back-EMF of unit amplitude by figure and shape, shape (3, N) over a period:
+    Figures 2.3 to 2.6 and 3.2.
+    """
+    shapes = thesis_shapes(_FRAME_POINTS)
+    theta = 2.0 * np.pi * np.arange(_FRAME_POINTS) / _FRAME_POINTS
+
+    def components(frame: Frame | None, shape: FloatArray) -> FloatArray:
+        return (
+            shape
+            if frame is None
+            else np.einsum("jkm,mj->kj", transform(frame, theta, shape), shape)
+        )
+
+    return {
+        number: {name: components(frame, shape) for name, shape in shapes.items()}
+        for number, frame in FRAMES.items()
+    }
 
 
 def drive_curves() -> DriveCurves:
@@ -111,77 +144,3 @@ def drive_curves() -> DriveCurves:
 def reproduce_paper() -> Reproduction:
     """Recompute everything."""
     return Reproduction(table_3_1(), drive_curves())
-
-
-def reproduction_tables(reproduction: Reproduction) -> list[Table]:
-    """Printed and recomputed values side by side."""
-    components = tuple(
-        (
-            row.shape,
-            *(f"{row.printed[name]:.2f} / {row.found[name]:.3f}" for name in _COMPONENTS),
-            f"{row.loss_ratio:.3f}",
-        )
-        for row in reproduction.rows
-    )
-    names = ("", *(f"{name} printed / found" for name in _COMPONENTS), "copper loss dqx over dqy")
-    drive = reproduction.drive
-    harmonics = tuple(
-        (f"{order}", *(f"{1e3 * drive.harmonics[k, order]:.2f}" for k in range(2)))
-        for order in _ORDERS
-    )
-    return [
-        Table(
-            "Paper 002, Table 3.1: r.m.s. of the components of the back-EMF of unit amplitude",
-            names,
-            components,
-            (
-                "The trapezoid's 1.83 and 1.92 are r.m.s.(|F|^2)/sqrt(3/2), another quantity.",
-                "The trapezoid's printed d is not that of a flat top of 120 degrees.",
-                (
-                    "Copper losses at the same constant torque; power-invariant components, as in "
-                    "the thesis."
-                ),
-            ),
-        ),
-        Table(
-            "Paper 002, Figure 6.7 for the shipped drive at 1 N m: harmonics of the current of "
-            "phase a",
-            ("order", "dqx mA (peak)", "dqy mA (peak)"),
-            harmonics,
-            (
-                (
-                    f"i_qy is constant, {drive.i_qy:.4g} A = T / (p phi_m sqrt(3/2)), "
-                    "power-invariant; (4.4) errs."
-                ),
-                (
-                    "The drive's harmonics are assumed: the thesis shows its back-EMF as a figure "
-                    "only."
-                ),
-            ),
-        ),
-    ]
-
-
-def plain_reproduction(reproduction: Reproduction) -> PlainData:
-    """Table and curves as plain data."""
-    drive = reproduction.drive
-    return {
-        "table_3_1": [
-            {
-                "shape": row.shape,
-                "printed": row.printed,
-                "found": row.found,
-                "loss_ratio_dqx_over_dqy": row.loss_ratio,
-            }
-            for row in reproduction.rows
-        ],
-        "drive": {
-            "theta_x_rad": drive.angles.theta_x,
-            "theta_y_rad": drive.angles.theta_y,
-            "a_x": drive.angles.a_x,
-            "a_y": drive.angles.a_y,
-            "current_a_dqx_A": drive.currents[0],
-            "current_a_dqy_A": drive.currents[1],
-            "i_qy_A": drive.i_qy,
-        },
-    }

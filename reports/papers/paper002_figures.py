@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.phase_machines.frames import Frame, thesis_shapes, transform
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, TEAL, new_figure, style
 from dqforge.reports.papers.paper002 import DriveCurves
 
@@ -18,39 +17,26 @@ if TYPE_CHECKING:
 _COLOURS = (BLUE, ORANGE, TEAL)
 
 
-_POINTS = 720
+_AXES = {
+    "2.3": ("a", "b", "c"),
+    "2.4": ("$\u03b1$", "$\u03b2$", "0"),
+    "2.5": ("d", "q", "0"),
+    "2.6": ("dx", "qx", "0"),
+    "3.2": ("dy", "qy", "0y"),
+}
 
 
-_ROWS: tuple[tuple[str, Frame | None, tuple[str, str, str]], ...] = (
-    ("2.3", None, ("a", "b", "c")),
-    ("2.4", "alphabeta0", ("$\u03b1$", "$\u03b2$", "0")),
-    ("2.5", "dq0", ("d", "q", "0")),
-    ("2.6", "dqx", ("dx", "qx", "0")),
-    ("3.2", "dqy", ("dy", "qy", "0y")),
-)
-
-
-def _components(frame: Frame | None, theta: FloatArray, shape: FloatArray) -> FloatArray:
-    """Back-EMF in a frame, shape (3, N)."""
-    return (
-        shape if frame is None else np.einsum("jkm,mj->kj", transform(frame, theta, shape), shape)
-    )
-
-
-def plot_frames() -> Figure:
+def plot_frames(curves: dict[str, dict[str, FloatArray]]) -> Figure:
     """Back-EMF of the four shapes (columns) in the five frames (rows): Figures 2.3 to 2.6 and
     3.2.
     """
-    shapes = thesis_shapes(_POINTS)
-    theta = 2.0 * np.pi * np.arange(_POINTS) / _POINTS
     with style():
         figure = new_figure("paper-002-frames", 8.2, "Back-EMF of four shapes in five frames")
-        for row, (number, frame, names) in enumerate(_ROWS):
-            for column, (name, shape) in enumerate(shapes.items()):
+        for row, (number, names) in enumerate(_AXES.items()):
+            for column, (name, components) in enumerate(curves[number].items()):
                 axes = figure.add_axes((0.075 + 0.235 * column, 0.82 - 0.192 * row, 0.2, 0.135))
-                for values, colour, label in zip(
-                    _components(frame, theta, shape), _COLOURS, names, strict=True
-                ):
+                theta = 2.0 * np.pi * np.arange(components.shape[1]) / components.shape[1]
+                for values, colour, label in zip(components, _COLOURS, names, strict=True):
                     axes.plot(np.degrees(theta), values, color=colour, linewidth=1.0, label=label)
                 axes.set(xlim=(0.0, 360.0), xticks=(0, 120, 240), ylim=(-1.8, 2.0))
                 if row == 0:
@@ -62,7 +48,7 @@ def plot_frames() -> Figure:
                     )
                 else:
                     axes.set_yticklabels([])
-                if row == len(_ROWS) - 1:
+                if row == len(_AXES) - 1:
                     axes.set_xlabel("Electrical angle in deg")
     return figure
 

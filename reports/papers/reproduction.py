@@ -26,28 +26,29 @@ class Reproduced:
 
 
 def _paper000(*, figures: bool) -> Reproduced:
-    from dqforge.reports.papers import paper000
+    from dqforge.reports.papers import paper000, paper000_tables
 
     found = paper000.reproduce_paper()
-    tables, plain = paper000.reproduction_tables(found), paper000.plain_reproduction(found)
+    tables, plain = (
+        paper000_tables.reproduction_tables(found),
+        paper000_tables.plain_reproduction(found),
+    )
     if not figures:
         return Reproduced(tables, plain)
     from dqforge.reports.papers.figures_transients import plot_load_tests
-    from dqforge.reports.papers.paper000_transient import (
-        load_test_table,
-        load_tests,
-        plain_load_tests,
-    )
+    from dqforge.reports.papers.paper000_transient import load_tests
 
     tests = load_tests()
-    plain = {**plain, "figure_5": plain_load_tests(tests)}
+    plain = {**plain, "figure_5": paper000_tables.plain_load_tests(tests)}
     return Reproduced(
-        [*tables, load_test_table(tests)], plain, {"figure-5.svg": lambda: plot_load_tests(tests)}
+        [*tables, paper000_tables.load_test_table(tests)],
+        plain,
+        {"figure-5.svg": lambda: plot_load_tests(tests)},
     )
 
 
 def _paper001(*, figures: bool) -> Reproduced:
-    from dqforge.reports.papers import paper001
+    from dqforge.reports.papers import paper001, paper001_tables
 
     found = paper001.reproduce_paper()
     drawn: dict[str, Callable[[], Figure]] = {}
@@ -56,24 +57,25 @@ def _paper001(*, figures: bool) -> Reproduced:
 
         drawn["figures-8.3-to-8.31.svg"] = lambda: plot_bench(found.runs)
     return Reproduced(
-        paper001.reproduction_tables(found), paper001.plain_reproduction(found), drawn
+        paper001_tables.reproduction_tables(found), paper001_tables.plain_reproduction(found), drawn
     )
 
 
 def _paper002(*, figures: bool) -> Reproduced:
-    from dqforge.reports.papers import paper002
+    from dqforge.reports.papers import paper002, paper002_tables
 
     found = paper002.reproduce_paper()
     drawn: dict[str, Callable[[], Figure]] = {}
     if figures:
         from dqforge.reports.papers.paper002_figures import plot_drive, plot_frames
 
+        frames = paper002.frame_curves()
         drawn = {
-            "figures-2.3-to-3.2.svg": plot_frames,
+            "figures-2.3-to-3.2.svg": lambda: plot_frames(frames),
             "figures-6.4-to-6.9.svg": lambda: plot_drive(found.drive),
         }
     return Reproduced(
-        paper002.reproduction_tables(found), paper002.plain_reproduction(found), drawn
+        paper002_tables.reproduction_tables(found), paper002_tables.plain_reproduction(found), drawn
     )
 
 

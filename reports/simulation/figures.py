@@ -48,7 +48,8 @@ def _angle(axes: Axes, time: FloatArray, run: Simulation) -> None:
     _line(axes, time, np.degrees(angle_error(run)), BLUE, "error of the observed angle", 0.9)
     if run.scenario.sensorless is not None:
         axes.fill_between(
-            time, 0.0, 1.0, where=run.sensorless > 0.5, transform=axes.get_xaxis_transform(), color=FAINT, alpha=0.35,
+            time, 0.0, 1.0, where=run.sensorless > 0.5, transform=axes.get_xaxis_transform(),
+            color=FAINT, alpha=0.35,
             linewidth=0.0, label="control without encoder", zorder=0,
         )  # fmt: skip
     axes.set_ylabel("angle error in deg")

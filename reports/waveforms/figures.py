@@ -8,7 +8,6 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
-from dqforge.optimizer.waveforms.phase_currents import spectrum
 from dqforge.reports.pages.figures_style import (
     BLUE,
     INK,
@@ -83,7 +82,7 @@ def _draw_torque(axes: Axes, rules: tuple[RuleCurrents, ...]) -> None:
 def _draw_spectra(axes: Axes, rules: tuple[RuleCurrents, ...]) -> None:
     orders = np.arange(1, _ORDERS + 1)
     for place, found in enumerate(rules):
-        lines = spectrum(found.currents)[0][0][1 : _ORDERS + 1]
+        lines = found.harmonics[0, 1 : _ORDERS + 1]
         shift = 0.2 * (place - 0.5 * (len(rules) - 1))
         axes.bar(
             orders + shift, lines, 0.19, color=RULE_COLOURS[found.rule], label=_TITLES[found.rule]
@@ -91,7 +90,7 @@ def _draw_spectra(axes: Axes, rules: tuple[RuleCurrents, ...]) -> None:
     axes.set(
         title="Harmonics of phase a", xlabel="Order", ylabel="A", xticks=orders[::2], yscale="log"
     )
-    largest = max(float(np.max(spectrum(found.currents)[0][0])) for found in rules)
+    largest = max(float(np.max(found.harmonics[0])) for found in rules)
     axes.set_ylim(1e-3 * largest, 2.0 * largest)
     axes.legend(frameon=False, loc="upper right", ncols=2, fontsize=6.5)
 

@@ -11,7 +11,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
 from dqforge.optimizer.waveforms.confirmation import Confirmation
-from dqforge.optimizer.waveforms.phase_currents import spectrum
+from dqforge.optimizer.waveforms.firmware_form import PhaseFit
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
 
@@ -51,7 +51,7 @@ def _row(found: RuleCurrents, base: float) -> tuple[str, ...]:
 
 def _harmonic_rows(comparison: WaveformComparison) -> tuple[tuple[str, ...], ...]:
     """Harmonics of phase a by rule, in % of the fundamental."""
-    lines = [spectrum(found.currents)[0][0] for found in comparison.rules]
+    lines = [found.harmonics[0] for found in comparison.rules]
     orders = [
         order
         for order in range(2, _MOST_ORDERS)
@@ -187,6 +187,25 @@ def _plain_confirmation(entry: Confirmation) -> PlainData:
     }
 
 
+def plain_phase_fit(fit: PhaseFit) -> PlainData:
+    """The forms for the firmware with their errors as fractions, bytes of
+    constants and operations.
+    """
+    return {
+        "chosen": fit.chosen.name,
+        "torque_max_Nm": fit.torque_max,
+        "candidates": [
+            {
+                "form": entry.name,
+                "errors": asdict(entry.errors),
+                "constants_B": entry.flash,
+                "operations": entry.operations,
+            }
+            for entry in fit.candidates
+        ],
+    }
+
+
 def plain_waveforms(comparison: WaveformComparison) -> PlainData:
     """Operating point, limits and, per rule, currents and torque over the
     angle with their figures.
@@ -219,7 +238,9 @@ def plain_waveforms(comparison: WaveformComparison) -> PlainData:
             found.rule: {
                 "currents_A": found.currents,
                 "torque_Nm": found.torque,
+                "harmonics_A": found.harmonics[:, :_MOST_ORDERS],
                 "copper_W": found.figures.copper[0],
+                "mean_torque_Nm": found.figures.torque[0],
                 "ripple_Nm": found.figures.ripple[0],
                 "rms_A": found.figures.rms[0],
                 "peak_A": found.figures.peak[0],

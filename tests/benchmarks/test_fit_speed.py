@@ -111,7 +111,8 @@ def test_budgets() -> None:
         for torque_error in (1e-3, 1e-5, 1e-8):
             start = time.perf_counter()
             try:
-                tried = f"{len(choose_fit(choice, FitSettings(), FitBudget(torque_error=torque_error)).trials)} tried"
+                found = choose_fit(choice, FitSettings(), FitBudget(torque_error=torque_error))
+                tried = f"{len(found.trials)} tried"
             except NoSolutionError:
                 tried = "none keeps it"
             print(

@@ -48,7 +48,7 @@ FIGURES: dict[str, tuple[Draw, tuple[str, ...]]] = {
         ("Torque in N m", "Current in A (peak)", "i_d error in mA", "i_q error in mA"),
     ),
     "errors": (
-        lambda s: plot_errors(s.design, s.fit),
+        lambda s: plot_errors(s.fit),
         (
             "Torque in N m",
             "Torque error in \u00b5N m",

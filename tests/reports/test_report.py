@@ -20,7 +20,6 @@ from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.design.values import InputValue
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.operating_points.html import copper_saving
 from dqforge.reports.pages.figures_style import BLUE, LOSS_COLOURS, ORANGE, TEAL
 from dqforge.reports.pages.html_text import count, number, quantity, share, symbols
 from dqforge.reports.report import render_report
@@ -130,7 +129,7 @@ def test_text_of_the_design_file_is_escaped(solution: Solution) -> None:
 
 
 def test_key_numbers_are_those_of_the_solution(solution: Solution, report: str) -> None:
-    saving = copper_saving(solution)
+    saving = solution.curves.saving
     assert saving is not None
     assert 0.0 < saving.relative < 1.0
     assert share(saving.relative, 3) in report

@@ -63,7 +63,9 @@ class RatedSection(Section):
 
 
 class ColumnsSection(Section):
-    """What a file calls the columns or arrays of a flux map, where their names are not recognised."""
+    """What a file calls the columns or arrays of a flux map, where their names are not
+    recognised.
+    """
 
     i_d: ColumnName | None = Field(default=None, description="name of the d current")
     i_q: ColumnName | None = Field(default=None, description="name of the q current")
@@ -109,7 +111,9 @@ class FluxMapFileSection(Section):
 
 
 class FluxMapSection(Section):
-    """Flux linkages over the currents, in a file: CSV, xlsx, NPZ, MAT, HDF5, FEMAG or Twin Builder."""
+    """Flux linkages over the currents, in a file: CSV, xlsx, NPZ, MAT, HDF5, FEMAG or Twin
+    Builder.
+    """
 
     file: FileName | None = Field(
         default=None, description="file beside the design file, or in a folder below it"
@@ -203,7 +207,9 @@ class BridgeSection(Section):
 
 
 class SaturationSection(Section):
-    """Saturation by published coefficients (Hinkkanen et al. 2017), in powers of A and Wb, peak dq quantities."""
+    """Saturation by published coefficients (Hinkkanen et al. 2017), in powers of A and Wb,
+    peak dq quantities.
+    """
 
     a_d0: Positive = Field(description="1/H")
     a_dd: Nonnegative = Field(description="coefficient of |psi_d|^s")
@@ -220,7 +226,9 @@ class SaturationSection(Section):
 
 
 class TemperatureSection(Section):
-    """Operating temperatures; resistance and magnet flux are converted from those of their values."""
+    """Operating temperatures; resistance and magnet flux are converted from those of their
+    values.
+    """
 
     winding: Temperature | None = Field(
         default=None, description="operating temperature of the winding (degC)"
@@ -255,7 +263,9 @@ class TemperatureSection(Section):
 
 
 class IronLossSection(Section):
-    """Iron loss at one frequency and flux linkage; it grows with f (hysteresis) and f^2 (eddy currents), and psi^2."""
+    """Iron loss at one frequency and flux linkage; it grows with f (hysteresis) and f^2
+    (eddy currents), and psi^2.
+    """
 
     frequency: Frequency = Field(description="electrical frequency of the two losses (Hz)")
     flux: Flux = Field(
@@ -281,7 +291,9 @@ class AcResistanceSection(Section):
 
 
 class HarmonicSection(Section):
-    """One harmonic of the back-EMF, e / omega_e = - sum A sin(h theta - phase); b and c lag by 120 and 240 deg."""
+    """One harmonic of the back-EMF, e / omega_e = - sum A sin(h theta - phase); b and c lag
+    by 120 and 240 deg.
+    """
 
     order: int = Field(ge=1, le=200, description="order h")
     amplitude: Flux | None = Field(
@@ -294,7 +306,9 @@ class HarmonicSection(Section):
 
 
 class InductanceHarmonicSection(Section):
-    """One even harmonic of the inductances: L_aa = L_s + sum A cos(h theta), M_bc = M_s + sum B cos(h theta)."""
+    """One even harmonic of the inductances: L_aa = L_s + sum A cos(h theta), M_bc = M_s +
+    sum B cos(h theta).
+    """
 
     order: int = Field(ge=2, le=100, multiple_of=2, description="order h, even")
     amplitude: MutualInductance = Field(
@@ -350,8 +364,8 @@ class BackEmfSection(Section):
 class MachineSection(Section):
     """The machine.
 
-    Model linear needs inductance_d, inductance_q and one of magnet_flux, back_emf_constant and torque_constant (several
-    must agree); flux-map and saturation need the section of their name.
+    Model linear needs inductance_d, inductance_q and one of magnet_flux, back_emf_constant and
+    torque_constant (several must agree); flux-map and saturation need the section of their name.
     """
 
     model: MachineModel = Field(

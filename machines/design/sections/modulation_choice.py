@@ -44,7 +44,9 @@ class BandSection(Section):
 
 
 class ChoiceSection(Section):
-    """Modulator and switching frequency that lose least over torque and speed, and a rule for the firmware."""
+    """Modulator and switching frequency that lose least over torque and speed, and a rule
+    for the firmware.
+    """
 
     min_frequency: Rate = Field(description="least switching frequency (Hz), for noise and control")
     max_frequency: Rate = Field(description="largest switching frequency (Hz)")

@@ -214,7 +214,9 @@ class CurrentSensorSection(Section):
 
 
 class PlantErrorsSection(Section):
-    """How the simulated drive differs from the data that its controller was made for (write 20 %)."""
+    """How the simulated drive differs from the data that its controller was made for (write
+    20 %).
+    """
 
     resistance: RelativeError | None = Field(default=None, description="relative; default 0")
     inductance_d: RelativeError | None = Field(default=None, description="relative; default 0")
@@ -236,7 +238,9 @@ class InitialSection(Section):
 
 
 class SimulationSection(Section):
-    """A simulation in the time domain with the emitted controller, whose reference is a speed, a torque or currents."""
+    """A simulation in the time domain with the emitted controller, whose reference is a
+    speed, a torque or currents.
+    """
 
     duration: Duration = Field(description="simulated time (s)")
     speed: SpeedProfileSection | None = Field(

@@ -25,7 +25,9 @@ LowCurrent = Annotated[Quantity, QuantityRule("current", 1e-3, 1e5, ("peak", "rm
 
 
 class TolerancesSection(Section):
-    """How far the drive may be from its data: both ways by one value, or {from: -10 %, to: 30 %}."""
+    """How far the drive may be from its data: both ways by one value, or {from: -10 %, to:
+    30 %}.
+    """
 
     r_s: DeviationKey | None = Field(
         default=None, description="phase resistance (write 30 %); default 0"

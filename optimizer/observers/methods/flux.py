@@ -1,8 +1,10 @@
 """Flux observer: voltage model of the stator flux, corrected by the current model,
 angle from the active flux.
 
-    dpsi/dt = v - R i + g (psi_model - psi),   psi_model = exp(j theta_hat) (psi_pm + L_d i_d + j L_q i_q)
-    psi_a = psi - L_q i = exp(j theta) (psi_pm + (L_d - L_q) i_d)                   active flux, along the d axis
+    dpsi/dt = v - R i + g (psi_model - psi),
+        psi_model = exp(j theta_hat) (psi_pm + L_d i_d + j L_q i_q)
+    psi_a = psi - L_q i = exp(j theta) (psi_pm + (L_d - L_q) i_d)
+        active flux, along the d axis
     g = bandwidth + speed_gain |omega|
 
 Sampled: the voltage is held. The integral of the current is the trapezoid with its end correction,
@@ -12,7 +14,8 @@ L_d)/L_q with it:
 
     D = t_s v - R t_s (i[k-1] + i[k])/2,   I = i[k] - i[k-1],   x = omega t_s
     psi_p = psi[k-1] + D - R t_s/(12 L_q) (R t_s I + j x (D - L_q I))
-    psi[k] = psi_p + alpha (psi_model(i[k], theta_p) - psi_p),   alpha = 1 - exp(-bandwidth t_s) + speed_gain |x| (<= 1)
+    psi[k] = psi_p + alpha (psi_model(i[k], theta_p) - psi_p),
+        alpha = 1 - exp(-bandwidth t_s) + speed_gain |x| (<= 1)
 
 and a phase-locked loop (`dqforge.optimizer.observers.pll`) on psi_a. Without saliency and with a
 fast loop the errors decay with -g/2 +- sqrt(g^2/4 - omega^2): the observer holds from some speed

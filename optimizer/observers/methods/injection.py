@@ -14,7 +14,8 @@ one period of N samples, that leaves
 
     m = k/2 sin 2 eps,   k = |Y_d - Y_q| V (N = 2) or half of that (N > 2)
 
-which a PLL drives to zero:   theta += t_s omega,   measure m,   omega += k_i m/k,   theta += k_p m/k. Its poles are
+which a PLL drives to zero:   theta += t_s omega,   measure m,   omega += k_i m/k,
+                              theta += k_p m/k. Its poles are
 exact: roots of the loop with the average of N samples. The magnet's polarity does not show: the
 start angle decides between theta and theta + pi.
 

@@ -4,10 +4,12 @@
 State x = (i_d, i_q, omega, theta) with infinite inertia, (7.23) to (7.26), L_d and L_q kept apart.
 From sample to sample (`dqforge.optimizer.observers.sampled_machine`, exact for a constant speed):
 
-    i[k+1] = Phi(omega) i[k] + Gamma(omega) v_dq + h(omega),   v_dq = the held voltage turned by -theta[k]
+    i[k+1] = Phi(omega) i[k] + Gamma(omega) v_dq + h(omega),
+        v_dq = the held voltage turned by -theta[k]
     omega[k+1] = omega[k],   theta[k+1] = theta[k] + t_s omega[k]
 
-    F = [ Phi   Phi' i + Gamma' v + h'   -Gamma J v ]      J v = (-v_q, v_d), ' = derivative by omega
+    F = [ Phi   Phi' i + Gamma' v + h'   -Gamma J v ]
+                J v = (-v_q, v_d), ' = derivative by omega
         [ 0             1                     0     ]
         [ 0             t_s                   1     ]
 

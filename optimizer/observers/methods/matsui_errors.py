@@ -10,7 +10,8 @@ state, the right frame would see
 and with psi_a, n and c = (L_d - L_q) i_q of `dqforge.optimizer.observers.methods.matsui_model`
 these pass for the errors
 
-    e = (c g_delta - psi_a g_gamma)/(n omega)   of the angle, and   d = (psi_a g_delta + c g_gamma)/n   of the speed.
+    e = (c g_delta - psi_a g_gamma)/(n omega)   of the angle, and
+        d = (psi_a g_delta + c g_gamma)/n   of the speed.
 
 The voltage model, whose integral leaves no angle error that it sees, settles at theta_hat - theta =
 e. The current model settles at the speed omega + d with the angle error e + d t_s/l_theta, in which

@@ -27,9 +27,11 @@ neither model sees the angle.
 
     voltage model (7.37) to (7.41)                        current model (7.46) to (7.49)
     speed = omega_hat + d, low-pass by the share l        omega_hat += l_omega d
-    integral += k_i eps                                   theta_hat += t_s omega_hat + l_theta (eps + d t_s/2)
+    integral += k_i eps
+        theta_hat += t_s omega_hat + l_theta (eps + d t_s/2)
     omega_hat = speed + k_p eps + integral
-    theta_hat = theta_hat + t_s omega_hat                 delta_v = -diag(1/c_d, 1/c_q) exp(j omega t_s/2) delta_i
+    theta_hat = theta_hat + t_s omega_hat
+        delta_v = -diag(1/c_d, 1/c_q) exp(j omega t_s/2) delta_i
 
 The current model takes delta_i through constants (c = (1 - exp(-R t_s/L))/R) instead of Gamma^-1.
 Poles of the current model: 1 - l_theta and 1 - l_omega. Of the voltage model: 1 - l, and for S =

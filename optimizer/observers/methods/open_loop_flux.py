@@ -4,13 +4,15 @@ error is known and taken back.
 Paper 001 integrates v - R i, (7.7) and (7.8), and notes that the integrator drifts and is
 replaced by a filter. Here
 
-    psi_f[k] = (psi_f[k-1] + dpsi) / (1 + kappa),   kappa = max(bandwidth t_s, speed_gain |x|),   x = omega t_s
+    psi_f[k] = (psi_f[k-1] + dpsi) / (1 + kappa),   kappa = max(bandwidth t_s, speed_gain |x|),
+        x = omega t_s
 
 with dpsi the integral of v - R i over the period (`dqforge.optimizer.observers.methods.flux`). It
 is a low-pass of corner kappa/t_s: an offset u of v - R i leaves u t_s/kappa, not a drift. A flux
 linkage that turns with omega comes out as psi_f = psi / c, exactly, with
 
-    c = 1 + kappa (1/2 - j/2 cot(x/2)),   1/2 cot(x/2) = 1/x - x/12 - x^3/720 (relative error below x^6/15120)
+    c = 1 + kappa (1/2 - j/2 cot(x/2)),
+        1/2 cot(x/2) = 1/x - x/12 - x^3/720 (relative error below x^6/15120)
 
 so that psi = c psi_f. While kappa = speed_gain |x| the angle of c hardly depends on the speed. The
 angle is that of the active flux psi - L_q i, followed by a phase-locked loop; L_d and psi_pm do not

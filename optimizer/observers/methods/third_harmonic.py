@@ -13,8 +13,10 @@ compensated by what the estimate says that the flux must be:
 
     theta-  = theta + t_s omega                      lambda- = lambda + t_s (u - b)
     x       = 3 theta- - phi,   r = lambda- - a cos x
-    lambda  = lambda- - k r,    b += k_b r            (integrator with drift compensation; b in V is the offset of u)
-    e       = -2/(3 a) r sin x                        (mean angle error, as sin^2 x is 1/2 on average)
+    lambda  = lambda- - k r,    b += k_b r
+            (integrator with drift compensation; b in V is the offset of u)
+    e       = -2/(3 a) r sin x
+            (mean angle error, as sin^2 x is 1/2 on average)
     omega  += k_i e,            theta = theta- + k_p e
 
 Without error r vanishes: no ripple, no bias. While k is small against 3 omega t_s and the PLL slow

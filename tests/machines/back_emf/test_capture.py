@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.back_emf.capture import analyse, analyse_period
 from dqforge.machines.back_emf.checks import Origin, check_certain
-from dqforge.machines.back_emf.columns import BemfCapture, capture_from_table
+from dqforge.machines.back_emf.columns import BemfCapture, CaptureOptions, capture_from_tables
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.number_table import read_table
 from dqforge.machines.files.text_table import TextTable
@@ -30,6 +30,14 @@ ORDERS: AnyArray = np.array([1, 2, 3, 5, 7, 9, 11, 13])
 AMPLITUDES: FloatArray = np.array([10.0, 0.08, 1.2, 0.5, 0.3, 0.2, 0.1, 0.08]) * 1e-3
 PHASORS: AnyArray = AMPLITUDES * np.exp(1j * np.array([0.0, 1.0, 0.3, 2.0, 3.0, -1.0, 0.5, 4.0]))
 PHASES = np.arange(3) * (2.0 * np.pi / 3.0)
+
+
+def capture_from_table(table: TextTable, **options: Any) -> BemfCapture:
+    """Samples in SI units from the columns of one file.
+
+    The options are those of `CaptureOptions`.
+    """
+    return capture_from_tables([table], CaptureOptions(**options))
 
 
 def written(headings: str, values: FloatArray) -> TextTable:

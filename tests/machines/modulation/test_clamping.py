@@ -21,12 +21,11 @@ from dqforge.machines.devices.switch import SwitchDevice
 from dqforge.machines.losses.constant_device import bridge_load
 from dqforge.machines.modulation.clamping import (
     DISCONTINUOUS,
-    clamping_angle,
-    commutation_share,
     resting_phase,
     switching_loss_factor,
 )
 from dqforge.machines.modulation.modulators import MODULATORS, modulate, period_waveforms
+from dqforge.machines.modulation.resting_angles import clamping_angle
 from dqforge.machines.names import ModulationName
 
 RESTING = sorted(DISCONTINUOUS)
@@ -255,7 +254,7 @@ def test_commutations_are_those_of_the_phases_that_switch(name: ModulationName) 
     voltage = 40.0 * np.array([phases_at(0.01 + 0.1 * k) for k in range(62)])
     duty = modulate(name, voltage, voltage, 100.0).duty
     switching = np.count_nonzero((duty > 0.0) & (duty < 1.0)) / duty.size
-    assert switching == pytest.approx(commutation_share(name))
+    assert switching == pytest.approx(2.0 / 3.0 if name in DISCONTINUOUS else 1.0)
     assert name in DISCONTINUOUS or np.all(
         switching_loss_factor(name, np.linspace(-3.0, 3.0, 9)) == 1.0
     )

@@ -19,7 +19,7 @@ from dqforge.machines.modulation.modulators import (
     sector_waveforms,
 )
 from dqforge.machines.modulation.ripple import (
-    flux_ripple_square,
+    flux_moments,
     harmonic_distortion_factor,
     ripple,
     switching_instants,
@@ -60,6 +60,18 @@ def test_harmonic_distortion_is_that_of_simulated_switching(
     square = float(np.mean(flux**2))  # of a phase, over phases and time: half of that of the vector
     found = harmonic_distortion_factor(name, index, math.radians(degrees))
     assert found == pytest.approx(576.0 * square, rel=0.01)
+
+
+def flux_ripple_square(duty: FloatArray) -> FloatArray:
+    """Mean square of the harmonic flux vector over a carrier period (...), in (v_dc T)^2,
+    of duty cycles (..., 3).
+
+    The vector is amplitude-invariant: half of its mean square is the mean square of a phase,
+    averaged over the phases.
+    """
+    moments = flux_moments(duty)
+    own = np.trace(moments, axis1=-2, axis2=-1)
+    return np.asarray((2.0 * own - 2.0 / 3.0 * np.sum(moments, axis=(-2, -1))) / 3.0)
 
 
 @pytest.mark.parametrize("name", MODULATORS)

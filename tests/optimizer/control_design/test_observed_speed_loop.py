@@ -187,7 +187,8 @@ def swing(design: Design, share: float) -> float:
     assert position is not None
     omega_m = share * position.omega_max / machine.pole_pairs
     scenario = Scenario(
-        1.5, "speed", Profile((0.0, 0.1), (omega_m, 1.02 * omega_m)), omega_m=omega_m, dead_time=0.0,
+        1.5, "speed", Profile((0.0, 0.1), (omega_m, 1.02 * omega_m)), omega_m=omega_m,
+        dead_time=0.0,
         sensorless=Sensorless(0.0, 0.0),
     )  # fmt: skip
     with simulator(

@@ -205,7 +205,8 @@ def test_a_design_with_too_large_a_gain_is_refused_with_exit_code_1() -> None:
     settings, machine = design.control.current_loop, design.machine
     loops = [
         analyse_current_loop(
-            machine.r_s, machine.l_d, design.control.t_s, settings.kp or 0.0, settings.ki or 0.0, "given", name,
+            machine.r_s, machine.l_d, design.control.t_s, settings.kp or 0.0,
+            settings.ki or 0.0, "given", name,
             respond=False,
         )
         for name in ("i_d", "i_q")

@@ -17,9 +17,15 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget, drive_budget
-from dqforge.optimizer.modulation_choice.best import BestChoice, best_choice, listed_choice
+from dqforge.optimizer.modulation_choice.best import (
+    BestChoice,
+    best_choice,
+    listed_frequencies,
+    permitted_losses,
+    rule_quantities,
+)
 from dqforge.optimizer.modulation_choice.limits import ChoiceLimits, ChoicePoints
-from dqforge.optimizer.modulation_choice.rule import decide, leaves
+from dqforge.optimizer.modulation_choice.rule import SimplifiedChoice, decide, leaves, simplify
 from dqforge.optimizer.operating_points.mtpa import mtpa_currents
 
 MACHINE = LinearMachine(pole_pairs=4, r_s=20e-3, l_d=350e-6, l_q=592e-6, psi_pm=0.1049, i_max=283.0)
@@ -102,17 +108,30 @@ def test_limits_are_kept_and_cost() -> None:
     assert np.nanmin(audible.f_sw) >= 16e3 * (1.0 - 1e-12)
 
 
+def listed_choice(
+    inverter: Inverter, at: ChoicePoints, limits: ChoiceLimits, options: BudgetOptions | None
+) -> tuple[tuple[tuple[ModulationName, float], ...], SimplifiedChoice]:
+    """Alternatives of a short list, and the rule over torque and speed that takes one of them."""
+    frequencies = listed_frequencies(limits)
+    loss, kept = permitted_losses(
+        MACHINE, inverter, at, NAMES, frequencies, limits, options=options
+    )
+    alternatives = tuple((name, float(frequency)) for name in NAMES for frequency in frequencies)
+    kept = kept.reshape(len(alternatives), -1).T
+    loss = np.where(kept, loss.reshape(len(alternatives), -1).T, 0.0)
+    return alternatives, simplify(loss, kept, rule_quantities(at), at.weights)
+
+
 def test_rule_comes_close_and_keeps_the_limits() -> None:
     inverter, at = drive()
     limits = ChoiceLimits(4e3, 16e3, ripple_max=30.0)
-    listed = listed_choice(MACHINE, inverter, at, NAMES, limits, options=OPTIONS)
-    rule = listed.simplified
+    alternatives, rule = listed_choice(inverter, at, limits, OPTIONS)
     assert rule.permitted
     assert 1 <= leaves(rule.rule) <= 4
     assert 0.0 <= rule.price < 0.05
     chosen = decide(rule.rule, {"torque_Nm": at.torque, "speed_rad_per_s": at.omega_m})
     total = 0.0
-    for index, (name, frequency) in enumerate(listed.alternatives):
+    for index, (name, frequency) in enumerate(alternatives):
         here = chosen == index
         if here.any():
             budget = direct_budget(inverter, at, here, [name], np.array([frequency]))
@@ -131,4 +150,4 @@ def test_one_frequency_and_empty_ranges() -> None:
     impossible = ChoiceLimits(4e3, 8e3, junction_max=20.0)
     assert not best_choice(MACHINE, inverter, at, NAMES, impossible).found.any()
     with pytest.raises(NoSolutionError, match="no alternative keeps all limits"):
-        listed_choice(MACHINE, inverter, at, NAMES, impossible)
+        listed_choice(inverter, at, impossible, None)

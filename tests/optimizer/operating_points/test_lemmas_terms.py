@@ -223,7 +223,8 @@ def test_conditions_with_their_gradients(condition: Condition) -> None:
         "no i_d": I_D,
     }[condition]
     expected = [
-        TORQUE, TORQUE.by_d(), TORQUE.by_q(), TORQUE.by_d().by_d(), TORQUE.by_d().by_q(), TORQUE.by_q().by_q(),
+        TORQUE, TORQUE.by_d(), TORQUE.by_q(), TORQUE.by_d().by_d(), TORQUE.by_d().by_q(),
+        TORQUE.by_q().by_q(),
         second, second.by_d(), second.by_q(), excess, excess.by_d(), excess.by_q(),
     ]  # fmt: skip
     for name, function in zip(Local.__dataclass_fields__, expected, strict=True):

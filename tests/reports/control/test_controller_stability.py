@@ -146,7 +146,8 @@ def run_input(
     inverter = Inverter(topology="three-wire", v_dc=V_DC, f_sw=1.0 / drive.t_s)
     step = constant(drive.step)
     scenario = Scenario(
-        samples * drive.t_s, "current", step, step, shaft=constant(drive.omega_e / machine.pole_pairs), dead_time=0.0,
+        samples * drive.t_s, "current", step, step,
+        shaft=constant(drive.omega_e / machine.pole_pairs), dead_time=0.0,
         errors=replace(errors, v_dc=0.0), v_dc=Profile((0.0,), (V_DC,)),
     )  # fmt: skip
     return Drive(machine, inverter, drive.t_s), scenario, gain_bytes(plain)

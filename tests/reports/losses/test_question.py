@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from matplotlib.text import Text
 
@@ -67,6 +68,15 @@ def test_map_names_the_winner_everywhere(run: Run) -> None:
             assert (best == -1) == (not totals)
             if totals:
                 assert totals[best] <= min(totals.values()) * (1.0 + 1e-8)
+    assert sum(entry["least_share"] for entry in found["alternatives"]) == pytest.approx(
+        np.mean(np.array(found["best"]) >= 0)
+    )
+    for entry in found["alternatives"]:
+        assert entry["mean_total_W"] == pytest.approx(sum(entry["mean_W"].values()), rel=1e-7)
+        usable = np.array(entry["usable"])
+        assert entry["usable_share"] == pytest.approx(np.mean(usable))
+        assert entry["junction_max_degC"] == np.max(np.array(entry["junction_degC"])[usable])
+    assert found["dead_time_share"] == pytest.approx([0.004, 0.04])
     drawn = Path("map.svg").read_text(encoding="utf-8")
     assert "DDT-GDPWM" in drawn
     assert "least" in drawn

@@ -185,7 +185,8 @@ def compiled(item: Emitted, sequences: FloatArray, compiler: Compiler, folder: P
     names = {"prefix": "drive", "macro": "DRIVE"}
     observer = render(f"observer_{item.code}.j2", names | {"gains": item.gains})
     source = HARNESS.format(
-        types=render("c_code/control_types.j2", names), observer=observer, code=item.code, upper=item.code.upper(),
+        types=render("c_code/control_types.j2", names), observer=observer, code=item.code,
+        upper=item.code.upper(),
         more=item.more, extra=item.extra,
     )  # fmt: skip
     (folder / "harness.c").write_text(source, encoding="ascii")

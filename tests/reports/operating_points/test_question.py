@@ -29,7 +29,7 @@ from dqforge.optimizer.operating_points.characteristics import (
     operating_map,
     voltage_limit,
 )
-from dqforge.optimizer.operating_points.loss_model import drive_losses
+from dqforge.optimizer.operating_points.drive_points import drive_points
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import optimal_points
 from dqforge.reports.operating_points.figures import plot_operating_map, plot_speed
@@ -62,10 +62,9 @@ def solved(
 
 
 def detail(design: Design, torque: float, omega: float) -> dict[str, str]:
-    points = optimal_points(design.machine, torque, omega, v_max=LIMIT.v_max)
+    found = drive_points(design.machine, design.inverter, LIMIT, torque, omega, design.i_max)
     most = optimal_points(design.machine, 1e4, omega, v_max=LIMIT.v_max)
-    losses = drive_losses(design.machine, design.inverter, points.i_d, points.i_q, points.omega_m)
-    (table,) = point_tables(design, points, losses, most, LIMIT, "copper")
+    (table,) = point_tables(design, found, most, LIMIT, "copper")
     return {row[0]: row[1] for row in table.rows}
 
 
@@ -102,10 +101,11 @@ def test_point_in_detail_beyond_what_can_be_had_and_without_device() -> None:
 
 
 def test_points_table_has_a_row_per_point_and_the_limit() -> None:
-    points = optimal_points(IPM, np.array([0.0, 50.0, 300.0]), 600.0, v_max=LIMIT.v_max)
     design = make_design()
-    losses = drive_losses(IPM, design.inverter, points.i_d, points.i_q, points.omega_m)
-    (table,) = points_tables(design, points, losses, replace(LIMIT, margin=0.05), "copper")
+    found = drive_points(
+        IPM, design.inverter, LIMIT, np.array([0.0, 50.0, 300.0]), 600.0, design.i_max
+    )
+    (table,) = points_tables(design, found, replace(LIMIT, margin=0.05), "copper")
     assert [len(row) for row in table.rows] == [len(table.columns)] * 3
     assert "(no more)" in table.rows[2][2]
     assert table.notes[0].endswith("5 % kept free")

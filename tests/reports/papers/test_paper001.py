@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.papers import paper000_transient, paper001
+from dqforge.reports.papers import paper000_tables, paper000_transient, paper001, paper001_tables
 from dqforge.reports.papers import paper001_sensorless as sensorless001
 from dqforge.reports.papers.figures_transients import plot_bench, plot_load_tests
 from dqforge.reports.papers.paper000_transient import LoadTest
@@ -153,10 +153,10 @@ def test_the_estimator_errs_in_speed_as_printed_and_in_position_by_less(
 
 def test_tables_and_figures_show_them(found: paper001.Reproduction) -> None:
     text = "\n".join(
-        " ".join(row) for table in paper001.reproduction_tables(found) for row in table.rows
+        " ".join(row) for table in paper001_tables.reproduction_tables(found) for row in table.rows
     )
     assert "20000 20000" in text
-    assert len(paper001.plain_reproduction(found)["transients"]) == 6
+    assert len(paper001_tables.plain_reproduction(found)["transients"]) == 6
     assert "<svg" in to_svg(plot_bench(found.runs))
 
 
@@ -179,5 +179,5 @@ def test_the_load_is_carried_and_mtpa_needs_less_current(load_tests: tuple[LoadT
     assert direct.current / spwm.current > 1.07
     assert dpwm.current == pytest.approx(spwm.current, rel=1e-3)
     assert "<svg" in to_svg(plot_load_tests(load_tests))
-    assert len(paper000_transient.load_test_table(load_tests).rows) == 3
-    assert paper000_transient.plain_load_tests(load_tests)[1]["current_A"] == spwm.current
+    assert len(paper000_tables.load_test_table(load_tests).rows) == 3
+    assert paper000_tables.plain_load_tests(load_tests)[1]["current_A"] == spwm.current

@@ -62,7 +62,7 @@ def test_drive_makes_its_torque_and_its_q_current_is_constant() -> None:
 
 
 def test_figures_are_drawn() -> None:
-    frames, drive = plot_frames(), plot_drive(paper002.drive_curves())
+    frames, drive = plot_frames(paper002.frame_curves()), plot_drive(paper002.drive_curves())
     assert isinstance(frames, Figure)
     assert len(frames.axes) == 20
     assert len(drive.axes) == 4

@@ -95,6 +95,18 @@ def test_margin_and_modulation_set_the_voltage() -> None:
     whole = fit.domain.v_max / (loaded.machine.pole_pairs * (loaded.machine.omega_m_max or 0.0))
     # What the resistance takes at the largest torque there: 0.6 V of 225 V.
     assert 0.99 * whole < fit.region.flux_min < whole
+    chart, settings = fit.chart, fit.settings
+    assert (
+        chart.torque.shape
+        == chart.flux.shape
+        == chart.torque_error.shape
+        == chart.voltage_error.shape
+    )
+    assert 0.0 < np.max(np.abs(chart.torque_error)) <= settings.torque_error
+    assert np.max(chart.voltage_error) <= settings.voltage_excess
+    np.testing.assert_allclose(
+        np.max(chart.borders.largest_torque), fit.region.torque_max, rtol=1e-6
+    )
 
 
 SMALL = {"bench": "paper001-pmsm-bench", "abb": "abb-ipmsm-2k2"}
