@@ -8,6 +8,7 @@ from typing import Literal
 from dqforge.machines.losses.mission import Mission
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import (
+    SPEED_OBSERVER,
     BreakpointMode,
     Core,
     CurrentLoopMethod,
@@ -200,7 +201,7 @@ class ObserverSettings:
     """
 
     pole: float | None = None
-    method: ObserverMethodName = "reduced-order"
+    method: ObserverMethodName = SPEED_OBSERVER
     bandwidth: float | None = None
     pll_bandwidth: float | None = None
     damping: float | None = None

@@ -22,7 +22,8 @@ from dqforge.optimizer.observers.method import ObserverMethod, observe
 from dqforge.optimizer.observers.methods.ekf import ekf_gains
 from dqforge.optimizer.observers.methods.ekf_tuning import first_guess, usual_noise
 from dqforge.optimizer.observers.methods.extended_emf import exact_factors, factor_error
-from dqforge.optimizer.observers.methods.flux import FluxGains, flux_path, integrated
+from dqforge.optimizer.observers.methods.flux import flux_path, integrated
+from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.methods.registry import METHODS, method_named
 from dqforge.optimizer.observers.pll import pll_gains
 from dqforge.optimizer.observers.steady_states import closed_form_error, steady_observer
