@@ -14,10 +14,15 @@ from dqforge.machines.design.sections.losses import LossSection
 from dqforge.machines.design.sections.modulation_choice import ChoiceSection
 from dqforge.machines.modulation.clamping import switching_loss_factor
 from dqforge.machines.modulation.modulator import Modulator
-from dqforge.machines.modulation.modulators import linear_limit, period_waveforms
+from dqforge.machines.modulation.modulators import (
+    SIX_STEP_AMPLITUDE,
+    linear_limit,
+    period_waveforms,
+    sector_waveforms,
+)
 from dqforge.machines.modulation.overmodulation import fundamental, saturate
 from dqforge.machines.modulation.registry import MODULATORS, registered
-from dqforge.machines.modulation.ripple import harmonic_distortion_factor
+from dqforge.machines.modulation.ripple import flux_moments, harmonic_distortion_factor
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import dq_to_phases
 
@@ -74,11 +79,12 @@ def test_a_registered_modulator_is_one_of_the_package(example: Modulator) -> Non
         found = 2.0 * np.mean(beyond.duty[:, 0] * np.cos(theta))
         assert float(fundamental(NAME, 0.7, 1.0)) == pytest.approx(float(found), rel=1e-6)
         assert float(switching_loss_factor(NAME, 0.3)) == 1.0
-        sixth, fifth, quarter = (
-            float(harmonic_distortion_factor(name, 0.8)) for name in ("thipwm6", NAME, "thipwm4")
-        )
-        assert fifth < sixth
-        assert fifth == pytest.approx(quarter, rel=0.02)
+        wave = sector_waveforms(NAME, 0.5, 0.0, 1.0, 0.0, 1.0)
+        moments = flux_moments(wave.modulation.duty)
+        own = np.trace(moments, axis1=-2, axis2=-1)
+        square = (2.0 * own - 2.0 / 3.0 * np.sum(moments, axis=(-2, -1))) / 3.0
+        factor = float(harmonic_distortion_factor(NAME, 0.5 / SIX_STEP_AMPLITUDE))
+        assert factor == pytest.approx(288.0 * float(np.sum(wave.weight * square)), rel=1e-9)
     assert NAME not in MODULATORS
 
 

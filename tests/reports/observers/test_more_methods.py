@@ -186,7 +186,7 @@ def modelled(item: Emitted, sequences: FloatArray, maths: Arithmetic) -> Any:
 def compiled(item: Emitted, sequences: FloatArray, compiler: Compiler, folder: Path) -> SingleArray:
     """Results of the emitted C, shape (drives, LENGTH, 4)."""
     names = {"prefix": "drive", "macro": "DRIVE"}
-    observer = render(f"observer_{item.code}.j2", names | {"gains": item.gains})
+    observer = render(f"observers/{item.code}.j2", names | {"gains": item.gains})
     source = HARNESS.format(
         types=render("c_code/control_types.j2", names), observer=observer, code=item.code,
         upper=item.code.upper(),
