@@ -1,5 +1,122 @@
-"""dqforge: controller coefficients, loss budgets and checked C headers
-for permanent-magnet drives.
+"""dqforge: controller coefficients, loss budgets and checked C headers for permanent-magnet drives.
+
+From Python every function takes and returns SI numbers and arrays (docs/python.md). Names are
+loaded when they are first used, so that ``import dqforge`` costs next to nothing.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.machines.design.from_machine import make_design
+    from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
+    from dqforge.machines.dq_machines.synchronous import LinearMachine
+    from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError, VerificationError
+    from dqforge.machines.flux_map_files.inputs import make_flux_map, read_flux_map
+    from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+    from dqforge.reports.session.control import SimulatedDrive, Tuning, simulate, tune
+    from dqforge.reports.session.drives import library, load_design
+    from dqforge.reports.session.emission import Emission, Solution, Verified, emit, solve, verify
+    from dqforge.reports.session.losses import Losses, LossMap, loss_map, losses
+    from dqforge.reports.session.points import (
+        Characteristics,
+        OperatingMap,
+        OperatingPoints,
+        characteristics,
+        operating_map,
+        operating_points,
+    )
+    from dqforge.reports.session.references import Fit, certify, fit
+    from dqforge.reports.session.waveforms import BackEmf, Waveforms, read_back_emf, waveforms
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "BackEmf",
+    "Characteristics",
+    "Design",
+    "DqforgeError",
+    "Emission",
+    "Fit",
+    "FluxMap",
+    "InputError",
+    "LinearMachine",
+    "LossMap",
+    "Losses",
+    "NoSolutionError",
+    "OperatingMap",
+    "OperatingPoints",
+    "PhaseMachine",
+    "SaturatedMachine",
+    "SimulatedDrive",
+    "Solution",
+    "Tuning",
+    "VerificationError",
+    "Verified",
+    "Waveforms",
+    "certify",
+    "characteristics",
+    "emit",
+    "fit",
+    "library",
+    "load_design",
+    "loss_map",
+    "losses",
+    "make_design",
+    "make_flux_map",
+    "operating_map",
+    "operating_points",
+    "read_back_emf",
+    "read_flux_map",
+    "simulate",
+    "solve",
+    "tune",
+    "verify",
+    "waveforms",
+]
+
+_HOMES = {
+    "machines.design.design": ("Design",),
+    "machines.design.from_machine": ("make_design",),
+    "machines.errors": ("DqforgeError", "InputError", "NoSolutionError", "VerificationError"),
+    "machines.dq_machines.flux_map": ("FluxMap", "SaturatedMachine"),
+    "machines.flux_map_files.inputs": ("make_flux_map", "read_flux_map"),
+    "machines.phase_machines.phase_machine": ("PhaseMachine",),
+    "machines.dq_machines.synchronous": ("LinearMachine",),
+    "reports.session.control": ("SimulatedDrive", "Tuning", "simulate", "tune"),
+    "reports.session.drives": ("library", "load_design"),
+    "reports.session.emission": ("Emission", "Solution", "Verified", "emit", "solve", "verify"),
+    "reports.session.losses": ("LossMap", "Losses", "loss_map", "losses"),
+    "reports.session.points": (
+        "Characteristics",
+        "OperatingMap",
+        "OperatingPoints",
+        "characteristics",
+        "operating_map",
+        "operating_points",
+    ),
+    "reports.session.references": ("Fit", "certify", "fit"),
+    "reports.session.waveforms": ("BackEmf", "Waveforms", "read_back_emf", "waveforms"),
+}
+"""Modules of the public names; the same as above, which only type checkers and editors read."""
+
+
+if not TYPE_CHECKING:  # a type checker shall refuse names that are not there
+
+    def __getattr__(name: str) -> Any:
+        """Load a public name when it is first asked for."""
+        from importlib import import_module
+
+        for home, names in _HOMES.items():
+            if name in names:
+                found = getattr(import_module(f"{__name__}.{home}"), name)
+                globals()[name] = found
+                return found
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """List the public names, loaded or not."""
+    return sorted({*globals(), *__all__})

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from dqforge.machines.errors import DqforgeError, VerificationError
@@ -71,6 +71,32 @@ def nearest(
     return values[()]
 
 
+def option_at(
+    options: Mapping[KeyPath, str], keys: Mapping[KeyPath, Position], path: KeyPath
+) -> str | None:
+    """The option of the command line that set a part, or the nearest part around it.
+
+    None for what the file says.
+    """
+    for length in range(len(path), 0, -1):
+        if path[:length] in options:
+            return options[path[:length]]
+        if path[:length] in keys:
+            return None
+    return None
+
+
+def behind_option(message: str, path: KeyPath) -> str:
+    """A message that begins with the key of a part, without that key: the
+    option before it names it.
+    """
+    for length in range(len(path), 0, -1):
+        shorter = message.removeprefix(f"{dotted(path[:length])}: ")
+        if shorter != message:
+            return shorter
+    return message
+
+
 @dataclass(frozen=True, slots=True)
 class Places:
     """Positions of the keys of a design file.
@@ -84,12 +110,15 @@ class Places:
         position of their value in both.
     sections:
         Keys that a design may have at its top level.
+    options:
+        For parts that an option of the command line set: that option.
     """
 
     source: str
     keys: Mapping[KeyPath, Position]
     values: Mapping[KeyPath, Position]
     sections: tuple[str, ...]
+    options: Mapping[KeyPath, str] = field(default_factory=dict)
 
     def locate(self, error: DqforgeError, section: str = "") -> None:
         """Give file, line, column and key to an error on this design that has none.
@@ -114,6 +143,10 @@ class Places:
         if not path or path[0] not in self.sections:
             path = leading_path(error.section or section)
             error.message = f"{dotted(path)}: {error.message}" if path else error.message
+        given_by = option_at(self.options, self.keys, path)
+        if given_by is not None:
+            error.source, error.message = given_by, behind_option(error.message, path)
+            return
         error.source = self.source
         error.line, error.column = nearest(self.keys, self.values, path, key=True)
 

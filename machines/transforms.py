@@ -251,8 +251,16 @@ def park(o: Numbers[N, Any], vector: tuple[N, N], turn: tuple[N, N]) -> Pair[N]:
 
 
 def park_inverse(o: Numbers[N, Any], vector: tuple[N, N], turn: tuple[N, N]) -> Pair[N]:
-    """Turned coordinates back: alpha = d cos - q sin, beta = d sin + q cos;
-    parameters as of `park`.
+    """Turned coordinates back: alpha = d cos - q sin, beta = d sin + q cos.
+
+    Parameters
+    ----------
+    o:
+        The arithmetic.
+    vector:
+        Coordinates d and q in any unit, any shape.
+    turn:
+        Cosine and sine of the angle, any shape that fits.
     """
     return park(o, vector, (turn[0], o.negative(turn[1])))
 

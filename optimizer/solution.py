@@ -27,6 +27,10 @@ from dqforge.optimizer.losses.point_comparison import LossComparison
 from dqforge.optimizer.losses.solve import solve_losses, solve_mission
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, solve_choice
 from dqforge.optimizer.negative_torques import NegativeHalf, solve_negative
+from dqforge.optimizer.observers.reduced_order import (
+    ErrorsAtLoad,
+    errors_at_loads,
+)
 from dqforge.optimizer.operating_points.solve import Curves, current_choice, solve_curves
 from dqforge.optimizer.waveforms.comparison import (
     WaveformComparison,
@@ -49,6 +53,8 @@ class Solution:
     them. ``loops`` is None where none are wanted, or where a design without a section ``control``
     has none that hold; ``gains_left_out`` then says why. ``negative`` is None where one reference
     serves torques of both signs; else ``fit`` and ``certificate`` are those of positive ones.
+    ``observer_errors`` are those of the speed observer at half the base speed, without load and
+    with half the largest torque; empty without that observer.
     """
 
     design: Design
@@ -68,6 +74,7 @@ class Solution:
     data: DataUse = COVERED
     gains_left_out: str = ""
     negative: NegativeHalf | None = None
+    observer_errors: tuple[ErrorsAtLoad, ...] = ()
 
     @property
     def positive(self) -> Design:
@@ -93,6 +100,19 @@ class Solution:
         if self.loops is None:
             raise InputError(f"this needs gains, and there are none: {self.gains_left_out}")
         return self.loops
+
+
+def _observer_errors(
+    design: Design, gains: GainSet | None, torque_max: float
+) -> tuple[ErrorsAtLoad, ...]:
+    """Errors of the speed observer without load and with half of ``torque_max`` N m.
+
+    None without one.
+    """
+    if gains is None or gains.observer is None:
+        return ()
+    speed, loads = 0.5 * design.control.bases.speed, (0.0, 0.5 * torque_max)
+    return errors_at_loads(design.machine, gains.observer, speed, loads)
 
 
 @on_design("machine")
@@ -125,4 +145,5 @@ def solve(design: Design) -> Solution:
         data=chosen.data,
         gains_left_out=left_out,
         negative=solve_negative(design),
+        observer_errors=_observer_errors(design, gains, fit.torque_max),
     )

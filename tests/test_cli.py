@@ -693,7 +693,7 @@ def test_simulation_with_the_emitted_controller(run: Run, tmp_path: Path) -> Non
     assert archive["omega_m"][-1] * 30.0 / np.pi == pytest.approx(-1200.0, abs=2.0)
     assert (tmp_path / "run.svg").stat().st_size > 10_000
     document = json.loads(run("simulate", BENCH, "--json").out)
-    assert set(document) == {"dqforge", "format", "command", "design", "simulation"}
+    assert set(document) == {"dqforge", "format", "command", "design", "simulation", "out", "files"}
     found = document["simulation"]
     assert found["bounded"] is True
     assert [step["after"] for step in found["steps"]] == pytest.approx(
@@ -719,7 +719,15 @@ def test_simulation_is_in_the_report(run: Run, tmp_path: Path) -> None:
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert 'id="simulation"' in report
     assert "Steps of the speed" in report
+    written = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert list(written)[-1] == "simulation"
+    simulated = run("simulate", BENCH, "-o", "simulated", "--json")
+    assert written["simulation"] == json.loads(simulated.out)["simulation"]
+    assert "as they were written" in run("verify", "out").out
     assert run("run", BENCH, "-o", "other", "--no-verify").code == 0
+    assert "simulation" not in json.loads(
+        (tmp_path / "other" / "result.json").read_text(encoding="utf-8")
+    )
     assert not (tmp_path / "other" / "bench001_simulation.npz").exists()
     assert 'id="simulation"' not in (tmp_path / "other" / "report.html").read_text(encoding="utf-8")
 

@@ -4,6 +4,8 @@ a new design starts from.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.files.library_files import LibraryFiles
@@ -24,9 +26,12 @@ def read_text(name: str) -> bytes:
     return _FILES.read(name)
 
 
-def load(name: str) -> Design:
-    """Design from the library; raises `InputError` when there is none of this name."""
-    return load_text(read_text(name), _FILES.source(name))
+def load(name: str, settings: Sequence[str] = ()) -> Design:
+    """Design from the library, with keys set as by `load_text`.
+
+    Raises `InputError` when there is none of this name.
+    """
+    return load_text(read_text(name), _FILES.source(name), settings=settings)
 
 
 def template(machine: str | None = None) -> bytes:

@@ -20,6 +20,7 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.flux_maps.evidence import FluxEvidence
 from dqforge.machines.losses.machine_budget import WindingHeat
 from dqforge.machines.losses.machine_loss import MachineLoss
+from dqforge.machines.modulation.modulators import linear_limit
 from dqforge.machines.names import Strategy
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.places import Places
@@ -91,3 +92,12 @@ class Design:
             [] if self.inverter.i_max is None else [self.inverter.i_max]
         )
         return min(limits)
+
+    @property
+    def v_max(self) -> float:
+        """Phase amplitude in V (peak) that the currents may ask for: the modulator's
+        linear range less the margin.
+        """
+        return linear_limit(
+            self.operation.modulation, self.inverter.v_dc, self.operation.voltage_margin
+        )

@@ -4,12 +4,14 @@ and the design in SI units.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from dqforge.machines.design import datasheet
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import located
+from dqforge.machines.design.overrides import overridden
 from dqforge.machines.design.plausibility.design import implausibilities
 from dqforge.machines.design.provenance import input_values, kind_assumptions
 from dqforge.machines.design.reading import Reading
@@ -55,18 +57,27 @@ from dqforge.machines.places import Places
 from dqforge.machines.units.quantities import format_quantity
 
 
-def load_design(path: str | Path) -> Design:
+def load_design(path: str | Path, settings: Sequence[str] = ()) -> Design:
     """Design in a file.
+
+    Parameters
+    ----------
+    path:
+        The file.
+    settings:
+        Keys that are set instead of what the file says, such as ``machine.resistance=12 mOhm``.
 
     Raises
     ------
     InputError
         The file cannot be read, or its content is wrong; with the position where there is one.
     """
-    return load_text(read_bytes(path), str(path), Path(path).parent)
+    return load_text(read_bytes(path), str(path), Path(path).parent, settings)
 
 
-def load_text(text: bytes, source: str, folder: Path | None = None) -> Design:
+def load_text(
+    text: bytes, source: str, folder: Path | None = None, settings: Sequence[str] = ()
+) -> Design:
     """Design in the bytes of a file.
 
     Parameters
@@ -77,14 +88,21 @@ def load_text(text: bytes, source: str, folder: Path | None = None) -> Design:
         File name for messages.
     folder:
         Where the files lie that the design names; None where it may name none.
+    settings:
+        Keys that are set instead of what the file says, such as ``machine.resistance=12 mOhm``.
 
     Raises
     ------
     InputError
-        The content is wrong; with the position of the first fault.
+        The content is wrong; with the position of the first fault, or the option that is at fault.
     """
     document = parse_yaml(text, source)
-    places = Places(source, document.keys, document.values, tuple(DesignFile.model_fields))
+    if settings:
+        document, changed = overridden(document, text.decode("utf-8-sig"), settings)
+        text = changed.encode("utf-8")
+    places = Places(
+        source, document.keys, document.values, tuple(DesignFile.model_fields), document.options
+    )
     try:
         with located(places, "machine"):
             return _design(read_sections(document), Reading(document, text, folder), places)

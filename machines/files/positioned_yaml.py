@@ -20,7 +20,7 @@ import yaml
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
-from dqforge.machines.places import KeyPath, Position, dotted, nearest
+from dqforge.machines.places import KeyPath, Position, behind_option, dotted, nearest, option_at
 from dqforge.machines.wording import close_matches, shown
 
 MAX_BYTES = 1 << 20
@@ -116,20 +116,25 @@ class YamlDocument:
     """The content of one file and the position of each of its parts.
 
     ``keys`` and ``values`` map the path of a part, such as ``("machine", "poles")``, to where its
-    key and its value begin. List entries have the position of their value in both.
+    key and its value begin. List entries have the position of their value in both. ``options``
+    holds the option of the command line for each part that one set.
     """
 
     source: str
     data: dict[str, YamlValue]
     keys: dict[KeyPath, Position]
     values: dict[KeyPath, Position]
+    options: dict[KeyPath, str] = field(default_factory=dict)
 
     def position(self, path: KeyPath, *, key: bool = False) -> Position:
         """Where a part begins, or the nearest enclosing part that is in the file."""
         return nearest(self.keys, self.values, path, key=key)
 
     def error(self, message: str, path: KeyPath, *, key: bool = False) -> InputError:
-        """Build an error that points to a part of this file."""
+        """Build an error that points to a part of this file, or names the option that set it."""
+        option = option_at(self.options, self.keys, path)
+        if option is not None:
+            return InputError(behind_option(message, path), source=option)
         line, column = self.position(path, key=key)
         return InputError(message, source=self.source, line=line, column=column)
 
@@ -139,7 +144,7 @@ class YamlDocument:
         try:
             yield
         except InputError as error:
-            if error.line is not None:
+            if error.line is not None or error.source in self.options.values():
                 raise
             raise self.error(f"{dotted(path)}: {error.message}", path, key=key) from None
 
@@ -206,6 +211,47 @@ def parse_yaml(content: bytes, source: str) -> YamlDocument:
     return builder.document()
 
 
+def parse_value(text: str, source: str) -> YamlValue:
+    """Value of one key, written as it stands behind the colon in a file, on one line.
+
+    Parameters
+    ----------
+    text:
+        A number, a word or text, ``[a, b]`` or ``{key: value}``.
+    source:
+        What messages call it.
+
+    Raises
+    ------
+    InputError
+        As `parse_yaml`; and where a mapping or a list has no braces or brackets,
+        or a comment follows.
+    """
+    _refuse_no_text(text, source)
+    builder, end = _Builder(source), 0
+    try:
+        for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            if isinstance(event, yaml.CollectionStartEvent) and not event.flow_style:
+                builder.fail(
+                    "': ' and '- ' start a mapping or a list; put a text with them in quotes", event
+                )
+            builder.feed(event)
+            mark = event.end_mark
+            end = (
+                mark.index
+                if isinstance(event, yaml.NodeEvent | yaml.CollectionEndEvent) and mark
+                else end
+            )
+    except yaml.MarkedYAMLError as error:
+        raise _translated(error, source) from None
+    if text[end:].strip():
+        raise InputError(
+            f"{shown(text[end:].strip())} behind the value is not read; put a text in quotes",
+            source=source,
+        )
+    return builder.root[0] if builder.root else None
+
+
 def _decode(content: bytes, source: str) -> str:
     if len(content) > MAX_BYTES:
         raise InputError(
@@ -222,12 +268,17 @@ def _decode(content: bytes, source: str) -> str:
             "UTF-8"
         )
         raise InputError(message, source=source, line=line, column=column) from None
+    _refuse_no_text(text, source)
+    return text
+
+
+def _refuse_no_text(text: str, source: str) -> None:
+    """Raise at the first character that has no place in a text."""
     match = _NOT_TEXT.search(text)
     if match is not None:
         line, column = _position_of(text[: match.start()])
         message = f"the character U+{ord(match.group()):04X} is not text; remove it"
         raise InputError(message, source=source, line=line, column=column)
-    return text
 
 
 def _position_of(before: str) -> Position:

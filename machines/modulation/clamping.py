@@ -97,6 +97,13 @@ def hand_over(name: ModulationName, load_angle: FloatArray) -> FloatArray:
     0 or 60 degrees where it changes between the sectors only, and for continuous modulators. With
     DDT-GDPWM it is where the magnitudes of the two currents cross, with the others at the clamping
     angle.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    load_angle:
+        Angle in rad by which the current lags the voltage, shape (...).
     """
     return MODULATORS[name].hand_over(load_angle)
 
@@ -109,6 +116,13 @@ def sector_rule(name: ModulationName, lag: FloatArray) -> tuple[FloatArray, Floa
     degrees, keeps the order V_a > V_b > V_c. It is split where a phase current is zero and where
     the resting phase changes, and each part gets its own Gauss rule: 24 angles. With modulators of
     one rail the next sector follows with the same 24.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    lag:
+        Angle in rad by which the current lags the voltage, shape (...).
     """
     current_zero = np.mod(lag + THIRTY, SIXTY)
     change = hand_over(name, lag)

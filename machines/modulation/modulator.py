@@ -33,8 +33,12 @@ Coefficients = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def sector_end(load_angle: FloatArray) -> FloatArray:
-    """60 degrees in rad at every load angle (...): the resting phase changes
-    between the sectors only.
+    """``hand_over`` where the resting phase changes between the sectors only: 60 degrees in rad.
+
+    Parameters
+    ----------
+    load_angle:
+        Angles in rad by which the current lags the voltage, shape (...).
     """
     return np.full_like(load_angle, math.pi / 3.0)
 

@@ -112,13 +112,14 @@ class PhaseWaveforms:
         return np.asarray(np.sum(self.weight * np.sum(values, axis=-1), axis=-1), dtype=np.float64)
 
 
-def linear_limit(name: ModulationName, v_dc: float) -> float:
+def linear_limit(name: ModulationName, v_dc: float, margin: float = 0.0) -> float:
     """Largest phase-voltage amplitude in V (peak) that modulator `name` makes without
     overmodulation from v_dc in V.
 
-    Half of v_dc for SPWM, 0.561 v_dc for THIPWM4, v_dc / sqrt 3 for all others (Hava 1999).
+    Half of v_dc for SPWM, 0.561 v_dc for THIPWM4, v_dc / sqrt 3 for all others (Hava 1999); less
+    ``margin``, a share of 0 to 1 that is kept for control.
     """
-    return MODULATORS[name].linear_limit * v_dc
+    return MODULATORS[name].linear_limit * v_dc * (1.0 - margin)
 
 
 def modulation_index(amplitude: FloatArray, v_dc: float) -> FloatArray:
@@ -135,6 +136,15 @@ def in_linear_range(name: ModulationName, amplitude: FloatArray | float, v_dc: f
     """Tell where the phase-voltage amplitude (V, peak, any shape) is within the linear range.
 
     False for NaN.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    amplitude:
+        Phase-voltage amplitude in V (peak), any shape.
+    v_dc:
+        DC-link voltage in V.
     """
     return np.asarray(amplitude <= linear_limit(name, v_dc) * (1.0 + _LIMIT_ROUNDING))
 
@@ -168,6 +178,15 @@ def zero_sequence(
 def clamped_phases(name: ModulationName, voltage: FloatArray, current: FloatArray) -> BoolArray:
     """Mark the phase that does not switch, shape (..., 3): exactly one with discontinuous
     modulators, else none.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    voltage:
+        Phase references in V from the star point, shape (..., 3).
+    current:
+        Phase currents in A, shape (..., 3).
     """
     voltage, current = np.broadcast_arrays(voltage, current)
     if not MODULATORS[name].rests:
@@ -184,6 +203,17 @@ def modulate(
 
     The duty cycle of a clamped phase is exactly 0 or 1. Nothing is clipped: test the amplitude of
     the reference with `in_linear_range`.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    voltage:
+        Phase references in V from the star point, shape (..., 3).
+    current:
+        Phase currents in A, shape (..., 3); only GDPWM and DDT-GDPWM look at them.
+    v_dc:
+        DC-link voltage in V.
     """
     v_zero = zero_sequence(name, voltage, current, v_dc)
     clamped = clamped_phases(name, voltage, current)
@@ -268,6 +298,16 @@ def sector_waveforms(
     DPWMMAX treat the half waves differently: 48 angles cover 120 degrees there.
 
     Without voltage the direction of the voltage vector is taken as that of the d axis.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    v_d, v_q, i_d, i_q:
+        Phase voltages in V and currents in A in rotor coordinates (peak), broadcastable to
+        the shape (...).
+    v_dc:
+        DC-link voltage in V.
     """
     v_d, v_q, i_d, i_q = _operating_points(v_d, v_q, i_d, i_q)
     voltage_angle = np.arctan2(v_q, v_d)

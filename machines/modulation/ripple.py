@@ -157,6 +157,13 @@ def harmonic_distortion_factor(
 def inverse_inductance(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
     """Inverse of the incremental inductances in 1/H, shape (N, 2, 2), at currents in A,
     shape (N,).
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    i_d, i_q:
+        Currents in A (peak), shape (N,).
     """
     jet = machine.jet(i_d, i_q)
     matrix = np.stack(

@@ -72,6 +72,11 @@ def spectral_derivative(waveform: FloatArray) -> FloatArray:
     Exact for harmonics below N/2. A harmonic at N/2 has no slope at the angles of the grid and is
     left out. At kinks and jumps it rings over the whole period;
     :func:`dqforge.machines.phase_machines.phase_machine.derivative` keeps errors local.
+
+    Parameters
+    ----------
+    waveform:
+        Values in any unit over one period, shape (..., N).
     """
     count = waveform.shape[-1]
     spectrum = 1j * np.arange(count // 2 + 1) * np.fft.rfft(waveform)
@@ -131,6 +136,19 @@ def from_frame(
 
     The matrices are orthogonal, their inverses the transposes: paper 002 (C.2), (D.2), (E.6).
     Parameters, shapes and errors are those of :func:`to_frame`.
+
+    Parameters
+    ----------
+    frame:
+        The frame.
+    theta:
+        Angles in rad, shape (N,).
+    shape:
+        Back-EMF shape F at these angles, shape (3, N).
+    axes:
+        Quantities on the axes of the frame in any unit, shape (3, N).
+    scaled:
+        Whether the quantities were divided by `amplitude_factor`.
     """
     _require_same_size(shape, axes)
     phases: FloatArray = np.einsum("jkm,kj->mj", transform(frame, theta, shape), axes)
@@ -195,6 +213,15 @@ def transform_rate(
 
     Parameters and errors are those of :func:`frame_rates`; alphabeta0 and dq0 exist for any
     shape and ignore the slope.
+
+    Parameters
+    ----------
+    frame:
+        The frame.
+    theta:
+        Angles in rad, shape (N,).
+    shape, slope:
+        Back-EMF shape F at these angles and its derivative by theta in 1/rad, shape (3, N).
     """
     matrix = transform(frame, theta, shape)
     if frame == "alphabeta0":

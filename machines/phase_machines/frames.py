@@ -265,6 +265,16 @@ def inductance_entries(frame: Frame, sine: Entry, cosine: Entry, l_s: Entry, m_s
     ``sine`` and ``cosine`` of theta_y matter in dqy alone.
 
     Paper 002 (2.14)-(2.16) and (E.38)-(E.46).
+
+    Parameters
+    ----------
+    frame:
+        The frame.
+    sine, cosine:
+        Those of theta_y, numbers or shape (N,).
+    l_s, m_s:
+        Self inductance of a phase and mutual inductance of two, in H, numbers or shape
+        (N,).
     """
     plane, zero = l_s - m_s, l_s + 2.0 * m_s
     if frame != "dqy":
@@ -288,6 +298,18 @@ def coupling_entries(
     Paper 002 (2.20)-(2.22), (2.30), (2.31) and (E.26)-(E.34), corrected: there is no speed term on
     the 0 axis, where (2.22), (C.7) and (C.12) print one, and the factor of sin theta_y is L_s -
     M_s, where (E.27) and (E.29) print L_s + 2 M_s.
+
+    Parameters
+    ----------
+    frame:
+        The frame.
+    sine, cosine:
+        Those of theta_y, numbers or shape (N,).
+    turn, rate:
+        Speeds of both turns of the frame over that of theta, numbers or shape (N,).
+    l_s, m_s:
+        Self inductance of a phase and mutual inductance of two, in H, numbers or shape
+        (N,).
     """
     if frame == "alphabeta0":
         return ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))

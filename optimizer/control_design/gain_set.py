@@ -8,12 +8,15 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
+from dqforge.machines.design.settings import ControlSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
 from dqforge.optimizer.loops.gain_schedule import GainSchedule, schedule_gains
-from dqforge.optimizer.loops.gains import LoopGains, tune_current_loop, tune_speed_loop
+from dqforge.optimizer.loops.gains import LoopGains, LoopName, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loops.inductances import inductance_range
+from dqforge.optimizer.loops.integer_gains import PerUnitGains, per_unit_gains
 from dqforge.optimizer.loops.loop_batch import PlantBatch
+from dqforge.optimizer.loops.responses import LoopResponse, loop_responses
 from dqforge.optimizer.loops.robustness import (
     RobustSet,
     current_robustness,
@@ -21,7 +24,11 @@ from dqforge.optimizer.loops.robustness import (
     turning_robustness,
 )
 from dqforge.optimizer.loops.tolerance_box import Axis, drive_box
-from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
+from dqforge.optimizer.observers.reduced_order import (
+    ReducedOrderObserver,
+    SpeedErrorSlopes,
+    speed_error_slopes,
+)
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
 
@@ -31,19 +38,27 @@ class GainSet:
     """Gains of both current loops and, where the design asks for them, of the
     speed loop and an observer.
 
-    ``observer`` is the reduced-order speed observer, ``position`` one of the position; a design has
-    at most one. ``robust`` is what they keep over the tolerances (the speed loop only without an
-    observer), None where the design names none; ``schedule`` the current loops' gains over the
-    current, None where it asks for none.
+    ``per_unit`` are the gains of each loop between per-unit quantities.
+    ``observer`` is the reduced-order speed observer with its errors in ``observer_slopes``,
+    ``position`` one of the position; a design has at most one.
+    ``robust`` is what they keep over the tolerances (the speed loop only without an observer), None
+    where the design names none; ``schedule`` the current loops' gains over the current, None where
+    it asks for none.
     """
 
     i_d: LoopGains
     i_q: LoopGains
     speed: LoopGains | None
+    per_unit: dict[LoopName, PerUnitGains]
     observer: ReducedOrderObserver | None
+    observer_slopes: SpeedErrorSlopes | None = None
     robust: RobustSet | None = None
     schedule: GainSchedule | None = None
     position: PositionObserver | None = None
+
+    def responses(self) -> tuple[LoopResponse, ...]:
+        """Answers of the loops over time and frequency, for whom wants to draw them."""
+        return loop_responses(self.i_d, self.i_q, self.speed)
 
 
 @on_design("control")
@@ -95,7 +110,25 @@ def solve_gains(design: Design) -> GainSet:
     if speed is not None and (observer is not None or position is not None):
         speed = judge_observed(design, (i_d, i_q, speed), observer, position)
         robust = None if robust is None else replace(robust, speed=None)
-    return GainSet(i_d, i_q, speed, observer, robust, schedule, position)
+    scaled = _per_unit(control, (i_d, i_q, speed))
+    slopes = (
+        None if observer is None else speed_error_slopes(machine, observer, control.bases.speed)
+    )
+    return GainSet(i_d, i_q, speed, scaled, observer, slopes, robust, schedule, position)
+
+
+def _per_unit(
+    control: ControlSettings, loops: tuple[LoopGains, LoopGains, LoopGains | None]
+) -> dict[LoopName, PerUnitGains]:
+    """Gains of every loop per unit, with the integers that its section asks for."""
+    found = {}
+    for loop in loops:
+        if loop is not None:
+            section = control.speed_loop if loop.loop == "speed" else control.current_loop
+            found[loop.loop] = per_unit_gains(
+                loop, control.bases, None if section is None else section.q_formats
+            )
+    return found
 
 
 def gains_or_reason(design: Design) -> tuple[GainSet | None, str]:

@@ -96,7 +96,10 @@ class SinglePolynomial:
         return cls(piecewise.edges[:-1].astype(np.float32), coefficients.astype(np.float32))
 
     def evaluate(
-        self, argument: SingleArray, muladd: MultiplyAdd, odd_in: SingleArray | None = None
+        self,
+        argument: SingleArray,
+        muladd: MultiplyAdd = multiply_add,
+        odd_in: SingleArray | None = None,
     ) -> SingleArray:
         """Value at non-negative float32 arguments, shape (N,), with the given multiply-add.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.optimizer.field_weakening.fit import WeakeningFit, fit_weakening
-from dqforge.optimizer.operating_points.characteristics import voltage_limit
 
 
 @on_design("field_weakening")
@@ -19,6 +18,4 @@ def solve_weakening(design: Design) -> WeakeningFit | None:
     """
     if design.weakening is None:
         return None
-    operation = design.operation
-    limit = voltage_limit(design.inverter, operation.modulation, operation.voltage_margin)
-    return fit_weakening(design.machine, design.i_max, limit.v_max, design.weakening)
+    return fit_weakening(design.machine, design.i_max, design.v_max, design.weakening)

@@ -13,14 +13,7 @@ from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.optimizer.fixed_control.arithmetic import Reach
-from dqforge.optimizer.fixed_control.gains import (
-    FixedGain,
-    QuantisedLoop,
-    given,
-    quantise,
-    quantised_loop,
-    real_pi,
-)
+from dqforge.optimizer.fixed_control.gains import QuantisedLoop, quantised_loop, real_pi
 from dqforge.optimizer.fixed_control.ranges import (
     DeadBand,
     control_ranges,
@@ -38,7 +31,9 @@ from dqforge.optimizer.fixed_control.step import (
     FixedPi,
     PiForm,
 )
+from dqforge.optimizer.fixed_control.transforms import sine_error
 from dqforge.optimizer.loops.gains import LoopGains, decoupling
+from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
 from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
 
 DC_HEADROOM = 1.15  # of the dc link over its nominal value that its full scale holds at least
@@ -64,12 +59,18 @@ class FixedControlFit:
         Proven range of every product and sum.
     dead_bands:
         Smallest errors that move each integral, by loop.
+    word_dead_bands:
+        The same for integrals without fractional bits, as they would be in one word.
+    sine_error:
+        Largest error of sine and cosine in codes.
     """
 
     control: FixedControl
     loops: dict[str, QuantisedLoop]
     reaches: tuple[Reach, ...]
     dead_bands: dict[str, DeadBand]
+    word_dead_bands: dict[str, DeadBand]
+    sine_error: float
 
     @property
     def fullest(self) -> Reach:
@@ -130,7 +131,8 @@ def fit_control(
         for name, made in forms.items()
         if made["parallel"].ki.mantissa > 0
     }
-    return FixedControlFit(control, found, control_ranges(control), bands)
+    whole = {name: dead_band(found[name].ki_ts) for name in bands}
+    return FixedControlFit(control, found, control_ranges(control), bands, whole, sine_error(width))
 
 
 def fit_controls(

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach
-from dqforge.optimizer.fixed_control.gains import FixedGain, scaled
+from dqforge.optimizer.fixed_control.gains import scaled
 from dqforge.optimizer.fixed_control.step import (
     FixedControl,
     FixedObserver,
@@ -30,6 +30,7 @@ from dqforge.optimizer.fixed_control.step import (
     pi_velocity,
 )
 from dqforge.optimizer.fixed_control.transforms import Codes, duties, full_scale, rotation
+from dqforge.optimizer.loops.integer_gains import FixedGain
 
 
 @dataclass(frozen=True, slots=True)

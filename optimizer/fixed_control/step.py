@@ -13,8 +13,16 @@ from typing import Any, Generic, Literal
 from dqforge.machines.names import ModulationName, NumberFormat
 from dqforge.machines.transforms import N, Pair, Triple, clarke, park, park_inverse
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded
-from dqforge.optimizer.fixed_control.gains import FixedGain, scaled
-from dqforge.optimizer.fixed_control.transforms import Codes, duties, full_scale, rotation
+from dqforge.optimizer.fixed_control.gains import scaled
+from dqforge.optimizer.fixed_control.transforms import (
+    Codes,
+    SineSteps,
+    duties,
+    full_scale,
+    rotation,
+    sine_steps,
+)
+from dqforge.optimizer.loops.integer_gains import FixedGain
 
 PiForm = Literal["parallel", "velocity"]
 
@@ -101,6 +109,35 @@ class FixedControl:
     def format(self) -> NumberFormat:
         """Name of the number format."""
         return "q15" if self.width == 16 else "q31"
+
+    @property
+    def top(self) -> int:
+        """The largest code."""
+        return full_scale(self.width)
+
+    @property
+    def one_code(self) -> tuple[float, float, float, float]:
+        """What one code is: A, V, rad/s and N m."""
+        current, voltage, speed, torque = (base / 2 ** (self.width - 1) for base in self.bases)
+        return current, voltage, speed, torque
+
+    @property
+    def dc_least_voltage(self) -> float:
+        """Voltage of the dc link in V below which it is taken as this."""
+        share: float = self.dc_least / 2 ** (self.width - 1)
+        return share * self.bases[1] * 2.0**self.dc_scale
+
+    @property
+    def zeta_max(self) -> int:
+        """Magnitude within which the state of the observer is held; 0 without one."""
+        return (
+            0 if self.observer is None else self.observer.reach * self.top << self.observer.fraction
+        )
+
+    @property
+    def sine(self) -> SineSteps:
+        """Integers of the sine."""
+        return sine_steps(self.width)
 
     @property
     def loops(self) -> dict[str, dict[PiForm, FixedPi]]:

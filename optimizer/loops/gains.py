@@ -2,7 +2,7 @@
 its sampled loop really has.
 
 Gains are physical (current loops V/A and V/(A s), speed loop N m s/rad and N m/rad); `per_unit` and
-`dqforge.optimizer.fixed_control.q_numbers.to_q` turn them into the numbers of a firmware. A set
+`dqforge.optimizer.loops.q_numbers.to_q` turn them into the numbers of a firmware. A set
 that is unstable or misses the required phase margin is refused.
 """
 
@@ -15,7 +15,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.design.settings import ControlSettings, CurrentLoopSettings, SpeedLoopSettings
+from dqforge.machines.design.settings import (
+    ControlSettings,
+    CurrentLoopSettings,
+    PerUnitBases,
+    SpeedLoopSettings,
+)
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.loops.loop_batch import (
@@ -29,10 +34,10 @@ from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.loops.pi_methods import (
     CURRENT_DELAY,
     Settings,
-    advice,
     calmer,
     current_pi,
     largest_factor,
+    loop_advice,
     require_positive,
     speed_pi,
 )
@@ -79,6 +84,9 @@ class LoopGains:
         Crossovers and margins of the sampled loop.
     disturbance:
         Answer to a unit step of the disturbance: 1 V at the winding, or 1 N m of load torque.
+    model:
+        The sampled loop that poles and margins are those of; of a speed loop on an encoder with the
+        drive between its samples.
     inductance:
         Inductance of the winding in H that a current loop is meant for; None for the speed loop.
     observed:
@@ -94,6 +102,7 @@ class LoopGains:
     poles: ComplexArray
     margins: LoopMargins
     disturbance: DisturbanceResponse
+    model: PiLoop | SpeedLoop
     inductance: float | None = None
     observed: ObservedLoop | None = None
 
@@ -185,6 +194,15 @@ def speed_delay(current_gains: LoopGains, t_s: float, settings: SpeedLoopSetting
 
     The current loop counts as 1/crossover, the time constant of the first-order
     system with its crossover.
+
+    Parameters
+    ----------
+    current_gains:
+        The current loop of the q axis, with its crossover in rad/s.
+    t_s:
+        Sampling period of the current loops in s.
+    settings:
+        Ratio of the sampling rates and time constant of the filter in s.
     """
     return 1.0 / current_gains.crossover + 0.5 * settings.ratio * t_s + settings.filter_time
 
@@ -204,6 +222,23 @@ def analyse_current_loop(
 
     Parameters as in `dqforge.optimizer.loops.plants.current_loop`; without ``respond`` the
     disturbance response, which can be long, is left out.
+
+    Parameters
+    ----------
+    r_s:
+        Phase resistance in Ohm.
+    inductance:
+        Inductance of the axis in H.
+    t_s:
+        Sampling period in s.
+    kp, ki:
+        Gains in V/A and V/(A s).
+    method:
+        What is said of where the gains come from.
+    loop:
+        Which axis: ``i_d`` or ``i_q``.
+    respond:
+        Whether the disturbance response is simulated.
     """
     model = current_loop(r_s, inductance, t_s, kp, ki)
     response = (
@@ -228,6 +263,21 @@ def analyse_speed_loop(
     N m/rad), stable or not.
 
     Without ``respond`` the disturbance response, which can be long, is left out.
+
+    Parameters
+    ----------
+    machine:
+        Any machine, with its inertia.
+    current_gains:
+        The current loop of the q axis.
+    control:
+        Sampling period and settings of the speed loop.
+    kp, ki:
+        Gains in N m s/rad and N m/rad.
+    method:
+        What is said of where the gains come from.
+    respond:
+        Whether the disturbance response is simulated.
     """
     model = _speed_model(machine, current_gains, control, (kp, ki))
     response = (
@@ -235,7 +285,7 @@ def analyse_speed_loop(
         if respond and _is_stable(model.loop)
         else None
     )
-    return _evidence("speed", method, (kp, ki), model.loop, response)
+    return _evidence("speed", method, (kp, ki), model, response)
 
 
 def tune_current_loop(
@@ -360,9 +410,7 @@ def current_step_response(
     ``r_s`` in Ohm, ``inductance`` in H. There is a point every ``gains.t_s``, or every few of them
     where those would be more than a figure can show.
     """
-    model = current_loop(r_s, inductance, gains.t_s, gains.kp, gains.ki)
-    stride = _stride(duration, gains.t_s)
-    return current_step(model, _samples(duration, gains.t_s * stride), stride)
+    return _current_response(current_loop(r_s, inductance, gains.t_s, gains.kp, gains.ki), duration)
 
 
 def speed_step_response(
@@ -377,13 +425,47 @@ def speed_step_response(
 
     There is a point every current sample, or every few speed samples where those would be
     more than a figure can show.
+
+    Parameters
+    ----------
+    machine:
+        Any machine, with its inertia.
+    current_gains:
+        The current loop of the q axis.
+    control:
+        Sampling period and settings of the speed loop.
+    gains:
+        The speed loop.
+    duration:
+        Length in s.
     """
-    model = _speed_model(machine, current_gains, control, (gains.kp, gains.ki))
-    stride = _stride(duration, current_gains.t_s)
+    return _speed_response(
+        _speed_model(machine, current_gains, control, (gains.kp, gains.ki)), duration
+    )
+
+
+def step_response(gains: LoopGains, duration: float) -> StepResponse:
+    """Current in A or speed in rad/s after unit steps of the reference and of the disturbance,
+    over ``duration`` s.
+
+    The loop is ``gains.model``; points as in `current_step_response` and `speed_step_response`.
+    """
+    if isinstance(gains.model, SpeedLoop):
+        return _speed_response(gains.model, duration)
+    return _current_response(gains.model, duration)
+
+
+def _current_response(model: PiLoop, duration: float) -> StepResponse:
+    stride = _stride(duration, model.closed.t_s)
+    return current_step(model, _samples(duration, model.closed.t_s * stride), stride)
+
+
+def _speed_response(model: SpeedLoop, duration: float) -> StepResponse:
+    t_s, stride = model.loop.closed.t_s, _stride(duration, model.drive.t_s)
     if stride == 1:
-        return speed_step(model, _samples(duration, gains.t_s))
+        return speed_step(model, _samples(duration, t_s))
     stride = -(-stride // model.ratio)
-    return speed_step(model, _samples(duration, gains.t_s * stride), stride)
+    return speed_step(model, _samples(duration, t_s * stride), stride)
 
 
 def per_unit(gains: LoopGains, in_base: float, out_base: float) -> tuple[float, float]:
@@ -391,10 +473,32 @@ def per_unit(gains: LoopGains, in_base: float, out_base: float) -> tuple[float, 
 
     ``in_base`` is the base of the controlled quantity (A, or rad/s),
     ``out_base`` that of the output (V, or N m).
+
+    Parameters
+    ----------
+    gains:
+        The loop, gains in SI units.
+    in_base:
+        Base of the controlled quantity, in A or rad/s.
+    out_base:
+        Base of the output, in V or N m.
     """
     if not (in_base > 0.0 and out_base > 0.0):
         raise InputError(f"per-unit bases must be positive, got {in_base:g} and {out_base:g}")
     return gains.kp * in_base / out_base, gains.ki_ts * in_base / out_base
+
+
+def loop_bases(bases: PerUnitBases, loop: LoopName) -> tuple[float, float]:
+    """Bases of what a loop controls and of its output: A and V, or rad/s and N m.
+
+    Parameters
+    ----------
+    bases:
+        Per-unit bases in SI units.
+    loop:
+        Which loop.
+    """
+    return (bases.speed, bases.torque) if loop == "speed" else (bases.current, bases.voltage)
 
 
 def _stride(duration: float, t_s: float) -> int:
@@ -414,19 +518,21 @@ def _evidence(
     loop: LoopName,
     method: str,
     gains: tuple[float, float],
-    model: PiLoop,
+    model: PiLoop | SpeedLoop,
     response: StepResponse | None,
 ) -> LoopGains:
     endless = DisturbanceResponse(peak=np.inf, settling_time=np.inf)
+    sampled = model.loop if isinstance(model, SpeedLoop) else model
     return LoopGains(
         loop=loop,
         method=method,
         kp=gains[0],
         ki=gains[1],
-        t_s=model.closed.t_s,
-        poles=model.closed.poles,
-        margins=loop_margins(model.open_loop),
+        t_s=sampled.closed.t_s,
+        poles=sampled.closed.poles,
+        margins=loop_margins(sampled.open_loop),
         disturbance=endless if response is None else disturbance_summary(response),
+        model=model,
     )
 
 
@@ -517,7 +623,7 @@ def _refuse(
     hint = (
         "no smaller gains of this method reach it"
         if factor is None
-        else advice(key, settings, factor)
+        else loop_advice(key, settings, factor)
     )
     raise NoSolutionError(
         f"{key}: the {gains.loop} loop by method '{gains.method}' {reached}, "

@@ -32,6 +32,11 @@ from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.sampled_systems import discretise
 
+R_ERROR = 0.3
+
+"""Relative error of the observer's resistance for which the error of its speed is stated."""
+
+
 FASTEST = 1.0  # g t_s: beyond, the voltage of a single sample decides the estimate
 
 
@@ -127,6 +132,35 @@ class ObserverError:
     def relative(self) -> float:
         """Error over speed."""
         return self.total / self.omega_m
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedErrorSlopes:
+    """Steady error of the estimate per unit of what causes it; with exact parameters
+    and no load there is none.
+
+    ``load`` in rad/s per N m of a load torque that the observer does not know of; ``resistance`` in
+    rad/s per A of i_q where the observer's resistance is too high by ``r_error``, a share of the
+    true one.
+    """
+
+    load: float
+    resistance: float
+    r_error: float
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorsAtLoad:
+    """Steady errors of the estimate with a load torque in N m that the observer does not know of.
+
+    ``exact`` with exact parameters, ``resistance`` where the observer's resistance is too high by
+    ``r_error``, a share of the true one.
+    """
+
+    torque_load: float
+    exact: ObserverError
+    resistance: ObserverError
+    r_error: float
 
 
 def _inertia(machine: Machine) -> float:
@@ -335,4 +369,46 @@ def steady_state_error(
         resistance=-r_error * machine.r_s * i_q * g / ((g + damping) * back_emf),
         i_q=i_q,
         omega_m=omega_m,
+    )
+
+
+def speed_error_slopes(
+    machine: Machine, observer: ReducedOrderObserver, omega_m: float, r_error: float = R_ERROR
+) -> SpeedErrorSlopes:
+    """Steady error per unit of its causes, in closed form; errors as `steady_state_error`.
+
+    Parameters
+    ----------
+    machine:
+        The true machine.
+    observer:
+        The observer, made for it.
+    omega_m:
+        True mechanical speed in rad/s.
+    r_error:
+        Relative error of the resistance.
+    """
+    error = steady_state_error(machine, observer.g, observer.t_s, omega_m, 1.0, r_error=r_error)
+    return SpeedErrorSlopes(error.load, error.resistance / error.i_q, r_error)
+
+
+def errors_at_loads(
+    machine: Machine,
+    observer: ReducedOrderObserver,
+    omega_m: float,
+    torque_loads: tuple[float, ...],
+    r_error: float = R_ERROR,
+) -> tuple[ErrorsAtLoad, ...]:
+    """Steady errors at one mechanical speed in rad/s for load torques in N m.
+
+    Errors as `steady_state_error`.
+    """
+
+    def found(torque_load: float, wrong: float) -> ObserverError:
+        return steady_state_error(
+            machine, observer.g, observer.t_s, omega_m, torque_load, r_error=wrong
+        )
+
+    return tuple(
+        ErrorsAtLoad(load, found(load, 0.0), found(load, r_error), r_error) for load in torque_loads
     )

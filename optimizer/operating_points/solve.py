@@ -8,7 +8,6 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
-from dqforge.optimizer.operating_points.characteristics import voltage_limit
 from dqforge.optimizer.operating_points.current_choice import (
     CurrentChoice,
     OperatingPoints,
@@ -59,8 +58,7 @@ def current_choice(design: Design) -> CurrentChoice:
     operation = design.operation
     if operation.omega_m is None:
         return CurrentChoice(design.machine, operation.strategy, design.i_max)
-    limit = voltage_limit(design.inverter, operation.modulation, operation.voltage_margin)
-    point = SpeedPoint(operation.omega_m, limit.v_max)
+    point = SpeedPoint(operation.omega_m, design.v_max)
     return CurrentChoice(design.machine, operation.strategy, design.i_max, point)
 
 
@@ -68,6 +66,13 @@ def current_choice(design: Design) -> CurrentChoice:
 def solve_curves(design: Design, torque_max: float | None = None) -> Curves:
     """Operating points on an even grid of torques up to ``torque_max`` N m,
     or to the end of the fit's domain.
+
+    Parameters
+    ----------
+    design:
+        The design.
+    torque_max:
+        Largest torque in N m, None for the end of the fit's domain.
     """
     choice, machine = current_choice(design), design.machine
     end = torque_max if torque_max is not None else domain_end(choice, design.fit)

@@ -184,6 +184,11 @@ class PhasePolynomials:
         """Largest degree in the torque."""
         return max(len(weight) for weight in self._weights) - 1
 
+    @staticmethod
+    def steps(weight: tuple[float, ...]) -> tuple[tuple[float, ...], str, bool]:
+        """How the firmware evaluates one weight, as `polynomial_steps` says."""
+        return polynomial_steps(weight)
+
     @property
     def _weights(self) -> list[tuple[float, ...]]:
         return [weight for part in (self.cosine, self.sine) for row in part for weight in row]

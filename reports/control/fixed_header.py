@@ -1,37 +1,16 @@
-"""The control functions in fixed point as C: plain data, header, test vectors,
-the way back from ``result.json``.
-"""
+"""The control functions in fixed point as C: plain data, header, test vectors."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict
-from functools import cache
-from typing import Any, get_args
 
 import numpy as np
 
 from dqforge.machines.design.design import Design
-from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.modulation.registry import MODULATORS
-from dqforge.optimizer.fixed_control.arithmetic import Integers
 from dqforge.optimizer.fixed_control.design import FixedControlFit
-from dqforge.optimizer.fixed_control.gains import FixedGain
-from dqforge.optimizer.fixed_control.ranges import control_ranges
-from dqforge.optimizer.fixed_control.step import (
-    FixedControl,
-    FixedDecoupling,
-    FixedObserver,
-    FixedPi,
-    PiForm,
-)
-from dqforge.optimizer.fixed_control.transforms import (
-    full_scale,
-    rotation,
-    sine_steps,
-)
-from dqforge.optimizer.solution import Solution
+from dqforge.optimizer.fixed_control.step import FixedControl
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.numbers import rounded_up
@@ -47,122 +26,9 @@ _SEED = 20_261_121
 _LOOP_NAMES = {"i_d": "ID", "i_q": "IQ", "speed": "SPEED"}
 
 
-_FAULT = InputError(
-    "control_q15_header or control_q31_header is not what dqforge writes; run the design again"
-)
-
-
 def plain_fixed_control(control: FixedControl) -> PlainData:
     """The integers as plain data."""
     return asdict(control)
-
-
-def fixed_control_from(plain: Mapping[str, Any], width: int) -> FixedControl:
-    """Read control functions in words of ``width`` bits back, and prove again that nothing
-    overflows.
-
-    Raises
-    ------
-    InputError
-        The data are not what `plain_fixed_control` makes.
-    """
-    try:
-        found = FixedControl(
-            width=_one_of(plain["width"], (width,)),
-            bases=_bases(plain["bases"]),
-            modulation=_one_of(
-                plain["modulation"],
-                tuple(name for name in MODULATORS if MODULATORS[name].in_integers),
-            ),
-            dc_scale=_whole(plain["dc_scale"], 0, 8),
-            dc_least=_whole(plain["dc_least"], 1, full_scale(width)),
-            limit=_gain(plain["limit"], width),
-            advance=_gain(plain["advance"], width),
-            i_d=_forms(plain["i_d"], width),
-            i_q=_forms(plain["i_q"], width),
-            speed=None if plain["speed"] is None else _forms(plain["speed"], width),
-            decoupling=FixedDecoupling(
-                **{k: _gain(v, width) for k, v in plain["decoupling"].items()}
-            ),
-            observer=None if plain["observer"] is None else _observer(plain["observer"], width),
-        )
-        control_ranges(found)
-    except (KeyError, TypeError, ValueError, AttributeError, NoSolutionError):
-        raise _FAULT from None
-    return found
-
-
-def _one_of(value: Any, choices: tuple[Any, ...]) -> Any:
-    if isinstance(value, bool) or value not in choices:
-        raise ValueError(value)
-    return value
-
-
-def _whole(value: Any, low: int, high: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise ValueError(value)
-    return value
-
-
-def _real(value: Any) -> float:
-    if isinstance(value, bool) or not math.isfinite(value):
-        raise ValueError(value)
-    return float(value)
-
-
-def _bases(value: Any) -> tuple[float, float, float, float]:
-    current, voltage, speed, torque = (_real(entry) for entry in value)
-    if not min(current, voltage, speed, torque) > 0.0:
-        raise ValueError(value)
-    return current, voltage, speed, torque
-
-
-def _gain(plain: Mapping[str, Any], width: int) -> FixedGain:
-    top = full_scale(width)
-    return FixedGain(
-        _whole(plain["mantissa"], -top, top),
-        _whole(plain["shift"], 0, 2 * width - 2),
-        _real(plain["value"]),
-    )
-
-
-def _forms(plain: Mapping[str, Any], width: int) -> dict[PiForm, FixedPi]:
-    return {
-        form: FixedPi(
-            **{name: _gain(plain[form][name], width) for name in ("kp", "ki", "tracking")},
-            fraction=_whole(plain[form]["fraction"], 0, width - 1),
-        )
-        for form in get_args(PiForm)
-    }
-
-
-def _observer(plain: Mapping[str, Any], width: int) -> FixedObserver:
-    gains = {name: _gain(plain[name], width) for name in ("decay", "b_u", "b_i", "c", "x_d")}
-    return FixedObserver(
-        **gains,
-        fraction=_whole(plain["fraction"], 0, width - 1),
-        reach=_whole(plain["reach"], 1, 2 ** (width - 1)),
-    )
-
-
-@cache
-def sine_error(width: int) -> float:
-    """Largest error of sine and cosine in codes: of all angles in 16 bits,
-    of 200,000 in 32 bits.
-    """
-    angle = (
-        np.arange(65_536)
-        if width == 16
-        else np.random.default_rng(_SEED).integers(0, 2**32, 200_000)
-    )
-    turn, one = rotation(Integers(), width, angle), 2.0 ** (width - 1)
-    exact = angle * (2.0 * math.pi / 2.0**width)
-    return float(
-        max(
-            np.max(np.abs(turn.x - one * np.cos(exact))),
-            np.max(np.abs(turn.y - one * np.sin(exact))),
-        )
-    )
 
 
 def _scales(control: FixedControl) -> list[PlainData]:
@@ -214,7 +80,6 @@ def _preamble(fit: FixedControlFit, design: Design) -> list[str]:
         fit.control.width,
         1e6 * design.control.t_s,
     )
-    least = control.dc_least / 2 ** (control.width - 1) * control.bases[1] * 2.0**control.dc_scale
     return [
         (
             f"{design.machine.pole_pairs} pole pairs, sampled every {period:.6g} us, "
@@ -238,23 +103,23 @@ def _preamble(fit: FixedControlFit, design: Design) -> list[str]:
             "are 0 to full scale."
         ),
         "Currents beyond full scale must be saturated where they are measured;",
-        f"a dc link below {least:.4g} V counts as that.",
+        f"a dc link below {control.dc_least_voltage:.4g} V counts as that.",
     ]
 
 
 def control_fixed_context(design: Design, fit: FixedControlFit) -> PlainData:
     """Everything that the header prints, as plain data."""
     control, bits = fit.control, fit.control.width - 1
-    error = rounded_up(sine_error(control.width))
+    error = rounded_up(fit.sine_error)
     found = "exhaustive" if control.width == 16 else "sampled"
     return {
         **title(design),
         "format": control.format,
         "width": control.width,
-        "top": full_scale(control.width),
+        "top": control.top,
         "preamble": _preamble(fit, design),
         "scales": _scales(control),
-        "sine": asdict(sine_steps(control.width)),
+        "sine": asdict(control.sine),
         "sine_error": f"; error at most {error} codes ({found})",
         "third": round(2**bits / 3),
         "inverse_root": round(2**bits / math.sqrt(3.0)),
@@ -274,12 +139,8 @@ def control_fixed_context(design: Design, fit: FixedControlFit) -> PlainData:
         "loops_comment": _loops_comment(fit),
         "decoupling": asdict(control.decoupling),
         "observer": None if control.observer is None else asdict(control.observer),
-        "zeta_max": 0 if control.observer is None else _zeta_max(control.observer, control.width),
+        "zeta_max": control.zeta_max,
     }
-
-
-def _zeta_max(observer: FixedObserver, width: int) -> int:
-    return observer.reach * full_scale(width) << observer.fraction
 
 
 def control_fixed_files(design: Design, fit: FixedControlFit) -> dict[str, bytes]:
@@ -314,13 +175,26 @@ def plain_fixed_evidence(fit: FixedControlFit) -> PlainData:
             "poles": [[z.real, z.imag] for z in loop.found.poles.tolist()]
             if loop.exact.observed is None
             else None,
+            "largest_pole": abs(loop.found.poles[0]) if loop.exact.observed is None else None,
             "dead_band_codes": None if band is None else band.largest,
+            "dead_band_in_one_word_codes": None
+            if band is None
+            else fit.word_dead_bands[name].largest,
         }
     ranges = [
         {"name": reach.name, "low": reach.range.low, "high": reach.range.high, "bits": reach.bits}
         for reach in fit.reaches
     ]
-    return {"loops": loops, "ranges": ranges, "sine_error_codes": sine_error(fit.control.width)}
+    fullest = {"name": fit.fullest.name, "share": fit.fullest.share}
+    names = ("current_A", "voltage_V", "speed_rad_per_s", "torque_Nm")
+    return {
+        "loops": loops,
+        "ranges": ranges,
+        "fullest": fullest,
+        "sine_error_codes": fit.sine_error,
+        "one_code": dict(zip(names, fit.control.one_code, strict=True)),
+        "dc_least_V": fit.control.dc_least_voltage,
+    }
 
 
 def control_fixed_programme(control: FixedControl) -> Programme:
@@ -336,15 +210,3 @@ def control_fixed_programme(control: FixedControl) -> Programme:
         context,
         name="fixed-point control",
     )
-
-
-def plain_fixed(solution: Solution) -> PlainData:
-    """Control functions in fixed point with their evidence; nothing where none are asked for."""
-    if not solution.fixed:
-        return {}
-    evidence = {fit.control.format: plain_fixed_evidence(fit) for fit in solution.fixed}
-    headers = {
-        f"control_{fit.control.format}_header": plain_fixed_control(fit.control)
-        for fit in solution.fixed
-    }
-    return {"control_fixed": evidence} | headers

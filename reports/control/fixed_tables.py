@@ -8,7 +8,6 @@ import math
 from collections.abc import Sequence
 
 from dqforge.optimizer.fixed_control.design import FixedControlFit
-from dqforge.optimizer.fixed_control.ranges import dead_band
 from dqforge.reports.observers.speed_loop_text import margin_words
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.html_text import symbols
@@ -49,7 +48,7 @@ def _rows(fit: FixedControlFit) -> list[tuple[str, ...]]:
                 if loop.exact.observed
                 else f"{math.degrees(loop.exact.phase_margin):.2f}",
                 "none" if band is None else f"{band.largest}",
-                "none" if band is None else f"{dead_band(loop.ki_ts).largest}",
+                "none" if band is None else f"{fit.word_dead_bands[name].largest}",
             )
         )
     return rows
@@ -60,8 +59,7 @@ def _title(fit: FixedControlFit) -> str:
 
 
 def _notes(fit: FixedControlFit) -> tuple[str, ...]:
-    control, fullest = fit.control, fit.fullest
-    unit, speed = (control.bases[index] / 2 ** (control.width - 1) for index in (0, 2))
+    fullest, (current, _, speed, _) = fit.fullest, fit.control.one_code
     return (
         (
             f"{len(fit.reaches)} products and sums proven not to overflow; '{fullest.name}' "
@@ -72,8 +70,8 @@ def _notes(fit: FixedControlFit) -> tuple[str, ...]:
             "without fractional bits;"
         ),
         (
-            f"one code is {unit:.3g} A, or {speed:.3g} rad/s; q0 + q1 is the integral gain of the "
-            "velocity form"
+            f"one code is {current:.3g} A, or {speed:.3g} rad/s; q0 + q1 is the integral gain of "
+            "the velocity form"
         ),
     )
 

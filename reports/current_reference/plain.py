@@ -35,7 +35,7 @@ from dqforge.optimizer.current_reference.forms import (
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS, FixedReference
 from dqforge.optimizer.curves.integer_polynomial import FixedPolynomial, FixedSegment
 from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
-from dqforge.optimizer.curves.single_precision import SingleArray, SinglePolynomial, multiply_add
+from dqforge.optimizer.curves.single_precision import SingleArray, SinglePolynomial
 from dqforge.optimizer.negative_torques import NegativeHalf
 from dqforge.reports.current_reference.data_text import plain_data_use
 from dqforge.reports.operating_points.plain import plain_curves, plain_speed
@@ -260,7 +260,7 @@ def _ladder(plain: PlainData, axes: Sequence[str]) -> PlainData:
     assert isinstance(reference, CurrentReference)
     form = reference.form
     ends = np.array([plain["torque_max"], 0.0], dtype=np.float32)
-    values = {f"i_{axis}": getattr(form, axis).evaluate(ends, multiply_add) for axis in axes}
+    values = {f"i_{axis}": getattr(form, axis).evaluate(ends) for axis in axes}
     edges = [segment["start"] for segment in plain[axes[0]]]
     return {
         "segments": [

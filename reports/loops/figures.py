@@ -4,19 +4,13 @@ Bode plot of the open ones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loops.gains import LoopGains, current_step_response, speed_step_response
-from dqforge.optimizer.loops.inductances import tuning_inductances
-from dqforge.optimizer.loops.plants import StepResponse, current_loop, current_step, speed_loop
-from dqforge.optimizer.sampled_systems import SampledSystem
+from dqforge.optimizer.loops.responses import LoopResponse
 from dqforge.reports.pages.figures_style import (
     INK,
     LOOP_COLOURS,
@@ -37,81 +31,10 @@ _DASHES: dict[str, Any] = {"i_d": "-", "i_q": (0, (4.0, 1.6)), "speed": "-"}
 _LABELS = {"i_d": "$i_d$", "i_q": "$i_q$", "speed": "speed"}
 
 
-_STEP_TIMES = {"i_d": 9.0, "i_q": 9.0, "speed": 22.0}
-
-"""Shown length of each step response in 1/crossover."""
-
-
 _PHASE_FLOOR = -315.0
 
 
-@dataclass(frozen=True, slots=True)
-class LoopCurves:
-    """What is drawn of one loop.
-
-    The step response is per unit of the reference; ``gain`` and ``phase`` in degrees, shape (N,),
-    are those of the open loop at ``frequency`` in Hz; ``phase_at_crossover`` in degrees.
-    """
-
-    gains: LoopGains
-    step: StepResponse
-    frequency: FloatArray
-    gain: FloatArray
-    phase: FloatArray
-    phase_at_crossover: float
-
-
-def _phase(response: NDArray[np.complex128]) -> FloatArray:
-    """Continuous phase in degrees that begins between -270 and 90."""
-    phase = np.degrees(np.unwrap(np.angle(response)))
-    return np.asarray(phase - (360.0 if phase[0] > 90.0 else 0.0), dtype=np.float64)
-
-
-def _curves(
-    gains: LoopGains, step: StepResponse, open_loop: SampledSystem, low: float
-) -> LoopCurves:
-    omega = np.unique(np.append(np.geomspace(low, np.pi / open_loop.t_s, 160), gains.crossover))
-    response = open_loop.response(omega)
-    phase = _phase(response)
-    at = float(phase[np.searchsorted(omega, gains.crossover)])
-    return LoopCurves(gains, step, omega / (2.0 * np.pi), np.abs(response), phase, at)
-
-
-def loop_curves(design: Design, gains: GainSet) -> list[LoopCurves]:
-    """Step responses and open-loop frequency responses of the loops that the design has."""
-    machine, control = design.machine, design.control
-    found = [loop for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None]
-    low = min(loop.crossover for loop in found) / 40.0
-    current_time = max(_STEP_TIMES[loop.loop] / loop.crossover for loop in found[:2])
-    curves = []
-    for loop, inductance in zip(found[:2], tuning_inductances(machine, design.i_max), strict=True):
-        duration = max(current_time, 12.0 * loop.t_s)
-        step = current_step_response(machine.r_s, inductance, loop, duration)
-        model = current_loop(machine.r_s, inductance, loop.t_s, loop.kp, loop.ki)
-        curves.append(_curves(loop, step, model.open_loop, low))
-    seen = None if gains.speed is None else gains.speed.observed
-    if seen is not None and gains.speed is not None:
-        if seen.stable:
-            count = int(max(_STEP_TIMES["speed"] / gains.speed.crossover / gains.speed.t_s, 12.0))
-            step = current_step(seen.loop, count)  # of the speed: its loop has the same shape
-            curves.append(_curves(gains.speed, step, seen.loop.open_loop, low))
-    elif gains.speed is not None and control.speed_loop is not None and machine.inertia is not None:
-        duration = max(_STEP_TIMES["speed"] / gains.speed.crossover, 12.0 * gains.speed.t_s)
-        step = speed_step_response(machine, gains.i_q, control, gains.speed, duration)
-        speed = speed_loop(
-            winding=(machine.r_s, tuning_inductances(machine, design.i_max)[1]),
-            mechanics=(machine.inertia, machine.friction),
-            t_s=control.t_s,
-            current_gains=(gains.i_q.kp, gains.i_q.ki),
-            ratio=control.speed_loop.ratio,
-            speed_gains=(gains.speed.kp, gains.speed.ki),
-            filter_time=control.speed_loop.filter_time,
-        )
-        curves.append(_curves(gains.speed, step, speed.loop.open_loop, low))
-    return curves
-
-
-def _draw_steps(axes: Axes, curves: list[LoopCurves], title: str) -> None:
+def _draw_steps(axes: Axes, curves: Sequence[LoopResponse], title: str) -> None:
     end = max(float(curve.step.times[-1]) for curve in curves)
     factor, unit = prefixed(end, "s")
     axes.axhline(1.0, color=MUTED, linewidth=0.7)
@@ -135,7 +58,7 @@ def _draw_steps(axes: Axes, curves: list[LoopCurves], title: str) -> None:
         axes.legend(loc="lower right", frameon=False, fontsize=8, handlelength=2.6)
 
 
-def _draw_bode(magnitude: Axes, phase: Axes, curves: list[LoopCurves]) -> None:
+def _draw_bode(magnitude: Axes, phase: Axes, curves: Sequence[LoopResponse]) -> None:
     for curve in curves:
         name, crossover = curve.gains.loop, curve.gains.crossover / (2.0 * np.pi)
         look: dict[str, Any] = {"color": LOOP_COLOURS[name], "linestyle": _DASHES[name]}
@@ -177,7 +100,7 @@ def _frequency(value: float) -> str:
     return f"{value / 1e3:.3g} kHz" if value >= 1e3 else f"{value:.3g} Hz"
 
 
-def _write_margins(axes: Axes, curves: list[LoopCurves]) -> None:
+def _write_margins(axes: Axes, curves: Sequence[LoopResponse]) -> None:
     """Phase margins in the lower left, where no loop with at most two integrators has its phase."""
     lines = [("phase margins", INK)]
     for curve in curves:
@@ -206,13 +129,13 @@ def _frequency_tick(value: float, _position: int | None = None) -> str:
     return f"{value / 1e3:g}k" if value >= 1e3 else f"{value:g}"
 
 
-def plot_gains(design: Design, gains: GainSet) -> Figure:
+def plot_gains(gains: GainSet) -> Figure:
     """Step responses of the current loops and the speed loop, and the open loops with
     crossovers and phase margins.
     """
     from matplotlib.ticker import FuncFormatter, NullLocator
 
-    curves = loop_curves(design, gains)
+    curves = gains.responses()
     with style():
         figure = new_figure(
             "loops", 5.0, "Step responses of the control loops and Bode plot of the open loops"

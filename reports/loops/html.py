@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
-from dqforge.machines.names import QFormats
 from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.fixed_control.gains import pi_integers
-from dqforge.optimizer.loops.gains import LoopGains, per_unit
+from dqforge.optimizer.loops.gains import LoopGains
+from dqforge.optimizer.loops.integer_gains import PerUnitGains
 from dqforge.reports.loops.robustness_text import ROBUST_COLUMNS, robust_notes, robust_rows
 from dqforge.reports.loops.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
 from dqforge.reports.observers.speed_loop_text import observed_notes
@@ -36,15 +34,11 @@ _KP_UNITS = {"i_d": "V/A", "i_q": "V/A", "speed": f"N{NARROW}m{NARROW}s/rad"}
 _KI_UNITS = {"i_d": "V/(A s)", "i_q": "V/(A s)", "speed": f"N{NARROW}m/rad"}
 
 
-def _loop_cells(
-    gains: LoopGains, bases: tuple[float, float], q_formats: QFormats | None
-) -> tuple[str, ...]:
-    kp, ki_ts = per_unit(gains, *bases)
-    per_unit_text = f"{number(kp, 5)}, {number(ki_ts, 5)}"
-    integers = pi_integers(kp, ki_ts, q_formats)
-    if integers is not None:
+def _loop_cells(gains: LoopGains, scaled: PerUnitGains) -> tuple[str, ...]:
+    per_unit_text = f"{number(scaled.kp, 5)}, {number(scaled.ki_ts, 5)}"
+    if scaled.integers is not None:
         per_unit_text += " = " + ", ".join(
-            f"{found.mantissa} in Q{found.shift}" for found in integers
+            f"{found.mantissa} in Q{found.shift}" for found in scaled.integers
         )
     poles = ", ".join(_pole_text(complex(pole)) for pole in gains.poles)
     delay = (
@@ -92,19 +86,11 @@ def _disturbance_text(gains: LoopGains) -> str:
     return f"{number(response.peak, 3)} {unit}, {settled}"
 
 
-def loop_table(design: Design, gains: GainSet) -> HtmlTable:
+def loop_table(gains: GainSet) -> HtmlTable:
     """Gains, margins and poles, one column per loop."""
-    control = design.control
-    current = (control.bases.current, control.bases.voltage)
-    columns = [
-        _loop_cells(loop, current, control.current_loop.q_formats)
-        for loop in (gains.i_d, gains.i_q)
-    ]
-    names = ["i_d loop", "i_q loop"]
-    if gains.speed is not None and control.speed_loop is not None:
-        bases = (control.bases.speed, control.bases.torque)
-        columns.append(_loop_cells(gains.speed, bases, control.speed_loop.q_formats))
-        names.append("speed loop")
+    loops = [loop for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None]
+    columns = [_loop_cells(loop, gains.per_unit[loop.loop]) for loop in loops]
+    names = [f"{loop.loop} loop" for loop in loops]
     labels = heading_cells(
         "method",
         "sampled every",

@@ -115,18 +115,23 @@ def robust_lines(gains: GainSet, loop: str) -> list[str]:
     ]
 
 
-def plain_robustness(robust: RobustSet | None) -> PlainData:
-    """Worst margins of every loop as plain data; an empty mapping without tolerances."""
-    if robust is None:
-        return {}
+def plain_loop_robustness(loop: LoopRobustness) -> PlainData:
+    """Worst margins of one loop as plain data, in SI units."""
     units = {
         "phase_margin": "phase_margin_rad",
         "delay_margin": "delay_margin_s",
         "radius": "largest_pole",
     }
+    return {units.get(key, key): value for key, value in asdict(loop).items()}
+
+
+def plain_robustness(robust: RobustSet | None) -> PlainData:
+    """Worst margins of every loop as plain data; an empty mapping without tolerances."""
+    if robust is None:
+        return {}
     plain: PlainData = {"i_d": None, "i_q": None, "speed": None}
     for name, loop in _loops(robust):
-        plain[name] = {units.get(key, key): value for key, value in asdict(loop).items()}
+        plain[name] = plain_loop_robustness(loop)
     plain["both_turning"] = (
         None if robust.turning is None else {"largest_pole": asdict(robust.turning)}
     )

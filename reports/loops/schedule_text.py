@@ -8,7 +8,7 @@ import numpy as np
 
 from dqforge.optimizer.loops.gain_schedule import AxisSchedule, GainSchedule
 from dqforge.reports.c_code.numbers import rounded_up
-from dqforge.reports.loops.robustness_text import robust_text
+from dqforge.reports.loops.robustness_text import plain_loop_robustness, robust_text
 from dqforge.reports.plain_data import PlainData
 
 SCHEDULE_COLUMNS = (
@@ -124,6 +124,7 @@ def plain_schedule(schedule: GainSchedule | None) -> PlainData:
         "i_q_A": schedule.i_q,
         "form": schedule.fit.evaluator.form,
         "flash_B": schedule.fit.evaluator.flash,
+        "flash_of_forms_B": dict(schedule.fit.flash),
         "errors": dict(schedule.fit.errors),
     }
     for axis in schedule.axes:
@@ -140,5 +141,7 @@ def plain_schedule(schedule: GainSchedule | None) -> PlainData:
             "phase_margin_rad": axis.off_reference[0],
             "largest_pole": axis.off_reference[1],
         }
+        if axis.robust is not None:
+            of_axis["tolerances"] = plain_loop_robustness(axis.robust)
         plain[axis.axis] = of_axis
     return {"schedule": plain}

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 
 from dqforge.machines.design.design import Design
-from dqforge.machines.names import QFormats
 from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.fixed_control.gains import pi_integers
-from dqforge.optimizer.loops.gains import LoopGains, per_unit
+from dqforge.optimizer.loops.gains import LoopGains
+from dqforge.optimizer.loops.integer_gains import PerUnitGains
 from dqforge.optimizer.observers.proof import ObserverProof
 from dqforge.reports.loops.robustness_text import (
     FORM_COLUMNS,
@@ -27,13 +26,13 @@ from dqforge.reports.pages.labels import (
 from dqforge.reports.pages.table import Table
 
 
-def _loop_row(gains: LoopGains, unit: str, per_unit_text: str) -> tuple[str, ...]:
+def _loop_row(gains: LoopGains, unit: str, scaled: PerUnitGains) -> tuple[str, ...]:
     return (
         gains.loop,
         gains.method,
         f"{gains.kp:.5g} {unit}",
         f"{gains.ki:.5g}",
-        per_unit_text,
+        _per_unit_text(scaled),
         significant(gains.crossover / (2.0 * math.pi)),
         margin_words(gains),
         f"{20.0 * math.log10(gains.gain_margin):.1f}"
@@ -44,29 +43,19 @@ def _loop_row(gains: LoopGains, unit: str, per_unit_text: str) -> tuple[str, ...
     )
 
 
-def _per_unit_text(gains: LoopGains, bases: tuple[float, float], q_formats: QFormats | None) -> str:
-    kp, ki_ts = per_unit(gains, *bases)
-    integers = pi_integers(kp, ki_ts, q_formats)
-    if integers is None:
-        return f"{kp:.5g}, {ki_ts:.4g}"
-    return ", ".join(f"{number.mantissa} (Q{number.shift})" for number in integers)
+def _per_unit_text(scaled: PerUnitGains) -> str:
+    if scaled.integers is None:
+        return f"{scaled.kp:.5g}, {scaled.ki_ts:.4g}"
+    return ", ".join(f"{number.mantissa} (Q{number.shift})" for number in scaled.integers)
 
 
 def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = None) -> list[Table]:
     """Gains of each loop with their margins, and the observer with its errors
     and what is proven of it.
     """
-    control, bases = design.control, design.control.bases
-    current = (bases.current, bases.voltage)
-    rows = [
-        _loop_row(loop, "V/A", _per_unit_text(loop, current, control.current_loop.q_formats))
-        for loop in (gains.i_d, gains.i_q)
-    ]
-    if gains.speed is not None and control.speed_loop is not None:
-        text = _per_unit_text(
-            gains.speed, (bases.speed, bases.torque), control.speed_loop.q_formats
-        )
-        rows.append(_loop_row(gains.speed, "N m s/rad", text))
+    rows = [_loop_row(loop, "V/A", gains.per_unit[loop.loop]) for loop in (gains.i_d, gains.i_q)]
+    if gains.speed is not None:
+        rows.append(_loop_row(gains.speed, "N m s/rad", gains.per_unit["speed"]))
     columns = (
         "loop",
         "method",
@@ -80,7 +69,7 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
         "M_s",
     )
     title, notes = (
-        f"{design.name}: gains, sampled every {control.t_s * 1e6:.4g} us",
+        f"{design.name}: gains, sampled every {design.control.t_s * 1e6:.4g} us",
         observed_notes(gains.speed),
     )
     tables = [Table(title, columns, tuple(rows), notes)]
@@ -93,8 +82,8 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
         tables.append(
             Table("Scheduled gains along the current reference", SCHEDULE_COLUMNS, rows_, notes)
         )
-    if gains.observer is not None:
-        tables.append(observer_table(design, gains))
+    if gains.observer is not None and gains.observer_slopes is not None:
+        tables.append(observer_table(gains.observer, gains.observer_slopes))
     if gains.position is not None:
         tables += [Table(*part) for part in position_parts(gains.position, proof)]
     return tables

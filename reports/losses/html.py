@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from dqforge.machines.design.design import Design
 from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.optimizer.losses.mission_budget import MissionComparison, MissionRun
 from dqforge.optimizer.losses.point_comparison import LossComparison
-from dqforge.optimizer.solution import Solution
+from dqforge.reports.losses.figures import POINTS_SHOWN
 from dqforge.reports.losses.map_tables import mission_mark, mission_tables
 from dqforge.reports.pages.html_table import HtmlTable, Row, heading_cells
 from dqforge.reports.pages.html_text import (
@@ -46,12 +47,9 @@ _VISIBLE = 1e-4
 _MOST_ROWS = 40
 
 
-def mission_part(solution: Solution) -> PlainData | None:
-    """What the report prints of a mission, None where there is none."""
-    found = solution.mission
-    if found is None:
-        return None
-    (table,) = mission_tables(solution.design, found)
+def mission_part(design: Design, found: MissionComparison) -> PlainData:
+    """What the report prints of a mission."""
+    (table,) = mission_tables(design, found)
     return {"source": found.mission.source, "notes": table.notes, "table": _table(found)}
 
 
@@ -82,13 +80,10 @@ def _cells(run: MissionRun, kinds: list[str], mark: str) -> tuple[str, ...]:
     return (name, *(number(energy / _WATT_HOUR) for energy in energies), *warm)
 
 
-def best_loss(solution: Solution) -> tuple[str, str, str] | None:
+def best_loss(comparison: LossComparison) -> tuple[str, str, str] | None:
     """(total, alternative, comparison) at the first operating point that
-    has a feasible alternative.
+    has a feasible alternative; None where no point has one.
     """
-    comparison = solution.losses
-    if comparison is None:
-        return None
     for p, (point, best) in enumerate(zip(comparison.points, comparison.best_labels, strict=True)):
         if best is None:
             continue
@@ -108,6 +103,12 @@ def best_loss(solution: Solution) -> tuple[str, str, str] | None:
             f"at {point_text(point)}{against}",
         )
     return None
+
+
+def loss_part(comparison: LossComparison) -> PlainData:
+    """What the report prints of a comparison."""
+    left_out = max(0, len(comparison.points) - POINTS_SHOWN)
+    return {"tables": loss_tables(comparison), "points_left_out": left_out}
 
 
 def loss_tables(comparison: LossComparison) -> list[HtmlTable]:

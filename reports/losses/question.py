@@ -25,8 +25,8 @@ from dqforge.optimizer.losses.drive_comparison import (
 from dqforge.optimizer.losses.loss_map import budget_options, solve_map
 from dqforge.optimizer.losses.mission_budget import MissionComparison, compare_mission
 from dqforge.reports.losses.map_tables import map_tables, mission_tables, plain_map, plain_mission
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.options import map_size
-from dqforge.reports.pages.reply import LossReply
 
 _DEFAULT_MODULATIONS: tuple[ModulationName, ...] = ("spwm", "svpwm", "dpwm1", "ddt-gdpwm")
 
@@ -99,7 +99,7 @@ def _margin(text: str) -> float:
 
 
 @on_design("losses")
-def answer(design: Design, request: LossRequest) -> LossReply:
+def answer(design: Design, request: LossRequest) -> Answer:
     """Compare what the options ask for, over a map or a mission.
 
     Raises
@@ -120,7 +120,7 @@ def answer(design: Design, request: LossRequest) -> LossReply:
 
 def _map(
     design: Design, alternatives: Alternatives, margin: float, torques: int, speeds: int
-) -> LossReply:
+) -> Answer:
     count = torques * speeds * int(np.prod(alternatives.shape))
     if count > _MOST_BUDGETS:
         message = f"--map: {count} budgets are asked for, at most {_MOST_BUDGETS} are computed"
@@ -132,7 +132,7 @@ def _map(
 
         return plot_loss_map(found)
 
-    return LossReply(map_tables(design, found), {"loss_map": plain_map(found)}, figure)
+    return Answer(design.name, map_tables(design, found), {"loss_map": plain_map(found)}, figure)
 
 
 def _read(path: Path, omega_max: float | None) -> Mission:
@@ -140,7 +140,7 @@ def _read(path: Path, omega_max: float | None) -> Mission:
     return read_mission(content, str(path), omega_max=omega_max)
 
 
-def _mission(design: Design, path: Path, alternatives: Alternatives, margin: float) -> LossReply:
+def _mission(design: Design, path: Path, alternatives: Alternatives, margin: float) -> Answer:
     mission = _read(path, design.machine.omega_m_max)
     found: MissionComparison = compare_mission(
         design.machine,
@@ -157,4 +157,5 @@ def _mission(design: Design, path: Path, alternatives: Alternatives, margin: flo
 
         return plot_mission(found)
 
-    return LossReply(mission_tables(design, found), {"mission": plain_mission(found)}, figure)
+    plain = {"mission": plain_mission(found)}
+    return Answer(design.name, mission_tables(design, found), plain, figure)

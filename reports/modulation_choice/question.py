@@ -9,11 +9,11 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.modulation_choice.solve import solve_choice
 from dqforge.reports.modulation_choice.tables import choice_tables, plain_choice
-from dqforge.reports.pages.reply import LossReply
+from dqforge.reports.pages.answer import Answer
 
 
 @on_design("modulation_choice")
-def answer_choice(design: Design) -> LossReply:
+def answer_choice(design: Design) -> Answer:
     """Choose modulator and switching frequency as the design asks.
 
     Raises
@@ -36,6 +36,9 @@ def answer_choice(design: Design) -> LossReply:
 
         return plot_choice(found)
 
-    return LossReply(
-        choice_tables(design, found), {"modulation_choice": plain_choice(found)}, figure
+    return Answer(
+        design.name,
+        choice_tables(design, found),
+        {"modulation_choice": plain_choice(found)},
+        figure,
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
-from dqforge.reports.modulation_choice.header import as_emitted, plain_rule
+from dqforge.reports.modulation_choice.rule_model import as_emitted, plain_rule
 from dqforge.reports.modulation_choice.text import (
     alternative_text,
     binding_shares,

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
-from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.observers.reduced_order import ObserverError, steady_state_error
+from dqforge.optimizer.observers.reduced_order import (
+    ErrorsAtLoad,
+    ObserverError,
+    ReducedOrderObserver,
+)
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.reports.observers.text import position_parts
 from dqforge.reports.pages.html_table import HtmlTable, Row, heading_cells
@@ -25,26 +28,22 @@ if TYPE_CHECKING:
     pass
 
 
-R_ERROR = 0.3
+def speed_tables(observer: ReducedOrderObserver, errors: Sequence[ErrorsAtLoad]) -> list[HtmlTable]:
+    """Coefficients of the speed observer and its errors with and without load.
 
-"""Relative error of the resistance for which the observer's speed error is stated."""
-
-
-def observer_tables(design: Design, gains: GainSet, torque_max: float) -> list[HtmlTable]:
-    """Coefficients of the speed observer.
-
-    Its steady speed error with and without load and error of the resistance.
+    ``errors`` are the steady errors of the speed: without load, and with half the largest torque.
     """
-    observer, machine = gains.observer, design.machine
-    if observer is None:
-        return [] if gains.position is None else _position_tables(gains.position)
+    return [_coefficients_table(observer), _speed_error_table(errors)]
+
+
+def _coefficients_table(observer: ReducedOrderObserver) -> HtmlTable:
     coefficients = (
         ("A", f"{number(observer.a, 8)}", "pole in the z plane"),
         ("B_u", f"{number(observer.b_u, 8)}{NARROW}rad/(s V)", "factor of the voltage u_q"),
         ("B_i", f"{number(observer.b_i, 8)}{NARROW}rad/(s A)", "factor of the current i_q"),
         ("C", f"{number(observer.c, 8)}{NARROW}rad/(s A)", "current taken off the estimate"),
     )
-    first = HtmlTable(
+    return HtmlTable(
         symbols(
             "Speed observer: \u03c9\u0302[k] = \u03b6[k] \u2212 C i_q[k], "
             "\u03b6[k+1] = A \u03b6[k] + B_u u_q[k] + B_i i_q[k]"
@@ -53,26 +52,27 @@ def observer_tables(design: Design, gains: GainSet, torque_max: float) -> list[H
         tuple(Row((symbols(name), symbols(text), value)) for name, value, text in coefficients),
         2,
     )
-    speed = 0.5 * design.control.bases.speed
+
+
+def _speed_error_table(errors: Sequence[ErrorsAtLoad]) -> HtmlTable:
+    """Steady errors of the speed at half the base speed."""
     rows = []
-    for label, load in (("no load", 0.0), ("half the largest torque", 0.5 * torque_max)):
-        errors = [
-            steady_state_error(
-                machine, observer.g, observer.t_s, speed, torque_load=load, r_error=r_error
-            )
-            for r_error in (0.0, R_ERROR)
-        ]
-        cells = [_speed_error_text(error) for error in errors]
-        rows.append(Row((label, quantity(load, "N m"), *cells)))
-    caption = (
-        f"Steady speed error at {quantity(speed, 'rpm')}, half the base speed, with an unknown "
-        "load at i_d = 0"
+    for label, found in zip(("no load", "half the largest torque"), errors, strict=True):
+        cells = [_speed_error_text(error) for error in (found.exact, found.resistance)]
+        rows.append(Row((label, quantity(found.torque_load, "N m"), *cells)))
+    speed = quantity(errors[0].exact.omega_m, "rpm")
+    caption = f"Steady speed error at {speed}, half the base speed, with an unknown load at i_d = 0"
+    columns = (
+        "",
+        "load torque",
+        "exact values",
+        f"resistance {100.0 * errors[0].r_error:.0f} % too large",
     )
-    columns = ("", "load torque", "exact values", f"resistance {100.0 * R_ERROR:.0f} % too large")
-    return [first, HtmlTable(symbols(caption), heading_cells(*columns), tuple(rows))]
+    return HtmlTable(symbols(caption), heading_cells(*columns), tuple(rows))
 
 
-def _position_tables(position: PositionObserver) -> list[HtmlTable]:
+def position_tables(position: PositionObserver) -> list[HtmlTable]:
+    """Errors of a position observer over its speeds, with what they include."""
     return [
         HtmlTable(
             symbols(f"{title}: {'; '.join(notes)}"),

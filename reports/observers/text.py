@@ -7,7 +7,13 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, DEAD_TIME, EXACT_DATA, SPEED_LIMIT
+from dqforge.optimizer.observers.judgement import (
+    ANGLE_LIMIT,
+    DEAD_TIME,
+    EXACT_DATA,
+    SPEED_LIMIT,
+    ObserverJudgement,
+)
 from dqforge.optimizer.observers.proof import ObserverProof
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.optimizer.observers.tuning_numbers import Disturbances
@@ -159,4 +165,20 @@ def plain_position(observer: PositionObserver) -> PlainData:
         "noise_rad": judgement.noise,
         "total_rad": judgement.total,
         "poles": [[[pole.real, pole.imag] for pole in row] for row in judgement.poles.tolist()],
+        "shown": _plain_shown(observer.shown),
+    }
+
+
+def _plain_shown(judged: ObserverJudgement) -> PlainData:
+    """What the tables show: errors at a few speeds, in rad and rad/s."""
+    return {
+        "omega_rad_per_s": judged.omega,
+        "bias_rad": judged.bias,
+        "noise_rad": judged.noise,
+        "steady_rad": judged.steady,
+        "lag_rad": judged.lag,
+        "total_rad": judged.total,
+        "largest_pole": judged.radius,
+        "speed_bias_rad_per_s": judged.speed_bias,
+        "speed_total_rad_per_s": judged.speed_total,
     }

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError, NoSolutionError
@@ -18,22 +17,15 @@ from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.units.quantities import parse_option
-from dqforge.optimizer.operating_points.characteristics import (
-    VoltageLimit,
-    characteristics,
-    envelope,
-    envelope_speeds,
-    fastest_speed,
-    loci,
-    operating_map,
-    voltage_limit,
+from dqforge.optimizer.operating_points.characteristics import VoltageLimit, voltage_limit
+from dqforge.optimizer.operating_points.drive_points import (
+    LimitedDrive,
+    Objective,
+    map_within,
+    most_torque,
+    points_within,
 )
-from dqforge.optimizer.operating_points.drive_points import drive_points
-from dqforge.optimizer.operating_points.local_terms import LossCoefficients
-from dqforge.optimizer.operating_points.loss_model import loss_coefficients
-from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
-from dqforge.optimizer.operating_points.point_problem import Active
-from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
+from dqforge.optimizer.operating_points.points import OptimalPoints
 from dqforge.reports.operating_points.map_tables import (
     envelope_tables,
     plain_map,
@@ -41,8 +33,8 @@ from dqforge.reports.operating_points.map_tables import (
     point_tables,
     points_tables,
 )
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.options import map_size
-from dqforge.reports.pages.reply import Reply
 
 _CURVE_ROWS = 11
 
@@ -57,6 +49,11 @@ class Request:
     modulation: str
     margin: str
     objective: str = "copper"
+
+    @property
+    def within_voltage(self) -> bool:
+        """Whether a speed, a torque or a map is asked for, and with it the voltage limit."""
+        return (self.speed, self.torque, self.chart) != (None, None, None)
 
 
 def _limit(design: Design, request: Request) -> VoltageLimit:
@@ -81,7 +78,7 @@ def _limit(design: Design, request: Request) -> VoltageLimit:
 
 
 @on_design("operation")
-def answer(design: Design, request: Request) -> Reply:
+def answer(design: Design, request: Request) -> Answer:
     """Solve what the options ask for.
 
     Raises
@@ -107,85 +104,55 @@ def answer(design: Design, request: Request) -> Reply:
     return _points(design, limit, request)
 
 
-def _minimised(
-    design: Design, limit: VoltageLimit, request: Request, omega: FloatArray
-) -> LossCoefficients | None:
-    """What is minimised at speeds in rad/s: None for the copper loss."""
-    if request.objective == "copper":
-        return None
-    return loss_coefficients(
-        design.machine,
-        omega,
-        design.inverter,
-        extra=design.machine_loss,
-        modulation=limit.modulation,
-    )
+def _drive(design: Design, limit: VoltageLimit) -> LimitedDrive:
+    """The drive of a design within a voltage limit."""
+    return LimitedDrive(design.machine, design.inverter, limit, design.i_max, design.machine_loss)
 
 
-def _most_torque(design: Design, limit: VoltageLimit, omega: float, sign: float) -> OptimalPoints:
-    """Most torque of a sign at a speed in rad/s."""
-    beyond = sign * 2.0 * float(mtpa_locus(design.machine, design.i_max).torque[-1])
-    most = optimal_points(design.machine, beyond, omega, v_max=limit.v_max, i_max=design.i_max)
-    if most.active[0] != Active.UNREACHABLE:
-        return most
-    last = characteristics(design.machine, limit.v_max, design.i_max).speed_max
-    end = "" if last is None else f"; it can be kept up to {last * 30.0 / np.pi:.4g} rpm"
-    raise NoSolutionError(
-        f"--speed: at {omega * 30.0 / np.pi:.4g} rpm no current within {design.i_max:.4g} A keeps "
-        f"the voltage limit of {limit.v_max:.4g} V{end}"
-    )
+def _objective(request: Request) -> Objective:
+    return "copper" if request.objective == "copper" else "total"
 
 
-def _points(design: Design, limit: VoltageLimit, request: Request) -> Reply:
+def _most_torque(drive: LimitedDrive, omega: float, sign: float) -> OptimalPoints:
+    """Most torque of a sign at a speed in rad/s; its refusal is about the option."""
+    try:
+        return most_torque(drive, omega, sign)
+    except NoSolutionError as error:
+        raise NoSolutionError(f"--speed: {error.message}") from error
+
+
+def _points(design: Design, limit: VoltageLimit, request: Request) -> Answer:
     omega = parse_option(request.speed, "speed", "--speed") or 0.0
-    machine, i_max = design.machine, design.i_max
+    drive, objective = _drive(design, limit), _objective(request)
     asked = parse_option(request.torque, "torque", "--torque")
-    most = _most_torque(design, limit, omega, -1.0 if asked is not None and asked < 0.0 else 1.0)
+    most = _most_torque(drive, omega, -1.0 if asked is not None and asked < 0.0 else 1.0)
     end = float(most.torque[0])
     shown = np.linspace(0.0, end, _CURVE_ROWS) if asked is None else np.array([asked])
-    loss = _minimised(design, limit, request, np.asarray(omega))
-    found = drive_points(
-        machine, design.inverter, limit, shown, omega, i_max, loss=loss, extra=design.machine_loss
-    )
+    found = points_within(drive, shown, omega, objective)
 
     def figure() -> Any:
         from dqforge.reports.operating_points.figures import plot_speed
 
         if asked is not None:
             raise InputError("--plot draws a speed or a map; leave --torque out")
-        fine = optimal_points(
-            machine, np.linspace(0.0, end, 201), omega, v_max=limit.v_max, i_max=i_max, loss=loss
-        )
-        return plot_speed(fine, limit)
+        fine = points_within(drive, np.linspace(0.0, end, 201), omega, objective)
+        return plot_speed(fine.points, limit)
 
     one = asked is not None
-    name = request.objective
     tables = (
-        point_tables(design, found, most, limit, name)
+        point_tables(design, found, most, limit, objective)
         if one
-        else points_tables(design, found, limit, name)
+        else points_tables(design, found, limit, objective)
     )
-    return Reply(tables, {"operating_points": plain_points(found, most, limit, name)}, figure)
+    plain = {"operating_points": plain_points(found, most, limit, objective)}
+    return Answer(design.name, tables, plain, figure)
 
 
-def _map(design: Design, limit: VoltageLimit, request: Request, torques: int, speeds: int) -> Reply:
-    machine, i_max = design.machine, design.i_max
-    figures = characteristics(machine, limit.v_max, i_max)
-    fastest = fastest_speed(design, figures, limit)
-    omega = np.linspace(0.0, fastest, speeds)
-    chart = operating_map(
-        machine,
-        design.inverter,
-        limit,
-        np.linspace(0.0, figures.torque_max, torques),
-        omega,
-        i_max,
-        loss=_minimised(design, limit, request, omega),
-        extra=design.machine_loss,
-    )
-    edge = envelope(
-        machine, limit.v_max, envelope_speeds(machine, limit.v_max, fastest, i_max), i_max
-    )
+def _map(
+    design: Design, limit: VoltageLimit, request: Request, torques: int, speeds: int
+) -> Answer:
+    found = map_within(_drive(design, limit), torques, speeds, _objective(request))
+    figures, edge, chart = found.figures, found.envelope, found.chart
 
     def figure() -> Any:
         from dqforge.reports.operating_points.figures import plot_operating_map
@@ -193,7 +160,5 @@ def _map(design: Design, limit: VoltageLimit, request: Request, torques: int, sp
         return plot_operating_map(figures, edge, chart)
 
     tables = envelope_tables(design, figures, edge, chart, limit)
-    plain = plain_map(figures, edge, chart, loci(machine, limit.v_max, i_max), limit) | {
-        "objective": request.objective
-    }
-    return Reply(tables, {"operating_map": plain}, figure)
+    plain = plain_map(figures, edge, chart, found.loci, limit) | {"objective": found.objective}
+    return Answer(design.name, tables, {"operating_map": plain}, figure)

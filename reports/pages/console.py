@@ -7,14 +7,18 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from threading import Event, Lock, Thread
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
     from dqforge.reports.pages.table import Table
 
-
 _PIPE_WIDTH = 160
+_REFRESH_S = 0.1
 
 
 def show(tables: Sequence[Table]) -> None:
@@ -55,36 +59,104 @@ _moving = Lock()
 """Held by what moves on the terminal, of which there is room for one."""
 
 
+class Display(Protocol):
+    """What moves on the terminal: the name of the stage under way, and the
+    share of it that is done.
+    """
+
+    def name(self, text: str) -> None:
+        """Name the stage that begins."""
+
+    def move(self, share: float) -> None:
+        """Show the share of the stage that is done."""
+
+
+_shown: ContextVar[Display | None] = ContextVar("_shown", default=None)
+
+
+def stage(text: str) -> None:
+    """Name what begins now, where a person is looking; silent elsewhere."""
+    display = _shown.get()
+    if display is not None:
+        display.name(text)
+
+
+def shares() -> Callable[[float], None] | None:
+    """What is told the share of a stage that is done; None where nobody is looking."""
+    display = _shown.get()
+    return None if display is None else display.move
+
+
+@contextmanager
+def _display(display: Display) -> Iterator[None]:
+    token = _shown.set(display)
+    try:
+        yield
+    finally:
+        _shown.reset(token)
+
+
+@dataclass(slots=True)
+class _Spinner:
+    """A line beside a turning mark."""
+
+    text: str
+
+    def name(self, text: str) -> None:
+        self.text = text
+
+    def move(self, share: float) -> None:
+        self.text = f"{self.text.partition(',')[0]}, {100.0 * share:.0f} %"
+
+    def spin(self, after: float, done: Event) -> None:
+        """Turn until the work is done; quick work shows nothing."""
+        if done.wait(after):
+            return
+        from rich.console import Console
+        from rich.markup import escape
+
+        text = self.text
+        with Console(stderr=True).status(escape(text)) as shown:
+            while not done.wait(_REFRESH_S):
+                if self.text != text:
+                    text = self.text
+                    shown.update(escape(text))
+
+
 @contextmanager
 def status(text: str, after: float = 0.0) -> Iterator[None]:
     """Show a spinner on a terminal while the block runs, once it has run for ``after`` s.
 
-    Silent in a pipe.
-
-    Within another spinner or a bar it is silent, too.
+    The text is that of the last `stage`, first ``text``. Silent in a pipe,
+    and within another spinner or a bar.
     """
     if not sys.stderr.isatty() or not _moving.acquire(blocking=False):
         yield
         return
-    done = Event()
-    thread = Thread(target=_spin, args=(text, after, done), daemon=True)
+    done, spinner = Event(), _Spinner(text)
+    thread = Thread(target=spinner.spin, args=(after, done), daemon=True)
     thread.start()
     try:
-        yield
+        with _display(spinner):
+            yield
     finally:
         done.set()
         thread.join()
         _moving.release()
 
 
-def _spin(text: str, after: float, done: Event) -> None:
-    """Turn a spinner until the work is done; quick work shows none."""
-    if done.wait(after):
-        return
-    from rich.console import Console
+@dataclass(slots=True)
+class _Bar:
+    """A bar with a name."""
 
-    with Console(stderr=True).status(text):
-        done.wait()
+    bar: Progress
+    task: TaskID
+
+    def name(self, text: str) -> None:
+        self.bar.update(self.task, description=text)
+
+    def move(self, share: float) -> None:
+        self.bar.update(self.task, completed=share)
 
 
 @contextmanager
@@ -92,6 +164,8 @@ def progress(text: str) -> Iterator[Callable[[float], None] | None]:
     """Show a bar on a terminal, moved by a callback for the share that is done.
 
     None and silent in a pipe.
+
+    Its name is that of the last `stage`, first ``text``.
     """
     if not sys.stderr.isatty() or not _moving.acquire(blocking=False):
         yield None
@@ -101,7 +175,8 @@ def progress(text: str) -> Iterator[Callable[[float], None] | None]:
 
     try:
         with Progress(console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task(text, total=1.0)
-            yield lambda share: bar.update(task, completed=share)
+            shown = _Bar(bar, bar.add_task(text, total=1.0))
+            with _display(shown):
+                yield shown.move
     finally:
         _moving.release()

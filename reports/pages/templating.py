@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,14 +46,17 @@ def further_templates(folder: Path) -> Iterator[None]:
 
 
 def _source(name: str) -> str | None:
-    """Text of the template ``<room>/<file>``, which lies in the folder ``templates`` of its
-    room.
+    """Text of the template ``<room>/<file>``, which lies in the folder ``templates`` of its room;
+    of a template from outside the package, which is named by its absolute path, that of the file.
     """
     for folder in _FURTHER:
         if (folder / name).is_file():
             return (folder / name).read_text(encoding="utf-8")
-    room, _, file = name.partition("/")
-    path = resources.files("dqforge.reports") / room / "templates" / file
+    if Path(name).is_absolute():
+        path: Path | Traversable = Path(name)
+    else:
+        room, _, file = name.rpartition("/")
+        path = resources.files("dqforge.reports").joinpath(room, "templates", file)
     return path.read_text(encoding="utf-8") if path.is_file() else None
 
 

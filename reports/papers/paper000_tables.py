@@ -196,16 +196,26 @@ def _ripple_text(rows: tuple[LossRow, ...]) -> Table:
 def load_test_table(tests: tuple[LoadTest, ...]) -> Table:
     """Speed and current of each alternative."""
     rows = tuple(
-        (test.name, f"{test.deviation:.2f}", f"{test.end_error:.4f}", f"{test.torque:.2f}",
-        f"{test.current:.2f}",
-         f"{test.expected:.2f}", f"{100.0 * (test.current / tests[0].current - 1.0):+.1f}")
+        (
+            test.name,
+            f"{test.deviation:.2f}",
+            f"{test.end_error:.4f}",
+            f"{test.torque:.2f}",
+            f"{test.current:.2f}",
+            f"{test.expected:.2f}",
+            f"{100.0 * (test.current / tests[0].current - 1.0):+.1f}",
+        )
         for test in tests
-    )  # fmt: skip
+    )
     columns = (
-        "alternative", "largest speed deviation rad/s", "at the end rad/s",
-        "torque at the end N m", "current A (peak)",
-        "by equation A", "against i_d = 0 %",
-    )  # fmt: skip
+        "alternative",
+        "largest speed deviation rad/s",
+        "at the end rad/s",
+        "torque at the end N m",
+        "current A (peak)",
+        "by equation A",
+        "against i_d = 0 %",
+    )
     return Table(
         "Paper 000, Figure 5: 300 rad/s under 30 N m, a ramp to 90 N m, a step to 130 N m; emitted "
         "C in the loop",

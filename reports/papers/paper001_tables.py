@@ -17,16 +17,25 @@ def reproduction_tables(found: Reproduction) -> list[Table]:
         (name, str(PRINTED_INTEGERS[name]), str(value)) for name, value in found.integers.items()
     )
     transients = tuple(
-        (row.name, f"{row.limit:.3g} ({row.origin})", f"{PRINTED_TIME:.1f}", f"{row.seconds:.3f}",
-         f"{100.0 * row.overshoot:.1f}", f"{row.peak_current:.2f}")
+        (
+            row.name,
+            f"{row.limit:.3g} ({row.origin})",
+            f"{PRINTED_TIME:.1f}",
+            f"{row.seconds:.3f}",
+            f"{100.0 * row.overshoot:.1f}",
+            f"{row.peak_current:.2f}",
+        )
         for row in found.transients
-    )  # fmt: skip
+    )
     climbs = tuple(
-        (f"{row.start:.0f} to {row.target:.0f} rpm",
-        f"{100.0 * row.share:.1f} % ({row.origin})", f"{row.reached:.0f}",
-         f"{row.seconds:.3f}" if math.isfinite(row.seconds) else "-")
+        (
+            f"{row.start:.0f} to {row.target:.0f} rpm",
+            f"{100.0 * row.share:.1f} % ({row.origin})",
+            f"{row.reached:.0f}",
+            f"{row.seconds:.3f}" if math.isfinite(row.seconds) else "-",
+        )
         for row in found.climbs
-    )  # fmt: skip
+    )
     errors = tuple((name, f"{100.0 * value:+.3f}") for name, value in found.sensorless.items())
     return [
         Table(

@@ -18,6 +18,9 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.names import NumberFormat
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.plants.scenario import Profile, Scenario
+from dqforge.optimizer.current_reference.fit import fit_reference
+from dqforge.optimizer.current_reference.integer_form import FixedReference
+from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import control_files
 from dqforge.reports.field_weakening.header import weakening_files
@@ -30,7 +33,7 @@ from dqforge.reports.simulation.compiled_plant import (
     simulate,
     simulator,
 )
-from dqforge.reports.simulation.number_format import in_float32, not_simulated
+from dqforge.reports.simulation.number_format import SIMULATED, not_simulated
 from dqforge.reports.simulation.plant_input import Drive
 
 SETTLED = 0.02
@@ -87,8 +90,10 @@ class DriveSimulation:
 
     ``unit`` is that of the reference and of `StepFigures`; ``steps`` are the answers to steps, none
     where the reference does not step; ``tracking`` the largest and the r.m.s. deviation from the
-    reference over the run. ``copper`` is the mean copper loss in W. ``not_simulated`` are the
-    fixed-point formats that the design emits; what ran is float32.
+    reference over the run. ``copper`` is the mean copper loss in W; ``speed_largest`` in rad/s and
+    ``torque_largest`` in N m are the largest magnitudes of the run; ``observed`` says how well
+    observers did, None where none ran. ``not_simulated`` are the fixed-point formats that the
+    design emits; what ran is float32.
     """
 
     design: Design
@@ -97,7 +102,19 @@ class DriveSimulation:
     steps: tuple[StepFigures, ...]
     tracking: tuple[float, float]
     copper: float
+    speed_largest: float
+    torque_largest: float
+    observed: ObservedFigures | None
     not_simulated: tuple[NumberFormat, ...] = ()
+
+    @property
+    def angle_error(self) -> FloatArray:
+        """Observed less true electrical angle in rad, as `angle_error` has it, shape (N,)."""
+        return angle_error(self.run)
+
+    def files(self) -> dict[str, bytes]:
+        """Name and bytes of the file of samples."""
+        return simulation_files(self)
 
 
 def drive_of(design: Design) -> Drive:
@@ -164,6 +181,21 @@ def require_scenario(design: Design, *, switched: bool = False) -> Scenario:
     return replace(design.simulation, inverter="switched") if switched else design.simulation
 
 
+def in_float32(solution: Solution) -> Solution:
+    """The solution with its current reference in float32: the same form,
+    fitted for that arithmetic.
+
+    Control in float32 cannot call a reference in fixed point.
+    """
+    fit = solution.fit
+    if not isinstance(fit.reference, FixedReference):
+        return solution
+    settings = replace(fit.settings, format=SIMULATED, full_scale=None, budget=None)
+    return replace(
+        solution, fit=fit_reference(current_choice(solution.design), settings), certificate=None
+    )
+
+
 @on_design("simulation")
 def simulate_design(
     design: Design,
@@ -213,7 +245,15 @@ def evaluate(design: Design, run: Simulation) -> DriveSimulation:
     tracking = (float(np.max(np.abs(deviation))), float(np.sqrt(np.mean(deviation**2))))
     copper = float(run.figures.e_copper[0]) / float(run.figures.t[0])
     return DriveSimulation(
-        design, run, unit, step_figures(run.t, value, run.scenario.reference), tracking, copper
+        design=design,
+        run=run,
+        unit=unit,
+        steps=step_figures(run.t, value, run.scenario.reference),
+        tracking=tracking,
+        copper=copper,
+        speed_largest=float(np.max(np.abs(run.omega_m))),
+        torque_largest=float(np.max(np.abs(run.torque))),
+        observed=observed(run),
     )
 
 

@@ -20,8 +20,7 @@ from dqforge.reports.pages.figures_style import (
     style,
     thinned,
 )
-from dqforge.reports.simulation.compiled_plant import Simulation
-from dqforge.reports.simulation.design_run import DriveSimulation, angle_error, observed
+from dqforge.reports.simulation.design_run import DriveSimulation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,9 +42,10 @@ def _reference(axes: Axes, time: FloatArray, value: FloatArray, label: str = "re
     )
 
 
-def _angle(axes: Axes, time: FloatArray, run: Simulation) -> None:
+def _angle(axes: Axes, time: FloatArray, found: DriveSimulation) -> None:
     """Error of the observed angle; a bar on top where the controller ran on it."""
-    _line(axes, time, np.degrees(angle_error(run)), BLUE, "error of the observed angle", 0.9)
+    _line(axes, time, np.degrees(found.angle_error), BLUE, "error of the observed angle", 0.9)
+    run = found.run
     if run.scenario.sensorless is not None:
         axes.fill_between(
             time, 0.0, 1.0, where=run.sensorless > 0.5, transform=axes.get_xaxis_transform(),
@@ -61,7 +61,7 @@ def plot_simulation(found: DriveSimulation) -> Figure:
     factor, unit = (1e3, "ms") if run.t[-1] < 0.5 else (1.0, "s")
     time = run.t * factor
     with style():
-        seen = observed(run)
+        seen = found.observed
         angle = seen is not None and seen.angle_rms is not None
         ratios = (1.3, 1.0, 1.3, 0.8, 0.9) if angle else (1.3, 1.0, 1.3, 0.9)
         figure = new_figure(
@@ -72,7 +72,7 @@ def plot_simulation(found: DriveSimulation) -> Figure:
         axes = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
         speed, torque, currents, duty = axes[0], axes[1], axes[2], axes[-1]
         if angle:
-            _angle(axes[3], time, run)
+            _angle(axes[3], time, found)
         _line(speed, time, run.omega_m * _RPM, TEAL, "speed")
         if seen is not None:
             _line(speed, time, run.omega_m_observed * _RPM, ORANGE, "observed", 0.7)

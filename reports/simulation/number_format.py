@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from dqforge.machines.names import NumberFormat
-from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.integer_form import FixedReference
-from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution
 
 SIMULATED: NumberFormat = "float32"
@@ -22,21 +18,6 @@ def not_simulated(solution: Solution) -> tuple[NumberFormat, ...]:
     if isinstance(solution.fit.reference, FixedReference):
         emitted.append(solution.fit.reference.format)
     return tuple(sorted(set(emitted) - {SIMULATED}))
-
-
-def in_float32(solution: Solution) -> Solution:
-    """The solution with its current reference in float32: the same form,
-    fitted for that arithmetic.
-
-    Control in float32 cannot call a reference in fixed point.
-    """
-    fit = solution.fit
-    if not isinstance(fit.reference, FixedReference):
-        return solution
-    settings = replace(fit.settings, format=SIMULATED, full_scale=None, budget=None)
-    return replace(
-        solution, fit=fit_reference(current_choice(solution.design), settings), certificate=None
-    )
 
 
 def format_text(formats: tuple[NumberFormat, ...]) -> str:

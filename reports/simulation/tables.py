@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-import numpy as np
-
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.html_text import symbols
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.simulation.design_run import DriveSimulation, observed
+from dqforge.reports.simulation.design_run import DriveSimulation
 from dqforge.reports.simulation.number_format import SIMULATED, format_text
 
 _SHOWN = {"rad/s": "rpm"}
@@ -47,8 +45,8 @@ def _figure_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
         *((("arithmetic", format_text(found.not_simulated)),) if found.not_simulated else ()),
         ("largest deviation from the reference", _value(found.tracking[0], found.unit)),
         ("r.m.s. deviation from the reference", _value(found.tracking[1], found.unit)),
-        ("largest speed", _value(float(np.max(np.abs(run.omega_m))), "rad/s")),
-        ("largest torque", _value(float(np.max(np.abs(run.torque))), "N m")),
+        ("largest speed", _value(found.speed_largest, "rad/s")),
+        ("largest torque", _value(found.torque_largest, "N m")),
         ("largest current vector", _value(float(figures.peak_current[0]), "A")),
         ("phase current, r.m.s.", _value(float(figures.rms_current[0]), "A")),
         ("mean copper loss", _value(found.copper, "W")),
@@ -57,7 +55,7 @@ def _figure_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
 
 def _observer_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
     """Estimates beside the truth, nothing where no observer ran."""
-    seen = observed(found.run)
+    seen = found.observed
     if seen is None:
         return ()
     rows = [("largest error of the observed speed", _value(seen.speed_largest, "rad/s", 3))]
@@ -116,21 +114,11 @@ def simulation_html(found: DriveSimulation) -> list[HtmlTable]:
     return tables
 
 
-def simulation_part(found: DriveSimulation | None) -> PlainData | None:
-    """What the report's template prints of a simulation: tables, figure and file names;
-    None where there is none.
-    """
-    if found is None:
-        return None
-    from markupsafe import Markup
-
-    from dqforge.reports.pages.figures_style import to_svg
-    from dqforge.reports.simulation.figures import plot_simulation
-
+def simulation_part(found: DriveSimulation) -> PlainData:
+    """What the report's template prints of a simulation: tables and file names."""
     prefix = found.design.export.prefix
     return {
         "tables": simulation_html(found),
-        "figure": Markup(to_svg(plot_simulation(found))),
         "file": f"{prefix}_simulation.npz",
         "controller": f"{prefix}_control.h",
     }
@@ -138,7 +126,7 @@ def simulation_part(found: DriveSimulation | None) -> PlainData | None:
 
 def plain_simulation(found: DriveSimulation) -> PlainData:
     """Figures as plain data, in SI units; the samples are in the archive."""
-    run, figures, seen = found.run, found.run.figures, observed(found.run)
+    run, figures, seen = found.run, found.run.figures, found.observed
     return {
         "mode": run.scenario.mode,
         "inverter": run.scenario.inverter,
@@ -149,6 +137,8 @@ def plain_simulation(found: DriveSimulation) -> PlainData:
         "bounded": bool(figures.bounded[0]),
         "deviation_largest": found.tracking[0],
         "deviation_rms": found.tracking[1],
+        "omega_m_largest_rad_per_s": found.speed_largest,
+        "torque_largest_Nm": found.torque_largest,
         "peak_current_A": float(figures.peak_current[0]),
         "rms_current_A": float(figures.rms_current[0]),
         "copper_W": found.copper,

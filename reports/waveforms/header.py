@@ -1,25 +1,15 @@
-"""The C header of phase currents and its test vectors, as plain data and as text."""
+"""The C header of phase currents and its test vectors, as text."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from dqforge.machines.design.design import Design
-from dqforge.machines.errors import InputError
-from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.waveforms.firmware_form import (
     HALF_ROOT_3,
     PhaseFit,
-    PhaseHarmonics,
     PhasePolynomials,
     PhaseReference,
-    PhaseTable,
-    Weights,
-    polynomial_steps,
-    sample_angles,
 )
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
@@ -27,142 +17,13 @@ from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.c_code.title import title
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.waveforms.float32_model import (
+    model_currents,
+    plain_phase_reference,
+    waveform_inputs,
+)
 
 _SEED = 20_260_502
-
-
-_LONGEST = 4096
-
-
-_MOST_HARMONICS = 200
-
-
-_MOST_TERMS = 32
-
-
-def plain_phase_reference(reference: PhaseReference) -> PlainData:
-    """The evaluator as plain data; every number is a float32 value."""
-    form = reference.form
-    plain: PlainData = {"torque_max": shortest(reference.torque_max)}
-    if isinstance(form, PhaseTable):
-        return plain | {"form": "table", "table": _rows(form.entries)}
-    if isinstance(form, PhasePolynomials):
-        return plain | {
-            "form": "polynomials",
-            "stride": form.stride,
-            "inverse": shortest(form.inverse),
-            "cosine": _weights(form.cosine),
-            "sine": _weights(form.sine),
-        }
-    return plain | {
-        "form": "harmonics",
-        "stride": form.stride,
-        "cosine": _rows(form.cosine),
-        "sine": _rows(form.sine),
-    }
-
-
-def _rows(values: SingleArray) -> list[list[float]]:
-    return [[shortest(value) for value in row] for row in values]
-
-
-def _weights(weights: Weights) -> list[list[list[float]]]:
-    return [
-        [[shortest(np.float32(value)) for value in weight] for weight in row] for row in weights
-    ]
-
-
-def _weights_from(rows: Any) -> Weights:
-    """Weights as `_weights` writes them; ValueError where they are not float32 values or not
-    finite.
-    """
-    found = tuple(
-        tuple(tuple(float(np.float32(value)) for value in weight) for weight in row) for row in rows
-    )
-    values = np.array([value for row in found for weight in row for value in weight])
-    if (
-        not np.all(np.isfinite(values))
-        or max(len(weight) for row in found for weight in row) > _MOST_TERMS
-    ):
-        raise ValueError
-    return found
-
-
-def _polynomials_from(plain: Mapping[str, Any]) -> PhasePolynomials:
-    cosine, sine = _weights_from(plain["cosine"]), _weights_from(plain["sine"])
-    stride, inverse = int(plain["stride"]), np.float32(plain["inverse"])
-    sizes = {len(row) for row in (*cosine, *sine)}
-    if (
-        len(cosine) != len(sine)
-        or len(cosine) not in (1, 3)
-        or len(sizes) != 1
-        or not np.isfinite(inverse)
-    ):
-        raise ValueError
-    if stride not in (1, 2) or not 0 < sizes.pop() < _MOST_HARMONICS:
-        raise ValueError
-    return PhasePolynomials(cosine, sine, stride, inverse)
-
-
-def phase_reference_from(plain: Mapping[str, Any]) -> PhaseReference:
-    """Read an evaluator back.
-
-    Raises
-    ------
-    InputError
-        The data are not what `plain_phase_reference` makes.
-    """
-    fault = InputError("waveform.reference is not what dqforge writes; run the design again")
-    try:
-        torque_max = np.float32(plain["torque_max"])
-        if plain["form"] == "table":
-            entries = _array(plain["table"])
-            if entries.shape[0] not in (1, 3) or not 24 < entries.shape[1] <= _LONGEST:
-                raise fault
-            return PhaseReference(PhaseTable(entries), torque_max)
-        if plain["form"] == "polynomials":
-            return PhaseReference(_polynomials_from(plain), torque_max)
-        cosine, sine = _array(plain["cosine"]), _array(plain["sine"])
-        stride = int(plain["stride"])
-        count = cosine.shape[1]
-        if (
-            cosine.shape != sine.shape
-            or cosine.shape[0] != 3
-            or stride not in (1, 2)
-            or not 0 < count < _MOST_HARMONICS
-        ):
-            raise fault
-        return PhaseReference(PhaseHarmonics(cosine, sine, stride), torque_max)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise fault from error
-
-
-def _array(rows: Any) -> SingleArray:
-    values = np.array(rows, dtype=np.float32)
-    if values.ndim != 2 or not np.all(np.isfinite(values)):
-        raise ValueError
-    return values
-
-
-def waveform_inputs(reference: PhaseReference, count: int, seed: int) -> SingleArray:
-    """Inputs of the evaluator, shape (count, 2 or 3): torques of both signs and beyond,
-    special values, any angles.
-    """
-    generator = np.random.default_rng(seed)
-    end = reference.torque_max
-    torque = (generator.uniform(-1.1, 1.1, count) * float(end)).astype(np.float32)
-    special = np.array([0.0, -0.0, np.nan, np.inf, -np.inf, 1e-45, end, -end], dtype=np.float32)
-    # Special torques meet ordinary angles behind the special angles.
-    torque[16 : 16 + special.size] = special
-    return np.ascontiguousarray(
-        np.stack([torque, *sample_angles(reference.form, count, seed + 1)], axis=1)
-    )
-
-
-def model_currents(reference: PhaseReference, inputs: SingleArray) -> SingleArray:
-    """What the compiled evaluator must return for inputs, shape (M, 3)."""
-    columns = tuple(np.ascontiguousarray(column) for column in inputs.T)
-    return np.ascontiguousarray(reference.currents(columns[0], columns[1:]).T)
 
 
 def _error_lines(fit: PhaseFit) -> list[str]:
@@ -214,11 +75,11 @@ def _terms(plain: PlainData) -> list[list[PlainData]]:
     return rows
 
 
-def _weight_steps(weight: tuple[float, ...]) -> PlainData | None:
+def _weight_steps(form: PhasePolynomials, weight: tuple[float, ...]) -> PlainData | None:
     """How the C evaluates one weight: Horner's rule in x or its square."""
     if not weight:
         return None
-    coefficients, variable, odd = polynomial_steps(weight)
+    coefficients, variable, odd = form.steps(weight)
     return {
         "last": coefficients[-1],
         "others": coefficients[-2::-1],
@@ -235,7 +96,7 @@ def _polynomial_context(form: PhasePolynomials) -> PlainData:
         order = 1 + form.stride * harmonic
         rows = []
         for row, (cosine, sine) in enumerate(zip(form.cosine, form.sine, strict=True)):
-            a, b = _weight_steps(cosine[harmonic]), _weight_steps(sine[harmonic])
+            a, b = _weight_steps(form, cosine[harmonic]), _weight_steps(form, sine[harmonic])
             if a is None and b is None:
                 continue
             along = ("along" if order % 3 else "common") if equal else f"i_{'abc'[row]}"
@@ -268,7 +129,7 @@ def _polynomial_context(form: PhasePolynomials) -> PlainData:
         "sums": [{"name": name, "used": name in started} for name in names],
         "uses": {
             "x": bool(weights),
-            "square": any(polynomial_steps(weight)[1] == "square" for weight in weights),
+            "square": any(form.steps(weight)[1] == "square" for weight in weights),
             "a": any(any(row) for row in form.cosine),
             "b": any(any(row) for row in form.sine),
         },

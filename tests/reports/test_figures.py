@@ -57,7 +57,7 @@ FIGURES: dict[str, tuple[Draw, tuple[str, ...]]] = {
         ),
     ),
     "loops": (
-        lambda s: plot_gains(s.design, s.gains),
+        lambda s: plot_gains(s.gains),
         (
             "Time in ms",
             "Response per unit step",

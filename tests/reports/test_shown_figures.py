@@ -20,7 +20,7 @@ from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.losses.solve import require_losses
 from dqforge.optimizer.operating_points.characteristics import VoltageLimit
-from dqforge.optimizer.operating_points.drive_points import drive_points
+from dqforge.optimizer.operating_points.drive_points import LimitedDrive, points_within
 from dqforge.optimizer.operating_points.solve import solve_curves
 from dqforge.optimizer.waveforms.comparison import compare_waveforms, require_phases
 from dqforge.optimizer.waveforms.phase_currents import unit_currents
@@ -122,9 +122,8 @@ def test_losses_say_what_stands_in_the_way() -> None:
 
 def test_points_have_the_efficiency_of_their_power_and_losses() -> None:
     design, limit = make_design(), VoltageLimit("svpwm", 500.0, 0.0, 500.0 / math.sqrt(3.0))
-    found = drive_points(
-        design.machine, design.inverter, limit, np.array([100.0, -100.0, 0.0]), 300.0, design.i_max
-    )
+    drive = LimitedDrive(design.machine, design.inverter, limit, design.i_max)
+    found = points_within(drive, np.array([100.0, -100.0, 0.0]), 300.0)
     np.testing.assert_allclose(found.power, [3e4, -3e4, 0.0], atol=1e-6)
     loss = found.losses.total
     np.testing.assert_allclose(

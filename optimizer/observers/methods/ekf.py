@@ -17,12 +17,12 @@ from dqforge.optimizer.observers.methods.kalman_model import Ekf
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,
-    entries_at,
     limited,
+    matrix_entries,
+    matrix_slopes,
     model_scale,
     next_currents,
     sampled_gains,
-    slopes_at,
 )
 from dqforge.optimizer.observers.tuning_numbers import (
     USUAL_SHARE_OF_SPEED,
@@ -145,8 +145,8 @@ def _ekf_predicted(
     model, p, i = gains.model, _full(state.scalars[2:]), (state.scalars[0], state.scalars[1])
     u = park(maths, v, maths.rotation(state.theta_e))
     x = limited(model.t_s * state.omega_e, model.x_max)
-    e = entries_at(model, x)
-    slope = next_currents(slopes_at(model, x), i, u)
+    e = matrix_entries(model, x)
+    slope = next_currents(matrix_slopes(model, x), i, u)
     f = (
         (e[0], e[5], slope[0], e[2] * u[1] - e[7] * u[0]),
         (e[6], e[1], slope[1], e[8] * u[1] - e[3] * u[0]),

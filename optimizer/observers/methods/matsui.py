@@ -10,8 +10,8 @@ from dqforge.optimizer.observers.methods.matsui_model import Matsui
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,
-    entries_at,
     limited,
+    matrix_entries,
     next_currents,
 )
 from dqforge.optimizer.observers.tuning_numbers import USUAL_WIDTH, ObserverTuning
@@ -101,7 +101,7 @@ def shown_gap(
     now = park(maths, i, maths.rotation(theta))
     x = limited(model.t_s * state.omega_e, model.x_max)
     half = 0.5 * x
-    e = entries_at(model, x)
+    e = matrix_entries(model, x)
     foretold = next_currents(e, park(maths, state.vectors[0], turn), park(maths, v, turn))
     return ShownGap(
         theta, now, e, 1.0 - 0.5 * (half * half), half, (now[0] - foretold[0], now[1] - foretold[1])

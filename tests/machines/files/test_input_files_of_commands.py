@@ -247,9 +247,9 @@ def test_a_file_in_order_is_refused_beyond_the_limit_and_never_cut(
     entry = ENTRIES[name]
     limit = min(entry.limit, 2_000_000)
     for module, constant in (
-        ("machines.yaml_source", "MAX_BYTES"),
-        ("reports.drive_losses", "MOST_BYTES"),
-        ("reports.bemf", "MOST_BYTES"),
+        ("machines.files.positioned_yaml", "MAX_BYTES"),
+        ("reports.losses.question", "MOST_BYTES"),
+        ("reports.back_emf.capture", "MOST_BYTES"),
     ):
         monkeypatch.setattr(f"dqforge.{module}.{constant}", limit)
     (tmp_path / entry.file).write_bytes(LONG[name](limit))

@@ -143,8 +143,8 @@ def test_maps_of_too_many_points_are_refused_with_the_limit(
 MEASURE = """
 import resource, sys
 from dqforge.machines.errors import InputError
-from dqforge.machines.flux_map_files import read_flux_points
-from dqforge.machines.flux_points import build_flux_map
+from dqforge.machines.flux_map_files.files import read_flux_points
+from dqforge.machines.flux_maps.building import build_flux_map
 try:
     build_flux_map(read_flux_points(open(sys.argv[1], "rb").read(), sys.argv[1]))
     print("read")

@@ -251,7 +251,7 @@ def test_the_price_of_smoothing_is_told_everywhere_alike(
     solution = solve(design)
     largest = format_quantity(evidence.torque_residual[1], "N m", 3)
     assert f"at most {largest} from that of the plain spline" in render(
-        "main_header/header.h.j2", header_context(solution)
+        "main_header/dialects/neutral/header.h.j2", header_context(solution)
     )
     (row,) = (
         row

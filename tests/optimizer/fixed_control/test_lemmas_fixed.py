@@ -24,7 +24,7 @@ from dqforge.optimizer.curves.single_precision import (
 from dqforge.optimizer.fixed_control import arithmetic as fixed
 from dqforge.optimizer.fixed_control import ranges as fixed_ranges
 from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges, Reach
-from dqforge.optimizer.fixed_control.gains import FixedGain, given, quantise, scaled
+from dqforge.optimizer.fixed_control.gains import scaled
 from dqforge.optimizer.fixed_control.ranges import (
     DeadBand,
     codes,
@@ -41,6 +41,7 @@ from dqforge.optimizer.fixed_control.step import (
     ObserverState,
     VelocityState,
 )
+from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
 
 SPANS = [Range(low, high) for low in range(-4, 5) for high in range(low, 5)]
 POSITIVE = [Range(low, high) for low in range(1, 5) for high in range(low, 5)]

@@ -20,7 +20,7 @@ from dqforge.machines.names import ModulationName
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
-from dqforge.optimizer.fixed_control.gains import FixedGain, given, quantise, scaled
+from dqforge.optimizer.fixed_control.gains import scaled
 from dqforge.optimizer.fixed_control.ranges import (
     control_ranges,
     dead_band,
@@ -31,6 +31,7 @@ from dqforge.optimizer.fixed_control.ranges import (
 )
 from dqforge.optimizer.fixed_control.step import FixedPi, pi_step
 from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS
+from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
 from dqforge.reports.control.fixed_model import row_inputs, row_results
 
 

@@ -32,7 +32,6 @@ from dqforge.machines.transforms import (
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
-from dqforge.optimizer.fixed_control.gains import given, quantise
 from dqforge.optimizer.fixed_control.step import (
     FixedPi,
     Measured,
@@ -45,6 +44,7 @@ from dqforge.optimizer.fixed_control.step import (
     pi_velocity,
 )
 from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS, Codes, duties, rotation
+from dqforge.optimizer.loops.integer_gains import given, quantise
 from dqforge.optimizer.observers.reduced_order import estimate_speed, simulate_observer
 
 EXACT = Integers()

@@ -24,7 +24,6 @@ from dqforge.machines.design.settings import (
 )
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.fixed_control.q_numbers import to_q
 from dqforge.optimizer.loops.gains import (
     LoopGains,
     analyse_current_loop,
@@ -47,6 +46,7 @@ from dqforge.optimizer.loops.plants import (
     speed_loop,
     speed_step,
 )
+from dqforge.optimizer.loops.q_numbers import to_q
 
 FloatArray = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 

@@ -37,7 +37,8 @@ from dqforge.reports.control.header import control_files
 from dqforge.reports.field_weakening.header import weakening_files
 from dqforge.reports.loops.header import gains_files
 from dqforge.reports.main_header.header import header_files
-from dqforge.reports.modulation_choice.header import Alternative, rule_header
+from dqforge.reports.modulation_choice.header import rule_header
+from dqforge.reports.modulation_choice.rule_model import Alternative
 from dqforge.reports.verification.host import WARNINGS
 from dqforge.reports.waveforms.header import waveform_files
 

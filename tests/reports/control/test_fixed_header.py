@@ -23,15 +23,14 @@ from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
-from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS
+from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS, sine_error
 from dqforge.reports.control.fixed_header import (
     control_fixed_files,
-    fixed_control_from,
     plain_fixed_control,
     plain_fixed_evidence,
-    sine_error,
 )
 from dqforge.reports.control.fixed_model import input_names, output_names, row_inputs, row_results
+from dqforge.reports.control.fixed_reading import fixed_control_from
 from dqforge.reports.pages.templating import render
 from dqforge.reports.run import export_design
 from dqforge.reports.verification.host import WARNINGS

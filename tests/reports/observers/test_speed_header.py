@@ -14,7 +14,7 @@ from drives import IPM, SURFACE, make_design
 
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.observers.reduced_order import estimate_speed, reduced_order_observer
-from dqforge.reports.observers.speed_header import (
+from dqforge.reports.observers.speed_float32_model import (
     observed_speeds,
     plain_speed_observer,
     speed_observer_from,

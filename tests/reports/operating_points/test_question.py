@@ -29,7 +29,7 @@ from dqforge.optimizer.operating_points.characteristics import (
     operating_map,
     voltage_limit,
 )
-from dqforge.optimizer.operating_points.drive_points import drive_points
+from dqforge.optimizer.operating_points.drive_points import LimitedDrive, points_within
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import optimal_points
 from dqforge.reports.operating_points.figures import plot_operating_map, plot_speed
@@ -61,8 +61,12 @@ def solved(
     return figures, edge, chart
 
 
+def drive_of(design: Design) -> LimitedDrive:
+    return LimitedDrive(design.machine, design.inverter, LIMIT, design.i_max)
+
+
 def detail(design: Design, torque: float, omega: float) -> dict[str, str]:
-    found = drive_points(design.machine, design.inverter, LIMIT, torque, omega, design.i_max)
+    found = points_within(drive_of(design), torque, omega)
     most = optimal_points(design.machine, 1e4, omega, v_max=LIMIT.v_max)
     (table,) = point_tables(design, found, most, LIMIT, "copper")
     return {row[0]: row[1] for row in table.rows}
@@ -102,9 +106,7 @@ def test_point_in_detail_beyond_what_can_be_had_and_without_device() -> None:
 
 def test_points_table_has_a_row_per_point_and_the_limit() -> None:
     design = make_design()
-    found = drive_points(
-        IPM, design.inverter, LIMIT, np.array([0.0, 50.0, 300.0]), 600.0, design.i_max
-    )
+    found = points_within(drive_of(design), np.array([0.0, 50.0, 300.0]), 600.0)
     (table,) = points_tables(design, found, replace(LIMIT, margin=0.05), "copper")
     assert [len(row) for row in table.rows] == [len(table.columns)] * 3
     assert "(no more)" in table.rows[2][2]

@@ -20,8 +20,8 @@ from dqforge.machines.plants.scenario import Profile, Scenario
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.simulation.design_run import simulate_design
-from dqforge.reports.simulation.number_format import in_float32, not_simulated
+from dqforge.reports.simulation.design_run import in_float32, simulate_design
+from dqforge.reports.simulation.number_format import not_simulated
 from dqforge.reports.simulation.tables import plain_simulation, simulation_html, simulation_tables
 from dqforge.reports.summary import run_tables
 from dqforge.reports.verification.host import Verification
@@ -120,4 +120,5 @@ def test_through_the_command_line(
         assert (stop.value.code, captured.err) == (0, "")
         assert "runs the float32 control" in captured.out
     assert "runs the float32 control" in (out / "report.html").read_text(encoding="utf-8")
-    assert "simulation" not in json.loads((out / "result.json").read_text(encoding="ascii"))
+    simulated = json.loads((out / "result.json").read_text(encoding="ascii"))["simulation"]
+    assert (simulated["format"], len(simulated["not_simulated"])) == ("float32", 1)

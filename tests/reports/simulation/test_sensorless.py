@@ -40,7 +40,7 @@ from dqforge.optimizer.observers.parts import cast
 from dqforge.optimizer.observers.steady_states import steady_observer
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.c_code.float32_functions import SINGLE, wrap
-from dqforge.reports.observers.speed_header import observed_speeds, speed_observer_gains
+from dqforge.reports.observers.speed_float32_model import observed_speeds, speed_observer_gains
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.simulation.compiled_plant import Simulation, Simulator, simulate, simulator
 from dqforge.reports.simulation.design_run import controller_files, drive_of, evaluate, observers_of

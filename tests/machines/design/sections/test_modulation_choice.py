@@ -24,12 +24,8 @@ from dqforge.machines.design.settings import ChoiceSettings
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, solve_choice
 from dqforge.reports.modulation_choice.figures import leaf_boxes, plot_choice
-from dqforge.reports.modulation_choice.header import (
-    choice_model,
-    emitted_from,
-    rule_inputs,
-    rule_results,
-)
+from dqforge.reports.modulation_choice.header import choice_model
+from dqforge.reports.modulation_choice.rule_model import emitted_from, rule_inputs, rule_results
 from dqforge.reports.modulation_choice.tables import choice_tables
 from dqforge.reports.modulation_choice.text import binding_shares, limits_text, rule_lines
 from dqforge.reports.pages.figures_style import to_svg

@@ -1,0 +1,223 @@
+"""A complete design from a machine that was built in Python: its design file is written,
+and read as any other.
+
+So the same checks, defaults and remarks hold as for a file, and what is emitted can
+be computed again from it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import math
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.loader import load_text
+from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.errors import InputError
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+
+SOURCE = "design made in Python"
+
+"""What messages call the file, which nobody has seen."""
+
+
+MAP_FILE = "flux-map.npz"
+
+
+_MOST_HARMONICS = 100
+
+
+_LEAST_SHARE = 1e-12
+
+
+BuiltMachine = LinearMachine | SaturatedMachine | PhaseMachine
+
+
+def make_design(
+    machine: BuiltMachine,
+    /,
+    *,
+    v_dc: float,
+    f_sw: float,
+    name: str = "Machine from Python",
+    prefix: str = "motor",
+    **sections: Mapping[str, Any],
+) -> Design:
+    """A design of a machine from numbers and arrays, with everything that
+    a design file can ask for.
+
+    Parameters
+    ----------
+    machine:
+        Constant inductances, a flux map, or a back-EMF of any shape with three equal phases.
+    v_dc:
+        Voltage of the dc link in V.
+    f_sw:
+        Switching frequency in Hz; the currents are sampled as often unless
+        ``control`` says otherwise.
+    name:
+        Title of the drive.
+    prefix:
+        First part of every name in the C code, a C identifier.
+    sections:
+        Sections of the design file by name, as mappings of their keys, over what the numbers say:
+        ``fit={"degree": 3}``, ``machine={"rated": {"torque": 20.0}}``,
+        ``control={"current_loop": {"method": "bandwidth", "bandwidth": 2000.0}}``,
+        ``inverter={"dead_time": 1e-6}``. Numbers are in SI units (rad/s for speeds and bandwidths).
+
+    Returns
+    -------
+    Design
+        As `load_design` reads it; ``design.given`` holds the file that was written.
+
+    Raises
+    ------
+    InputError
+        A number or a key is not what the design file permits; the message names the key.
+    """
+    if not isinstance(machine, LinearMachine | SaturatedMachine | PhaseMachine):
+        raise InputError(
+            "machine: expected a LinearMachine, SaturatedMachine or PhaseMachine, got "
+            f"{type(machine).__name__}"
+        )
+    content: dict[str, Any] = {
+        "dqforge": 1,
+        "name": name,
+        "machine": _machine(machine),
+        "inverter": {
+            "v_dc": _quantity(v_dc, "V", "v_dc"),
+            "switching_frequency": _quantity(f_sw, "Hz", "f_sw"),
+        },
+        "export": {"prefix": prefix},
+    }
+    _merge(content, {key: _plain(value) for key, value in sections.items()})
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=100).encode("utf-8")
+    if not isinstance(machine, SaturatedMachine):
+        return load_text(text, SOURCE)
+    with tempfile.TemporaryDirectory(prefix="dqforge-") as folder:
+        (Path(folder) / MAP_FILE).write_bytes(_map_bytes(machine.flux_map))
+        loaded = load_text(text, SOURCE, Path(folder))
+    return loaded if machine.flux_map.hull is None else _with_hull(loaded, machine)
+
+
+def _with_hull(loaded: Design, machine: SaturatedMachine) -> Design:
+    """The design with the machine as it is: a file of its nodes does not say where in
+    their rectangle data are.
+    """
+    whole = hashlib.sha256(loaded.digest.encode("ascii"))
+    for corners in (machine.region.corner_d, machine.region.corner_q) if machine.region else ():
+        whole.update(np.ascontiguousarray(corners).tobytes())
+    return replace(loaded, machine=machine, digest=whole.hexdigest(), given=None)
+
+
+def _quantity(value: float, unit: str, name: str) -> str:
+    """A number with its unit, as it reads back to the same number."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        raise InputError(f"{name}: expected a number in {unit}, got {type(value).__name__}")
+    if not math.isfinite(value):
+        raise InputError(f"{name}: expected a finite number in {unit}, got {value}")
+    return f"{float(value)!r} {unit}"
+
+
+def _of_kind(kind: str, value: float, unit: str, name: str) -> dict[str, str]:
+    """A number with its unit and its convention, of which a file would otherwise remark
+    that it is the usual one.
+    """
+    return {"value": _quantity(value, unit, name), "kind": kind}
+
+
+def _machine(machine: BuiltMachine) -> dict[str, Any]:
+    """The section ``machine``."""
+    common: dict[str, Any] = {
+        "pole_pairs": _plain(machine.pole_pairs),
+        "resistance": _of_kind("phase", machine.r_s, "Ohm", "r_s"),
+        "max_current": _of_kind("peak", machine.i_max, "A", "i_max"),
+    }
+    if isinstance(machine, PhaseMachine):
+        return {"model": "waveform", **common, **_phases(machine)}
+    if machine.inertia is not None:
+        common["inertia"] = _quantity(machine.inertia, "kg m^2", "inertia")
+    if machine.friction:
+        common["friction"] = _quantity(machine.friction, "N m s", "friction")
+    if machine.omega_m_max is not None:
+        common["max_speed"] = _quantity(machine.omega_m_max, "rad/s", "omega_m_max")
+    if isinstance(machine, SaturatedMachine):
+        flux_map = {
+            "file": MAP_FILE,
+            "fit": "interpolate",
+            "extrapolate": machine.flux_map.extrapolate,
+        }
+        return {"model": "flux-map", **common, "flux_map": flux_map}
+    return {
+        "model": "linear",
+        **common,
+        "inductance_d": _of_kind("phase", machine.l_d, "H", "l_d"),
+        "inductance_q": _of_kind("phase", machine.l_q, "H", "l_q"),
+        "magnet_flux": _of_kind("peak", machine.psi_pm, "Wb", "psi_pm"),
+    }
+
+
+def _phases(machine: PhaseMachine) -> dict[str, Any]:
+    """Inductances and back-EMF of three equal phases."""
+    if machine.symmetry == "none":
+        raise InputError(
+            "flux: the three phases differ; take machine.symmetrised(), or name a capture in a file"
+        )
+    count = machine.angles
+    terms = 2.0 / count * np.fft.rfft(machine.flux[0])[1 : min(count // 2, _MOST_HARMONICS + 1)]
+    turned = terms / 1j
+    largest = float(np.max(np.abs(turned)))
+    harmonics = [
+        {
+            "order": order,
+            "amplitude": _quantity(float(abs(term)), "Wb", "flux"),
+            "phase": _quantity(float(-np.angle(term)), "rad", "flux"),
+        }
+        for order, term in enumerate(turned.tolist(), start=1)
+        if abs(term) > _LEAST_SHARE * largest
+    ]
+    return {
+        "self_inductance": _of_kind("phase", machine.l_s, "H", "l_s"),
+        "mutual_inductance": _quantity(machine.m_s, "H", "m_s"),
+        "back_emf": {"harmonics": harmonics},
+    }
+
+
+def _map_bytes(flux_map: FluxMap) -> bytes:
+    """The nodes of a map as a NumPy archive, which holds every digit."""
+    content = io.BytesIO()
+    np.savez_compressed(
+        content, i_d=flux_map.i_d, i_q=flux_map.i_q, psi_d=flux_map.psi_d, psi_q=flux_map.psi_q
+    )
+    return content.getvalue()
+
+
+def _merge(content: dict[str, Any], further: Mapping[str, Any]) -> None:
+    """Add keys to nested mappings; what is given later counts."""
+    for key, value in further.items():
+        below = content.get(key)
+        if isinstance(below, dict) and isinstance(value, dict):
+            _merge(below, value)
+        else:
+            content[key] = value
+
+
+def _plain(value: Any) -> Any:
+    """NumPy numbers and arrays as Python's, mappings and sequences copied."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,34 @@
+"""What `dqforge bemf` answers: what a capture of the back-EMF holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dqforge.reports.back_emf.capture import (
+    CaptureRequest,
+    capture_tables,
+    plain_capture,
+    read_capture,
+)
+from dqforge.reports.pages.answer import Answer
+from dqforge.reports.pages.console import shares
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+__all__ = ["CaptureRequest", "answer_bemf"]
+
+
+def answer_bemf(paths: Sequence[Path], request: CaptureRequest) -> Answer:
+    """Read and analyse a capture; raises as `read_capture`."""
+    reading = read_capture(paths, request, shares())
+
+    def figure() -> Figure:
+        from dqforge.reports.back_emf.figures import plot_capture
+
+        return plot_capture(reading)
+
+    return Answer(reading.name, capture_tables(reading), {"bemf": plain_capture(reading)}, figure)

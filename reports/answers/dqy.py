@@ -1,0 +1,53 @@
+"""What `dqforge dqy` answers: phase currents of a machine whose back-EMF is not sinusoidal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dqforge.machines.design.design import Design
+from dqforge.machines.units.quantities import parse_option
+from dqforge.optimizer.waveforms.comparison import compare_waveforms, with_point
+from dqforge.reports.pages.answer import Answer
+from dqforge.reports.pages.console import stage
+from dqforge.reports.waveforms.tables import plain_waveforms, waveform_tables
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, slots=True)
+class WaveformRequest:
+    """The options as they were written; None where an option was not given."""
+
+    torque: str | None
+    speed: str | None
+    ripple: str | None
+    open_phase: str | None
+
+
+def answer_dqy(design: Design, request: WaveformRequest) -> Answer:
+    """Shape the currents at the point of the request, or else of the design.
+
+    Raises
+    ------
+    InputError
+        An option is not understood, or as `compare_waveforms`.
+    """
+    stage("shaping the currents")
+    settings = with_point(
+        design.waveform,
+        parse_option(request.torque, "torque", "--torque"),
+        parse_option(request.speed, "speed", "--speed"),
+        parse_option(request.ripple, "number", "--ripple"),
+        request.open_phase,
+    )
+    found = compare_waveforms(design, settings)
+
+    def figure() -> Figure:
+        from dqforge.reports.waveforms.figures import plot_waveforms
+
+        return plot_waveforms(found)
+
+    plain = {"waveforms": plain_waveforms(found)}
+    return Answer(design.name, waveform_tables(design, found), plain, figure)

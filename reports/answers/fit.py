@@ -1,0 +1,57 @@
+"""What `dqforge fit` answers: the current references, their errors and bounds,
+beside the alternatives.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dqforge.machines.design.design import Design
+from dqforge.optimizer.certificates.current_reference import certify
+from dqforge.optimizer.current_reference.alternatives import alternatives
+from dqforge.optimizer.current_reference.signed import signed_designs
+from dqforge.optimizer.current_reference.solve import solve_fit
+from dqforge.optimizer.field_weakening.solve import solve_weakening
+from dqforge.optimizer.negative_torques import solve_negative
+from dqforge.optimizer.operating_points.solve import current_choice
+from dqforge.reports.current_reference.plain import plain_fit, plain_negative
+from dqforge.reports.current_reference.tables import fit_tables, negative_tables
+from dqforge.reports.field_weakening.plain import plain_weakening_fit
+from dqforge.reports.field_weakening.tables import weakening_tables
+from dqforge.reports.pages.answer import Answer
+from dqforge.reports.pages.console import stage
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def answer_fit(design: Design) -> Answer:
+    """Fit the current references of a design; raises as `solve_fit`."""
+    positive = signed_designs(design)[0]
+    choice = current_choice(positive)
+    stage("fitting")
+    chosen = solve_fit(positive)
+    found = chosen.fit
+    stage("fitting the alternatives")
+    rows = alternatives(choice, found)
+    stage("proving the bounds")
+    proof = certify(choice, found.reference, found.errors)
+    stage("fitting the further references")
+    negative, weakening = solve_negative(design), solve_weakening(design)
+
+    def figure() -> Figure:
+        from dqforge.reports.current_reference.figures import plot_fit
+
+        return plot_fit(positive, found)
+
+    tables = [
+        *fit_tables(design, found, rows, chosen.trials, proof, chosen.data),
+        *negative_tables(negative),
+        *weakening_tables(weakening),
+    ]
+    plain = {
+        "fit": plain_fit(found, rows, chosen.trials, proof, chosen.data),
+        **plain_negative(negative),
+        "weakening": plain_weakening_fit(weakening),
+    }
+    return Answer(design.name, tables, plain, figure)

@@ -1,0 +1,62 @@
+"""What `dqforge losses` answers: the losses of alternatives at points, over a map or a mission,
+and the choice.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dqforge.machines.design.design import Design
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.losses.solve import require_losses
+from dqforge.reports.losses.plain import plain_losses
+from dqforge.reports.losses.question import LossRequest, answer
+from dqforge.reports.losses.tables import losses_tables
+from dqforge.reports.modulation_choice.question import answer_choice
+from dqforge.reports.pages.answer import Answer
+from dqforge.reports.pages.console import stage
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+__all__ = ["LossRequest", "answer_losses"]
+
+
+def answer_losses(design: Design, request: LossRequest, *, choice: bool) -> Answer:
+    """Losses at the points of the design, over a map or a mission, or the choice of the design.
+
+    Raises
+    ------
+    InputError
+        As `answer` and `answer_choice`, and where options do not go together.
+    """
+    if choice:
+        if request != LossRequest():
+            raise InputError(
+                "--choice takes what the section 'modulation_choice' says; leave the other options "
+                "out"
+            )
+        stage("choosing modulator and frequency")
+        return answer_choice(design)
+    stage("comparing the losses")
+    if request.chart is not None or request.mission is not None:
+        return answer(design, request)
+    if (request.strategies, request.modulations, request.frequencies) != (None, None, None):
+        raise InputError(
+            "--strategies, --modulations and --frequencies go with --map or --mission; add one of "
+            "them"
+        )
+    return _points(design)
+
+
+def _points(design: Design) -> Answer:
+    found = require_losses(design)
+
+    def figure() -> Figure:
+        from dqforge.reports.losses.figures import plot_losses
+
+        return plot_losses(design, found)
+
+    plain = {"losses": plain_losses(found)}
+    return Answer(design.name, losses_tables(design, found), plain, figure)

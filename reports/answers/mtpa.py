@@ -1,0 +1,47 @@
+"""What `dqforge mtpa` answers: currents over torque, and operating points
+within the voltage limit.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dqforge.machines.design.design import Design
+from dqforge.optimizer.current_reference.signed import signed_designs
+from dqforge.optimizer.operating_points.solve import solve_curves
+from dqforge.reports.operating_points.plain import plain_curves
+from dqforge.reports.operating_points.question import Request, answer
+from dqforge.reports.operating_points.tables import mtpa_tables
+from dqforge.reports.pages.answer import Answer
+from dqforge.reports.pages.console import stage
+from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+__all__ = ["Request", "answer_mtpa"]
+
+
+def answer_mtpa(design: Design, request: Request) -> Answer:
+    """Currents over torque; with a speed, a torque or a map what is asked for;
+    raises as `answer`.
+    """
+    stage("solving")
+    return answer(design, request) if request.within_voltage else _curves(design)
+
+
+def _curves(design: Design) -> Answer:
+    positive, negative = signed_designs(design)
+    curves = solve_curves(positive)
+    mirrored = None if negative is None else solve_curves(negative)
+
+    def figure() -> Figure:
+        from dqforge.reports.current_reference.figures import plot_mtpa
+
+        return plot_mtpa(positive, curves)
+
+    plain: PlainData = {"mtpa": plain_curves(curves)}
+    if mirrored is not None:
+        plain["mtpa_negative"] = plain_curves(mirrored)
+    return Answer(design.name, mtpa_tables(design, curves, mirrored), plain, figure)

@@ -1,0 +1,42 @@
+"""What `dqforge simulate` answers: a run of the drive in the time domain,
+and the file of its samples.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dqforge.machines.design.design import Design
+from dqforge.reports.output.folder import SIMULATION, refuse_other_design
+from dqforge.reports.pages.answer import Answer, Files
+from dqforge.reports.pages.console import shares, stage
+from dqforge.reports.simulation.design_run import (
+    require_scenario,
+    simulate_design,
+    simulation_files,
+)
+from dqforge.reports.simulation.tables import plain_simulation, simulation_tables
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def answer_simulate(design: Design, out: Path, *, switched: bool) -> Answer:
+    """Simulate a design.
+
+    Raises as `simulate_design`, and where ``out`` holds another design's headers.
+    """
+    require_scenario(design, switched=switched)
+    refuse_other_design(out, design.digest, design.export.prefix)
+    stage("simulating")
+    found = simulate_design(design, switched=switched, progress=shares())
+
+    def figure() -> Figure:
+        from dqforge.reports.simulation.figures import plot_simulation
+
+        return plot_simulation(found)
+
+    plain = {"simulation": plain_simulation(found)}
+    files = Files(simulation_files(found), SIMULATION, design)
+    return Answer(design.name, simulation_tables(found), plain, figure, files)

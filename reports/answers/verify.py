@@ -1,0 +1,88 @@
+"""What `dqforge verify` answers: a folder computed again, its C compiled and run,
+and the outcome per header.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+from dqforge.reports.output.recomputation import Recomputation, recompute
+from dqforge.reports.output.recomputation_text import recomputation_text
+from dqforge.reports.pages.answer import Answer
+from dqforge.reports.pages.console import stage
+from dqforge.reports.plain_data import PlainData
+from dqforge.reports.verification.cortex_m import verify_on_target
+from dqforge.reports.verification.cross_tools import target_of
+from dqforge.reports.verification.host import Verification
+from dqforge.reports.verification.text import target_text, verification_text
+from dqforge.reports.written_headers import WrittenHeaders, read_folder, verify_written
+
+
+def answer_verify(folder: Path, target: str | None) -> Answer:
+    """Verify a folder, on an emulated core as well where one is named.
+
+    Raises
+    ------
+    InputError
+        The folder is not what dqforge writes, or there is no such core.
+    VerificationError
+        Something differs; the message names the first difference.
+    """
+    if target is not None:
+        target_of(target)
+    stage("computing again")
+    recomputed = recompute(folder)
+    found = read_folder(folder)
+    stage("compiling and comparing")
+    verified = verify_written(found)
+    notes = [recomputation_text(recomputed), verification_text(verified)]
+    plain: PlainData = {
+        "recomputation": _plain_recomputation(recomputed),
+        "verification": plain_verification(verified),
+        "headers": _plain_headers(found, verified),
+    }
+    if target is not None:
+        stage(f"running on {target}")
+        outcome = verify_on_target(found.files, found.prefix, target, found.programmes)
+        notes.append(target_text(outcome))
+        plain["target"] = asdict(outcome)
+    return Answer(str(folder), (), plain, notes=tuple(notes))
+
+
+def plain_verification(found: Verification | None) -> PlainData | None:
+    """What was compiled and compared; None where that was skipped."""
+    if found is None:
+        return None
+    checks = [
+        {
+            "standard": check.standard,
+            "compared": check.compared,
+            "missing_package": check.missing or None,
+        }
+        for check in found.checks
+    ]
+    return {"vectors": found.vectors, "sweep": found.sweep, "checks": checks}
+
+
+def _plain_recomputation(found: Recomputation) -> PlainData:
+    """What equals the design in the folder, and which files were not computed again."""
+    return {
+        "digest": found.digest,
+        **asdict(found.tally),
+        "listed": list(found.listed),
+        "line_ends": list(found.line_ends),
+        "foreign": list(found.foreign),
+    }
+
+
+def _plain_headers(found: WrittenHeaders, verified: Verification) -> list[PlainData]:
+    """Per header how many results equal its model, in each language that was tried."""
+    return [
+        {
+            "name": programme.name,
+            "results": programme.inputs.shape[0],
+            "standards": list(verified.languages),
+        }
+        for programme in found.programmes
+    ]

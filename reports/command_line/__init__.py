@@ -1,0 +1,1 @@
+"""The command line beside its commands: flags, designs by name, showing answers, exit codes."""

@@ -1,0 +1,201 @@
+"""What results of a Python session have in common: plain data, a table in a notebook,
+labelled arrays.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.errors import InputError
+from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+
+_MOST_ROWS = 40
+
+
+_UNITS = {
+    "_rad_per_s": "rad/s",
+    "_Nms_per_rad": "N m s/rad",
+    "_kg_m2": "kg m²",
+    "_A_per_s": "A/s",
+    "_per_s": "1/s",
+    "_degC": "°C",
+    "_Ohm": "Ω",
+    "_rad": "rad",
+    "_percent": "%",
+    "_Nm": "N m",
+    "_Wb": "Wb",
+    "_Hz": "Hz",
+    "_A": "A",
+    "_B": "bytes",
+    "_H": "H",
+    "_J": "J",
+    "_K": "K",
+    "_V": "V",
+    "_W": "W",
+    "_s": "s",
+}
+
+"""Units by the end of a key, the longer ends first; docs/json.md says how keys are named."""
+
+
+class Result(ABC):
+    """A result that can be taken along as plain data and that a notebook shows as a table."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def plain(self) -> PlainData:
+        """Everything that was found, arrays as arrays, by the keys of ``--json`` and
+        ``result.json``.
+        """
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data: numbers, texts, lists and dicts only; what is infinite or undefined is
+        None.
+        """
+        found = as_lists(self.plain())
+        assert isinstance(found, dict)
+        return found
+
+    def _repr_html_(self) -> str:
+        return html_table(type(self).__name__, self.plain())
+
+
+class DrawnResult(Result):
+    """A result that has a figure."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def figure(self) -> Figure:
+        """Draw it; a notebook shows what this gives."""
+
+    def plot(self, file: str | Path) -> None:
+        """Draw it into a file that ends in .svg, .png or .pdf.
+
+        The same result gives the same bytes.
+
+        Raises
+        ------
+        InputError
+            The file has another ending, or cannot be written.
+        """
+        from dqforge.reports.pages.figures_style import save
+        from dqforge.reports.pages.files import check_figure_path
+
+        check_figure_path(Path(file))
+        save(self.figure(), Path(file))
+
+
+def as_lists(value: Any) -> Any:
+    """Plain data with lists in place of arrays and tuples, and None in place of
+    numbers that JSON cannot hold.
+    """
+    if isinstance(value, Mapping):
+        return {str(key): as_lists(entry) for key, entry in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return as_lists(value.tolist())
+    if isinstance(value, list | tuple):
+        return [as_lists(entry) for entry in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def html_table(title: str, plain: PlainData) -> str:
+    """A table of names, values and units for a notebook; arrays by their shape and range."""
+    rows = list(_rows(plain, ""))
+    shown = [
+        f"<tr><td>{escape(name)}</td><td>{escape(text)}</td><td>{escape(unit)}</td></tr>"
+        for name, text, unit in rows[:_MOST_ROWS]
+    ]
+    if len(rows) > _MOST_ROWS:
+        shown.append(
+            f'<tr><td colspan="3">{len(rows) - _MOST_ROWS} more: to_dict() has them all</td></tr>'
+        )
+    return f"<table><caption>{escape(title)}</caption>{''.join(shown)}</table>"
+
+
+def _rows(plain: Mapping[str, Any], before: str) -> list[tuple[str, str, str]]:
+    """Name, value and unit of all entries, those of nested data with the names above them."""
+    found = []
+    for key, value in plain.items():
+        name = f"{before}{key}"
+        if isinstance(value, Mapping):
+            found += _rows(value, f"{name}.")
+            continue
+        end = next((end for end in _UNITS if key.endswith(end)), "")
+        found.append((name.removesuffix(end), _text(value), _UNITS.get(end, "")))
+    return found
+
+
+def _text(value: Any) -> str:
+    """One value in a few characters."""
+    if value is None:
+        return "none"
+    if isinstance(value, bool | str):
+        return str(value)
+    if isinstance(value, int | float | np.number):
+        return f"{value:.6g}"
+    array = _numbers(value)
+    if array is None:
+        return f"{len(value)} entries"
+    if array.size == 1:
+        return f"{float(array.ravel()[0]):.6g}"
+    size = " x ".join(map(str, array.shape))
+    known = array[np.isfinite(array)]
+    return (
+        f"{size} values, {known.min():.6g} to {known.max():.6g}" if known.size else f"{size} values"
+    )
+
+
+def _numbers(value: Any) -> FloatArray | None:
+    """An array of numbers, None of what holds others."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        return None
+    return array.astype(np.float64) if array.dtype.kind in "iuf" and array.ndim else None
+
+
+def dataset(
+    coordinates: Mapping[str, tuple[NDArray[Any], str]],
+    values: Mapping[str, tuple[NDArray[Any], str]],
+    attributes: Mapping[str, Any],
+) -> Any:
+    """An xarray.Dataset over coordinates, by name the array and its unit.
+
+    The values run over all of them.
+
+    Raises
+    ------
+    InputError
+        xarray is not installed.
+    """
+    try:
+        import xarray
+    except ImportError:
+        raise InputError(
+            "to_xarray needs xarray, which is not installed; pip install xarray"
+        ) from None
+    names = tuple(coordinates)
+    return xarray.Dataset(
+        {name: (names, array, {"units": unit}) for name, (array, unit) in values.items()},
+        coords={
+            name: (name, array, {"units": unit}) for name, (array, unit) in coordinates.items()
+        },
+        attrs=dict(attributes),
+    )

@@ -1,0 +1,131 @@
+"""Results carry what is printed: modules that print import results of the optimizer,
+and none of its functions.
+"""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import dqforge
+
+REPORTS = Path(dqforge.__file__).parent / "reports"
+
+ROOMS_THAT_ASK = {
+    "answers": "from the request of a command to its answer: solve, then hand on to print",
+    "papers": "reproduce a paper, from its figures to the tables beside them",
+    "session": "the face for Python, which asks the optimizer for its caller",
+}
+"""Rooms whose modules ask the optimizer, and what for."""
+
+ORCHESTRATORS = {
+    "comparison.sources": "solves a design that is to be compared",
+    "losses.question": "answers a question: losses over a map or a mission",
+    "modulation_choice.question": "answers a question: the choice of modulator and frequency",
+    "operating_points.question": "answers a question: operating points, maps and limits",
+    "run": "the main job: solves a design and gathers its files",
+    "simulation.design_run": "solves a design, compiles its control and simulates the drive",
+}
+"""Modules that ask the optimizer, and why; what they find, others print."""
+
+MODELS = {
+    "control.fixed_model": "the control functions in integers, step by step",
+    "control.fixed_reading": "proves again what is read back",
+    "modulation_choice.rule_model": "the choice of modulator in single precision",
+    "observers.float32_model": "position observers in single precision",
+    "observers.speed_float32_model": "the speed observer in single precision",
+    "waveforms.float32_model": "phase currents in single precision",
+}
+"""Modules that evaluate emitted C in its own arithmetic, for test vectors and to compare with the
+compiled C."""
+
+
+def functions_of_the_optimizer(source: str) -> list[str]:
+    """What a module imports of the optimizer, anywhere in it, beside classes and constants:
+    functions and modules.
+    """
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found += [name.name for name in node.names if name.name.startswith("dqforge.optimizer")]
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
+            "dqforge.optimizer"
+        ):
+            whole = node.module == "dqforge.optimizer"
+            found += [
+                name.name
+                for name in node.names
+                if whole or name.name == "*" or name.name.lstrip("_")[0].islower()
+            ]
+        elif isinstance(node, ast.ImportFrom) and node.module == "dqforge":
+            found += [name.name for name in node.names if name.name == "optimizer"]
+    return found
+
+
+def modules() -> dict[str, Path]:
+    """Every module of the reports by its dotted name below that folder."""
+    return {
+        ".".join(path.relative_to(REPORTS).with_suffix("").parts): path
+        for path in sorted(REPORTS.rglob("*.py"))
+        if path.name != "__init__.py"
+    }
+
+
+@pytest.mark.parametrize("name", modules())
+def test_a_module_that_prints_imports_results_and_no_functions(name: str) -> None:
+    found = functions_of_the_optimizer(modules()[name].read_text(encoding="utf-8"))
+    if name.split(".", maxsplit=1)[0] in ROOMS_THAT_ASK:
+        return
+    if name in {*ORCHESTRATORS, *MODELS}:
+        assert found, f"{name} stands on a list of exceptions and needs none: take it off"
+    else:
+        assert not found, (
+            f"{name} prints and calls {', '.join(found)}: let the result carry what is printed"
+        )
+
+
+def functions_of_orchestrators(source: str) -> list[str]:
+    """Functions that a module imports of those that ask the optimizer."""
+    asking = {f"dqforge.reports.{name}" for name in ORCHESTRATORS}
+    return [
+        name.name
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.ImportFrom) and node.module in asking
+        for name in node.names
+        if name.name.lstrip("_")[0].islower()
+    ]
+
+
+@pytest.mark.parametrize("name", modules())
+def test_a_module_that_prints_asks_nobody_who_asks(name: str) -> None:
+    found = functions_of_orchestrators(modules()[name].read_text(encoding="utf-8"))
+    asks = {*ORCHESTRATORS, "output.recomputation"}
+    if name not in asks and name.split(".", maxsplit=1)[0] not in ROOMS_THAT_ASK:
+        assert not found, f"{name} prints and calls {', '.join(found)}"
+
+
+def test_lists_name_modules_that_there_are_and_each_once() -> None:
+    listed = [*ORCHESTRATORS, *MODELS]
+    assert len(listed) == len(set(listed))
+    assert set(listed) <= set(modules())
+    assert len(modules()) > 2 * len(listed)
+
+
+@pytest.mark.parametrize(
+    ("source", "names"),
+    [
+        ("from dqforge.optimizer.gains import LoopGains, MOST_POINTS", []),
+        ("from dqforge.optimizer.gains import LoopGains, per_unit", ["per_unit"]),
+        ("def f():\n    from dqforge.optimizer.solution import solve as _s\n", ["solve"]),
+        ("if True:\n    import dqforge.optimizer.gains\n", ["dqforge.optimizer.gains"]),
+        ("from dqforge.optimizer import gains", ["gains"]),
+        ("from dqforge import optimizer", ["optimizer"]),
+        ("from dqforge.optimizer.gains import _evidence", ["_evidence"]),
+        ("from dqforge.optimizer.gains import *", ["*"]),
+        ("from dqforge.machines.synchronous import copper_loss", []),
+    ],
+)
+def test_every_way_to_import_a_function_is_seen(source: str, names: list[str]) -> None:
+    assert functions_of_the_optimizer(source) == names

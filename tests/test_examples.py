@@ -1,0 +1,52 @@
+"""Every example runs from its first cell to its last, in a folder of its own."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parent.parent / "examples"
+
+SAID = {
+    "fit_and_certificate": "torque error proven",
+    "loops_and_tolerances": "method 'bandwidth' holds up to",
+    "losses_and_waveforms": "third harmonic 18.0 %, fifth 6.0 %",
+    "machine_from_arrays": "results equal the model bit for bit",
+    "mtpa_and_field_weakening": "held by",
+}
+
+
+def test_every_example_is_run() -> None:
+    assert {path.stem for path in FOLDER.glob("*.py")} == set(SAID)
+
+
+LONG = {"fit_and_certificate", "machine_from_arrays", "mtpa_and_field_weakening"}
+"""Run with the campaign; the session of the README does by default what the last two do."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in SAID]
+)
+def test_examples_run(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    runpy.run_path(str(FOLDER / f"{name}.py"))
+    assert SAID[name] in capsys.readouterr().out
+    assert list(tmp_path.glob("*.svg"))
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.py")), ids=lambda path: path.stem)
+def test_examples_are_cells(path: Path) -> None:
+    """Editors open them as notebooks: a title first, and text and code in turn."""
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("# %% [markdown]\n# # ")
+    cells = re.split(r"^# %%", text, flags=re.MULTILINE)[1:]
+    assert [cell.startswith(" [markdown]\n") for cell in cells] == [
+        k % 2 == 0 for k in range(len(cells))
+    ]
+    assert len(cells) >= 4
