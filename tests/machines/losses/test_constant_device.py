@@ -203,7 +203,7 @@ def test_igbt_conduction_against_quadrature(name: ModulationName, lag: float) ->
 @settings(deadline=None)
 @given(
     st.sampled_from([MOSFET, IGBT]),
-    st.sampled_from(NAMES),
+    st.sampled_from(tuple(NAMES)),
     st.floats(0.0, 5e-3),
     st.floats(0.0, 250.0),
     st.floats(1.0, 120.0),
