@@ -59,7 +59,8 @@ class Modulator:
     linear_limit:
         Largest phase-voltage amplitude (peak) without overmodulation, as a fraction of v_dc.
     distortion:
-        c2, c3 and c4 of the harmonic distortion factor c2 m^2 + c3 m^3 + c4 m^4, m = V / (v_dc / 2),
+        c2, c3 and c4 of the harmonic distortion factor c2 m^2 + c3 m^3 + c4 m^4, m = V / (v_dc /
+        2),
         at angles in rad by which the current lags the voltage, all of the shape (...).
     overmodulated:
         int (u - 1/2) cos x dx over 0 to 90 degrees with the saturated duty cycle u, at amplitudes

@@ -163,7 +163,8 @@ def compared(
         References and currents of the phases.
     vector, turn:
         Alpha and beta of the references and the delay at which they are compared, that of
-        the modulator or `load_turn`, as cosine and sine; GDPWM needs both, DPWM0 and DPWM2 take them where they are
+        the modulator or `load_turn`, as cosine and sine; GDPWM needs both, DPWM0 and DPWM2 take
+        them where they are
         given, the others have no use for them.
     """
     rule = MODULATORS[name]

@@ -89,7 +89,8 @@ def next_currents(e: list[Reals], i: Pair, v: Pair) -> Pair:
 
 
 def model_scale(gains: Any) -> tuple[float, float]:
-    """``scale`` of gains that hold a sampled machine: its period in s and magnet flux linkage in Wb.
+    """``scale`` of gains that hold a sampled machine: its period in s and magnet flux linkage in
+    Wb.
 
     Parameters
     ----------

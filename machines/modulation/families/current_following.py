@@ -97,7 +97,9 @@ MODULATORS = (
         name="ddt-gdpwm",
         kind="compared",
         compared="currents",
-        text="of the phases with the highest and lowest reference that with the larger current rests",
+        text=(
+            "of the phases with the highest and lowest reference that with the larger current rests"
+        ),
         linear_limit=1.0 / _ROOT3,
         distortion=_ddt_distortion,
         overmodulated=saturated_resting,

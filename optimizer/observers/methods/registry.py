@@ -1,5 +1,5 @@
-"""The position observers by name: every word of `dqforge.machines.names.ObserverMethodName` but that
-of the speed observer has its file here, named like the method, with its record ``METHOD``.
+"""The position observers by name: every word of `dqforge.machines.names.ObserverMethodName`
+but that of the speed observer has its file here, named like the method, with its record ``METHOD``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Records of the modulators: one for every word, further ones for as long as they are registered."""
+"""Records of the modulators: one for every word, further ones while they are registered."""
 
 from __future__ import annotations
 
