@@ -25,7 +25,7 @@ from dqforge.reports.verification.host import verify_files
 @pytest.fixture(scope="module", params=["float32", "q15"])
 def solution(request: pytest.FixtureRequest) -> Solution:
     return solve(
-        make_design(INVERSE_SALIENT, fit=FitSettings("polynomial", 2, format=request.param))
+        make_design(INVERSE_SALIENT, fit=FitSettings("polynomial", degree=2, format=request.param))
     )
 
 

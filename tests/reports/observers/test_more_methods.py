@@ -44,7 +44,7 @@ from dqforge.optimizer.observers.methods.tracking_steps import (
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, cast
 from dqforge.optimizer.observers.sampled_machine import wrapped
 from dqforge.optimizer.observers.trials import CurrentSensor, Trial, simulate
-from dqforge.reports.observers.float32_model import SINGLE
+from dqforge.reports.c_code.float32_functions import SINGLE
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.host import COMPILERS, WARNINGS, Compiler
 
