@@ -97,7 +97,7 @@ def test_budget_counts_it_and_stays_in_balance() -> None:
         [-10.0, 0.0],
         [20.0, 5.0],
         [200.0, 50.0],
-        MODULATORS,
+        tuple(MODULATORS),
         [5e3, 4e4],
         options=options,
     )

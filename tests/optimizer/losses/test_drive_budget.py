@@ -67,7 +67,14 @@ def test_every_watt_is_found_again_over_random_machines_and_points() -> None:
         )
         i_d, i_q, omega = random.uniform(-100.0, 100.0, (3, 60))
         budget = drive_budget(
-            machine, inverters[trial % 2], i_d, i_q, omega, MODULATORS, [4e3, 2e4], options=FULL
+            machine,
+            inverters[trial % 2],
+            i_d,
+            i_q,
+            omega,
+            tuple(MODULATORS),
+            [4e3, 2e4],
+            options=FULL,
         )
         usable = budget.linear & budget.steady
         assert np.count_nonzero(usable) > 100
