@@ -49,7 +49,7 @@ IGBT = SwitchDevice(
 )
 V_DC = 500.0
 THIRD = 2.0 * math.pi / 3.0
-NAMES = MODULATORS
+NAMES = tuple(MODULATORS)
 
 
 def inverter(device: SwitchDevice, **changes: float) -> Inverter:
@@ -203,7 +203,7 @@ def test_igbt_conduction_against_quadrature(name: ModulationName, lag: float) ->
 @settings(deadline=None)
 @given(
     st.sampled_from([MOSFET, IGBT]),
-    st.sampled_from(tuple(NAMES)),
+    st.sampled_from(NAMES),
     st.floats(0.0, 5e-3),
     st.floats(0.0, 250.0),
     st.floats(1.0, 120.0),
