@@ -4,84 +4,42 @@ the same bytes for the same solution.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from dqforge import __version__
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.loops.loop_gains import LoopGains
-from dqforge.optimizer.solution import Solution
-from dqforge.reports.control.fixed_tables import control_fixed_html
-from dqforge.reports.current_reference.figures import plot_errors, plot_fit, plot_mtpa
-from dqforge.reports.current_reference.html import (
-    penalty_text,
-    reference_part,
-    reference_proof_text,
-)
-from dqforge.reports.field_weakening.tables import weakening_part
-from dqforge.reports.loops.figures import plot_gains
-from dqforge.reports.loops.html import LOOP_TEXT, loop_table, tolerance_tables
-from dqforge.reports.losses.figures import POINTS_SHOWN, plot_losses
-from dqforge.reports.losses.html import best_loss, loss_tables, mission_part
+from dqforge.reports.capabilities import CAPABILITIES
+from dqforge.reports.capability import Capabilities, Capability, Outcome, Tile, asked_for
+from dqforge.reports.main_header.dialect import Dialect
+from dqforge.reports.main_header.dialects.neutral.dialect import NEUTRAL
 from dqforge.reports.main_header.header import header_context
-from dqforge.reports.modulation_choice.html import choice_part
-from dqforge.reports.observers.html import observer_tables
-from dqforge.reports.observers.speed_loop_text import left_words
-from dqforge.reports.pages.certificate_text import proof_title, proven_text
-from dqforge.reports.pages.figures_style import save, to_svg
-from dqforge.reports.pages.html_table import HtmlTable
-from dqforge.reports.pages.html_text import (
-    NARROW,
-    ceiling,
-    count,
-    degrees,
-    number,
-    quantity,
-    share,
-    symbols,
-    unit_text,
-)
-from dqforge.reports.pages.labels import (
-    FORMAT_TEXT,
-    STRATEGY_TEXT,
-    operation_text,
-    watts,
-)
+from dqforge.reports.pages.chapters import CHAPTERS
+from dqforge.reports.pages.figures_style import to_svg
+from dqforge.reports.pages.html_text import NARROW, count, number, quantity, symbols, unit_text
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.simulation.design_run import DriveSimulation
-from dqforge.reports.simulation.tables import simulation_part
-from dqforge.reports.verification.host import Verification
 from dqforge.reports.verification.text import compared
-from dqforge.reports.waveforms.html import (
-    waveform_part,
-)
 
 if TYPE_CHECKING:
     from markupsafe import Markup
-    from matplotlib.figure import Figure
-if TYPE_CHECKING:
-    from markupsafe import Markup
+
+    from dqforge.optimizer.solution import Solution
+    from dqforge.reports.simulation.design_run import DriveSimulation
+    from dqforge.reports.verification.host import Verification
+
+Found = Sequence[tuple[Capability[Any], Any]]
 
 
 @dataclass(frozen=True, slots=True)
-class Tile:
-    """A key number of the summary: what it is, the number, and what stands behind it."""
+class WrittenChapter:
+    """A chapter as it stands in the report; its text is empty where nobody wrote a part of it."""
 
-    label: str | Markup
-    value: str
-    detail: str | Markup
-
-
-def _loops(solution: Solution) -> list[LoopGains]:
-    gains = solution.loops
-    if gains is None:
-        return []
-    return [loop for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None]
+    id: str
+    title: str
+    text: Markup
 
 
 def verification_text(verification: Verification | None) -> tuple[str, str]:
@@ -107,238 +65,91 @@ def verification_text(verification: Verification | None) -> tuple[str, str]:
     return "bit-exact", text
 
 
-def _margin(loop: LoopGains) -> str:
-    """Phase margin, or that the loop has none."""
-    return degrees(loop.phase_margin) if loop.stable else "unstable"
-
-
-def _margin_tile(loops: list[LoopGains]) -> Tile:
-    worst = min(loops, key=lambda loop: (loop.stable, abs(loop.phase_margin)))
-    others = [f"{LOOP_TEXT[loop.loop]} {_margin(loop)}" for loop in loops if loop is not worst]
-    detail = symbols(f"{LOOP_TEXT[worst.loop]} loop; {', '.join(others)}")
-    return Tile("Smallest phase margin", _margin(worst), detail)
-
-
-def tiles(solution: Solution, verification: Verification | None) -> list[Tile]:
+def tiles(outcome: Outcome, found: Found) -> list[Tile]:
     """The key numbers."""
-    fit, chosen = solution.fit, solution.curves.chosen
-    arithmetic = FORMAT_TEXT[fit.settings.format or "float32"]
-    current = float(np.hypot(chosen.i_d[-1], chosen.i_q[-1]))
-    limit = f"with {number(current)} of {number(solution.design.i_max)} A (peak)"
-    found = [
-        Tile("Largest torque", quantity(fit.torque_max, "N m"), limit),
-        Tile(
-            "Torque error of the reference",
-            quantity(ceiling(fit.errors.torque), "N m", 3),
-            (
-                f"{share(ceiling(fit.errors.torque_relative, 2))} of the largest torque, in "
-                f"{arithmetic}"
-            ),
-        ),
+    parts = [
+        tile for capability, result in found for tile in capability.tiles(outcome.solution, result)
     ]
-    saving = solution.curves.saving
-    if saving is not None:
-        detail = (
-            f"{watts(saving.chosen)} instead of {watts(saving.id0)} at "
-            f"{quantity(saving.torque, 'N m')}"
-        )
-        found.append(
-            Tile(symbols("Copper loss saved against i_d = 0"), share(saving.relative, 3), detail)
-        )
-    if _loops(solution):
-        found.append(_margin_tile(_loops(solution)))
-    best = best_loss(solution)
-    if best is not None:
-        found.append(Tile("Least total loss", best[0], symbols(f"{best[1]} {best[2]}")))
-    found.append(Tile("Emitted C code", verification_text(verification)[0], compared(verification)))
-    return found
+    verification = outcome.verification
+    last = Tile("Emitted C code", verification_text(verification)[0], compared(verification))
+    return [*parts, last]
 
 
-def summary(solution: Solution, verification: Verification | None) -> Markup:
+def summary(outcome: Outcome, found: Found) -> Markup:
     """One paragraph with the key numbers."""
-    fit, errors, design = solution.fit, solution.fit.errors, solution.design
-    where = operation_text(fit.speed)
     sentences = [
-        (
-            "The current reference follows "
-            f"{STRATEGY_TEXT[design.strategy]}{f' at {where}' if where else ''} up to "
-            f"{quantity(fit.torque_max, 'N m')}."
-        ),
-        (
-            f"The torque errs by at most {quantity(ceiling(errors.torque), 'N m', 3)}, "
-            f"{penalty_text(solution)}; {reference_proof_text(solution)}."
-        ),
+        sentence
+        for capability, result in found
+        for sentence in capability.sentences(outcome.solution, result)
     ]
-    half = solution.negative
-    if half is not None:
-        proof = (
-            "sampled" if half.certificate is None else f"proven: {proven_text(half.certificate, 3)}"
-        )
-        sentences.append(
-            "Negative torques have a reference of their own, up to "
-            f"{quantity(half.fit.torque_max, 'N m')}; its torque errs by at most "
-            f"{quantity(ceiling(half.fit.errors.torque), 'N m', 3)} ({proof})."
-        )
-    saving = solution.curves.saving
-    if saving is not None:
-        where = quantity(saving.torque, "N m")
-        sentences.append(
-            f"Against i_d = 0 it saves {share(saving.relative, 3)} of the copper loss at {where}."
-        )
-    margins = [f"{LOOP_TEXT[loop.loop]} {_margin(loop)}" for loop in _loops(solution)]
-    none = f"There are no control loops: {solution.gains_left_out}."
-    sentences.append(
-        f"The phase margins of the sampled loops are {', '.join(margins)}." if margins else none
-    )
-    speed = None if solution.loops is None else solution.loops.speed
-    if speed is not None and speed.observed is not None:
-        sentences.append(
-            f"The speed loop is judged with the lag of its observer; {left_words(speed)}."
-        )
-    best = best_loss(solution)
-    if best is not None:
-        sentences.append(f"The alternative that loses least is {best[1]}: {best[0]} {best[2]}.")
-    outcome = (
+    end = (
         "The emitted C was not verified."
-        if verification is None
+        if outcome.verification is None
         else "The emitted C was compiled and checked."
     )
-    return symbols(" ".join([*sentences, outcome]))
+    return symbols(" ".join([*sentences, end]))
 
 
-def _figures(solution: Solution) -> dict[str, Markup]:
-    """The figures as inline SVG, by name."""
+def chapters(solution: Solution, found: Found) -> list[WrittenChapter]:
+    """The chapters with the parts that the capabilities write, each figure as inline SVG."""
     from markupsafe import Markup
 
-    design, positive, fit = solution.design, solution.positive, solution.fit
-    drawn: dict[str, Callable[[], Figure]] = {
-        "mtpa": lambda: plot_mtpa(positive, solution.curves, fit),
-        "fit": lambda: plot_fit(positive, fit),
-        "errors": lambda: plot_errors(fit),
-    }
-    gains = solution.loops
-    if gains is not None:
-        drawn["loops"] = lambda: plot_gains(gains)
-    losses = solution.losses
-    if losses is not None:
-        drawn["losses"] = lambda: plot_losses(design, losses)
-    waveforms = solution.waveforms
-    if waveforms is not None:
-        from dqforge.reports.waveforms.figures import plot_waveforms
-
-        drawn["waveforms"] = lambda: plot_waveforms(waveforms)
-    weakening = solution.weakening
-    if weakening is not None:
-        from dqforge.reports.field_weakening.figures import plot_weakening
-
-        drawn["weakening"] = lambda: plot_weakening(weakening)
-    mission = solution.mission
-    if mission is not None:
-        from dqforge.reports.losses.map_figures import plot_mission
-
-        drawn["mission"] = lambda: plot_mission(mission)
-    choice = solution.choice
-    if choice is not None:
-        from dqforge.reports.modulation_choice.figures import plot_choice
-
-        drawn["choice"] = lambda: plot_choice(choice)
-    return {name: Markup(to_svg(draw())) for name, draw in drawn.items()}
+    texts: dict[Any, str] = dict.fromkeys(CHAPTERS, "")
+    for capability, result in found:
+        parts = capability.parts(solution, result)
+        drawings = capability.figures(solution, result) if parts else {}
+        figures = {name: Markup(to_svg(draw())) for name, draw in drawings.items()}
+        for part in parts:
+            before = texts.get(part.chapter, "")
+            if not before and part.chapter.opening:
+                before = render(part.chapter.opening, {})
+            text = render(part.template, {"data": part.data, "figures": figures})
+            texts[part.chapter] = before + text
+    return [WrittenChapter(key.id, key.title, Markup(text)) for key, text in texts.items()]
 
 
-def _sections(
-    design: Design, *, loops: bool, losses: bool, waveforms: bool, simulated: bool = False
-) -> list[tuple[str, str | Markup]]:
-    sections: list[tuple[str, str | Markup]] = [
+def _contents(design: Design, written: Sequence[WrittenChapter]) -> list[tuple[str, str]]:
+    return [
         ("summary", "Summary"),
         ("machine", "Machine and assumptions"),
-        ("reference", "Current reference"),
-        ("errors", "Torque error and loss"),
+        *((chapter.id, chapter.title) for chapter in written if chapter.text),
+        ("header", f"{design.export.prefix}.h"),
+        ("conventions", "Conventions"),
     ]
-    if loops:
-        sections.append(("loops", "Control loops"))
-    if losses:
-        sections.append(("losses", "Loss comparison"))
-    if waveforms:
-        sections.append(("waveforms", "Phase currents"))
-    if design.modulation_choice is not None:
-        sections.append(("modulation", "Modulator and frequency"))
-    if design.weakening is not None:
-        sections.append(("weakening", "Field weakening"))
-    if simulated:
-        sections.append(("simulation", "Simulation"))
-    return [*sections, ("header", f"{design.export.prefix}.h"), ("conventions", "Conventions")]
-
-
-def _loop_tables(solution: Solution) -> list[HtmlTable]:
-    gains = solution.loops
-    if gains is None:
-        return []
-    return [
-        loop_table(gains),
-        *tolerance_tables(gains),
-        *observer_tables(gains, solution.observer_errors),
-        *control_fixed_html(solution.fixed),
-    ]
-
-
-def _has_losses(solution: Solution) -> bool:
-    return solution.losses is not None or solution.mission is not None
 
 
 def report_context(
-    solution: Solution, verification: Verification | None, simulation: DriveSimulation | None = None
+    outcome: Outcome, capabilities: Capabilities = CAPABILITIES, dialect: Dialect = NEUTRAL
 ) -> PlainData:
-    """Everything that the template prints."""
-    design, errors, proof = solution.design, solution.fit.errors, solution.certificate
+    """Everything that the frame of the report prints."""
+    design, found = outcome.design, asked_for(capabilities, outcome)
+    written = chapters(outcome.solution, found)
     return {
         "name": design.name,
         "about": design.about,
         "version": __version__,
         "digest": design.digest,
-        "sections": _sections(
-            design,
-            loops=solution.loops is not None,
-            losses=_has_losses(solution),
-            waveforms=solution.waveforms is not None,
-            simulated=simulation is not None,
-        ),
-        "summary": summary(solution, verification),
-        "tiles": tiles(solution, verification),
+        "sections": _contents(design, written),
+        "summary": summary(outcome, found),
+        "tiles": tiles(outcome, found),
         "facts": fact_rows(design),
         "values": value_rows(design),
         "assumptions": other_assumptions(design),
-        "figures": _figures(solution),
-        "reference": reference_part(solution),
-        "errors": {
-            "samples": count(errors.samples),
-            "proven": "" if proof is None else symbols(proven_text(proof, 3)),
-            "proven_title": "" if proof is None else proof_title(proof),
-            "torque": (
-                f"{quantity(ceiling(errors.torque), 'N m', 3)} "
-                f"({share(ceiling(errors.torque_relative, 2))} of the largest torque)"
-            ),
-            "loss": symbols(penalty_text(solution)),
-        },
-        "loops": _loop_tables(solution),
-        "losses": [] if solution.losses is None else loss_tables(solution.losses),
-        "mission": mission_part(solution),
-        "points_left_out": 0
-        if solution.losses is None
-        else max(0, len(solution.losses.points) - POINTS_SHOWN),
-        "waveforms": waveform_part(solution),
-        "weakening": weakening_part(solution),
-        "choice": choice_part(solution.choice, design.export.prefix),
-        "simulation": simulation_part(simulation),
-        "header": header_context(solution),
+        "chapters": written,
+        "header": header_context(outcome.solution, dialect),
         "verification": {
-            "done": verification is not None,
-            "text": verification_text(verification)[1],
+            "done": outcome.verification is not None,
+            "text": verification_text(outcome.verification)[1],
         },
     }
 
 
 def render_report(
-    solution: Solution, verification: Verification | None, simulation: DriveSimulation | None = None
+    solution: Solution,
+    verification: Verification | None,
+    simulation: DriveSimulation | None = None,
+    capabilities: Capabilities = CAPABILITIES,
+    dialect: Dialect = NEUTRAL,
 ) -> str:
     """The report of a solution as one HTML document.
 
@@ -351,11 +162,13 @@ def render_report(
         the report says which.
     simulation:
         Outcome of the simulation, or None where there is none.
+    capabilities:
+        Those of the product, or these and some from outside.
+    dialect:
+        Whose names the main header takes.
     """
-    return render("pages/report.html.j2", report_context(solution, verification, simulation))
-
-
-__all__ = ["plot_errors", "plot_fit", "plot_gains", "plot_losses", "plot_mtpa", "save", "to_svg"]
+    outcome = Outcome(solution, verification, simulation)
+    return render("pages/report.html.j2", report_context(outcome, capabilities, dialect))
 
 
 def fact_rows(design: Design) -> list[tuple[Markup, str]]:

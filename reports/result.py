@@ -10,34 +10,18 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.flux_maps.evidence import FluxEvidence
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.control.fixed_header import (
-    plain_fixed,
-)
-from dqforge.reports.control.header import plain_control
-from dqforge.reports.current_reference.plain import plain_fit, plain_negative, to_plain
-from dqforge.reports.field_weakening.header import plain_weakening
-from dqforge.reports.field_weakening.plain import plain_weakening_fit
-from dqforge.reports.loops.header import plain_evaluator
-from dqforge.reports.loops.plain import plain_gains
-from dqforge.reports.losses.map_tables import plain_mission
-from dqforge.reports.losses.plain import plain_losses
-from dqforge.reports.modulation_choice.header import choice_model
-from dqforge.reports.modulation_choice.rule_model import plain_emitted
-from dqforge.reports.modulation_choice.tables import plain_choice
-from dqforge.reports.observers.position_header import emitted, plain_observer
-from dqforge.reports.observers.speed_float32_model import plain_speed_observer
-from dqforge.reports.operating_points.plain import plain_curves
+from dqforge.reports.capabilities import CAPABILITIES
+from dqforge.reports.capability import Capabilities, Outcome
+from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.plain_data import PlainData
-from dqforge.reports.waveforms.float32_model import plain_phase_reference
-from dqforge.reports.waveforms.tables import plain_phase_fit, plain_waveforms
-
-SIMULATION = "simulation"
-"""Last key of ``result.json``, there where a run has simulated its drive."""
+from dqforge.reports.simulation.capability import SIMULATION
 
 
 def without_simulation(text: str) -> str:
-    """The text of a result less what its simulation found, which no solving again gives."""
-    before, found, _ = text.partition(f',\n "{SIMULATION}": {{')
+    """The text of a result less what its simulation found, its last key, which no solving again
+    gives.
+    """
+    before, found, _ = text.partition(f',\n "{SIMULATION.name}": {{')
     return f"{before}\n}}\n" if found else text
 
 
@@ -102,48 +86,45 @@ def plain_drive(design: Design) -> PlainData:
     }
 
 
-def plain_solution(solution: Solution) -> PlainData:
-    """Everything that a run found, with what `dqforge verify` needs under ``header``."""
-    design, weakening, gains = solution.design, solution.weakening, solution.loops
-    schedule = None if gains is None else gains.schedule
-    observer = None if gains is None else emitted(gains.position)
+def plain_header(solution: Solution) -> PlainData:
+    """The main header: its prefix, the number of its test vectors, and what its model needs."""
+    export = solution.design.export
     return {
-        "input": plain_design(design),
-        "drive": plain_drive(design),
-        "header": {
-            "prefix": design.export.prefix,
-            "vectors": design.export.vectors,
-            "reference": to_plain(solution.reference),
-        },
-        "mtpa": plain_curves(solution.curves),
-        "fit": plain_fit(
-            solution.fit,
-            solution.alternatives,
-            solution.trials,
-            solution.certificate,
-            solution.data,
-        ),
-        **plain_negative(solution.negative),
-        "gains": None if gains is None else plain_gains(design, gains, solution.observer_errors),
-        **({} if gains is not None else {"gains_left_out": solution.gains_left_out}),
-        "losses": plain_losses(solution.losses),
-        "mission": None if solution.mission is None else plain_mission(solution.mission),
-        "waveforms": None if solution.waveforms is None else plain_waveforms(solution.waveforms),
-        "waveform_fit": None if solution.phases is None else plain_phase_fit(solution.phases),
-        "waveform_header": None
-        if solution.phases is None
-        else plain_phase_reference(solution.phases.reference),
-        "weakening": plain_weakening_fit(weakening),
-        "weakening_header": None if weakening is None else plain_weakening(weakening.step),
-        "control_header": plain_control(solution) if "float32" in design.export.control else None,
-        **plain_fixed(solution),
-        "modulation_choice": None if solution.choice is None else plain_choice(solution.choice),
-        "modulation_header": None
-        if solution.choice is None
-        else plain_emitted(choice_model(solution.choice)),
-        "gains_header": None if schedule is None else plain_evaluator(schedule.fit.evaluator),
-        "observer_header": None if observer is None else plain_observer(observer),
-        "speed_observer_header": plain_speed_observer(
-            design.machine, None if gains is None else gains.observer
-        ),
+        "prefix": export.prefix,
+        "vectors": export.vectors,
+        "reference": to_plain(solution.reference),
+    }
+
+
+def plain_outcome(outcome: Outcome, capabilities: Capabilities = CAPABILITIES) -> PlainData:
+    """What each capability says of its result and of its headers, by key.
+
+    Parameters
+    ----------
+    outcome:
+        What was solved, verified and simulated.
+    capabilities:
+        Those of the product, or these and some from outside.
+    """
+    plain: PlainData = {}
+    for capability in capabilities:
+        found = capability.of(outcome)
+        if capability.plain is not None and (capability.always or found is not None):
+            plain[capability.name] = (
+                None if found is None else capability.plain(outcome.solution, found)
+            )
+        for kind in capability.headers:
+            described = None if found is None else kind.plain(outcome.solution, found)
+            if capability.always or described is not None:
+                plain[kind.key] = described
+    return plain
+
+
+def plain_solution(solution: Solution, capabilities: Capabilities = CAPABILITIES) -> PlainData:
+    """Everything that a run found, with what `dqforge verify` needs under ``header``."""
+    return {
+        "input": plain_design(solution.design),
+        "drive": plain_drive(solution.design),
+        "header": plain_header(solution),
+        **plain_outcome(Outcome(solution), capabilities),
     }

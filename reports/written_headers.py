@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,9 @@ from dqforge.machines.entries.rules import EntryError
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.current_reference.forms import Emitted
 from dqforge.reports.c_code.harness import Programme
-from dqforge.reports.capabilities import programmes
+from dqforge.reports.c_code.header_kind import HeaderKind
+from dqforge.reports.capabilities import CAPABILITIES
+from dqforge.reports.capability import Capabilities, header_kinds
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.current_reference.programme import reference_programme
 from dqforge.reports.pages.files import LARGEST_FILE, LARGEST_JSON, read_output
@@ -35,6 +38,31 @@ def _load_result(path: Path) -> dict[str, Any]:
     return loaded
 
 
+def programmes(
+    plain: Mapping[str, Any], capabilities: Capabilities = CAPABILITIES
+) -> tuple[dict[str, HeaderKind[Any, Any]], list[Programme]]:
+    """The kinds of further headers that a result describes by name, and their harnesses.
+
+    What stands in the result alone rebuilds the models that the compiled functions must equal.
+
+    Raises
+    ------
+    InputError
+        What stands there is not what dqforge writes.
+    """
+    found = {}
+    made = []
+    for kind in header_kinds(capabilities):
+        described = plain.get(kind.key)
+        if described is None:
+            continue
+        if not isinstance(described, dict):
+            raise InputError(f"{kind.key} is not what dqforge writes; run the design again")
+        found[kind.name] = kind
+        made.append(kind.programme(kind.read(described, plain)))
+    return found, made
+
+
 @dataclass(frozen=True, slots=True)
 class WrittenHeaders:
     """What an earlier run wrote: files by name, prefix, model, number of test vectors,
@@ -53,8 +81,15 @@ class WrittenHeaders:
         return (reference_programme(self.reference, self.vectors)[0], *self.further)
 
 
-def read_folder(folder: Path) -> WrittenHeaders:
+def read_folder(folder: Path, capabilities: Capabilities = CAPABILITIES) -> WrittenHeaders:
     """Headers and models of an earlier run, by what its ``result.json`` describes.
+
+    Parameters
+    ----------
+    folder:
+        What 'dqforge run' or 'export' wrote.
+    capabilities:
+        Those of the product, or these and some from outside, as the run had them.
 
     Raises
     ------
@@ -77,11 +112,11 @@ def read_folder(folder: Path) -> WrittenHeaders:
         )
     try:
         reference = from_plain(header["reference"])
-        kinds, further = programmes(loaded)
+        kinds, further = programmes(loaded, capabilities)
     except InputError as error:
         raise InputError(error.message, source=str(path)) from error
     names = [f"{prefix}.h", f"{prefix}_vectors.h"]
-    names += [name for kind in kinds.values() for name in kind.files(prefix)]
+    names += [name for kind in kinds.values() for name in kind.file_names(prefix)]
     return WrittenHeaders(
         {name: _read(folder / name) for name in names}, prefix, reference, vectors, tuple(further)
     )
@@ -92,8 +127,8 @@ def verify_written(found: WrittenHeaders) -> Verification:
     return verify_files(found.files, found.prefix, found.reference, found.vectors, found.further)
 
 
-def verify_folder(folder: Path) -> Verification:
-    """Compile and run what an earlier run wrote into a folder.
+def verify_folder(folder: Path, capabilities: Capabilities = CAPABILITIES) -> Verification:
+    """Compile and run what an earlier run wrote into a folder; arguments as of `read_folder`.
 
     Raises
     ------
@@ -102,4 +137,4 @@ def verify_folder(folder: Path) -> Verification:
     VerificationError
         As `verify_files`.
     """
-    return verify_written(read_folder(folder))
+    return verify_written(read_folder(folder, capabilities))

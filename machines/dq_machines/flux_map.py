@@ -315,7 +315,13 @@ def complete_by_symmetry(
 
 
 def mirrored(flux_map: FluxMap) -> FluxMap:
-    """The map of the machine with i_q, psi_q and the torque counted the other way."""
+    """The map of the machine with i_q, psi_q and the torque counted the other way.
+
+    Parameters
+    ----------
+    flux_map:
+        Flux linkages over the currents of a machine.
+    """
     return FluxMap(
         flux_map.i_d,
         -flux_map.i_q[::-1],

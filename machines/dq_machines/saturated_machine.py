@@ -94,7 +94,15 @@ class Inductances:
 
 
 def inductances(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> Inductances:
-    """Incremental and apparent inductances of any machine at currents in A, shape (N,)."""
+    """Incremental and apparent inductances of any machine at currents in A, shape (N,).
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    i_d, i_q:
+        Currents in A (peak), shape (N,).
+    """
     here = machine.jet(i_d, i_q)
     at_no_d, at_no_q = machine.jet(np.zeros_like(i_d), i_q), machine.jet(i_d, np.zeros_like(i_q))
     small = _SMALL_CURRENT * machine.i_max

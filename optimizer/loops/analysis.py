@@ -42,6 +42,23 @@ def analyse_current_loop(
 
     Parameters as in `dqforge.optimizer.loops.plants.current_loop`; without ``respond`` the
     disturbance response, which can be long, is left out.
+
+    Parameters
+    ----------
+    r_s:
+        Phase resistance in Ohm.
+    inductance:
+        Inductance of the axis in H.
+    t_s:
+        Sampling period in s.
+    kp, ki:
+        Gains in V/A and V/(A s).
+    method:
+        What is said of where the gains come from.
+    loop:
+        Which axis: ``i_d`` or ``i_q``.
+    respond:
+        Whether the disturbance response is simulated.
     """
     model = current_loop(r_s, inductance, t_s, kp, ki)
     response = (
@@ -66,6 +83,21 @@ def analyse_speed_loop(
     N m/rad), stable or not.
 
     Without ``respond`` the disturbance response, which can be long, is left out.
+
+    Parameters
+    ----------
+    machine:
+        Any machine, with its inertia.
+    current_gains:
+        The current loop of the q axis.
+    control:
+        Sampling period and settings of the speed loop.
+    kp, ki:
+        Gains in N m s/rad and N m/rad.
+    method:
+        What is said of where the gains come from.
+    respond:
+        Whether the disturbance response is simulated.
     """
     model = speed_model(machine, current_gains, control, (kp, ki))
     response = (
@@ -99,6 +131,19 @@ def speed_step_response(
 
     There is a point every current sample, or every few speed samples where those would be
     more than a figure can show.
+
+    Parameters
+    ----------
+    machine:
+        Any machine, with its inertia.
+    current_gains:
+        The current loop of the q axis.
+    control:
+        Sampling period and settings of the speed loop.
+    gains:
+        The speed loop.
+    duration:
+        Length in s.
     """
     return _speed_response(
         speed_model(machine, current_gains, control, (gains.kp, gains.ki)), duration

@@ -31,10 +31,10 @@ from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.loops.pi_methods import (
     CURRENT_DELAY,
     Settings,
-    advice,
     calmer,
     current_pi,
     largest_factor,
+    loop_advice,
     require_positive,
     speed_pi,
 )
@@ -46,6 +46,15 @@ def speed_delay(current_gains: LoopGains, t_s: float, settings: SpeedLoopSetting
 
     The current loop counts as 1/crossover, the time constant of the first-order
     system with its crossover.
+
+    Parameters
+    ----------
+    current_gains:
+        The current loop of the q axis, with its crossover in rad/s.
+    t_s:
+        Sampling period of the current loops in s.
+    settings:
+        Ratio of the sampling rates and time constant of the filter in s.
     """
     return 1.0 / current_gains.crossover + 0.5 * settings.ratio * t_s + settings.filter_time
 
@@ -212,7 +221,7 @@ def _refuse(
     hint = (
         "no smaller gains of this method reach it"
         if factor is None
-        else advice(key, settings, factor)
+        else loop_advice(key, settings, factor)
     )
     raise NoSolutionError(
         f"{key}: the {gains.loop} loop by method '{gains.method}' {reached}, "

@@ -154,6 +154,15 @@ def per_unit(gains: LoopGains, in_base: float, out_base: float) -> tuple[float, 
 
     ``in_base`` is the base of the controlled quantity (A, or rad/s),
     ``out_base`` that of the output (V, or N m).
+
+    Parameters
+    ----------
+    gains:
+        The loop, gains in SI units.
+    in_base:
+        Base of the controlled quantity, in A or rad/s.
+    out_base:
+        Base of the output, in V or N m.
     """
     if not (in_base > 0.0 and out_base > 0.0):
         raise InputError(f"per-unit bases must be positive, got {in_base:g} and {out_base:g}")
@@ -161,5 +170,13 @@ def per_unit(gains: LoopGains, in_base: float, out_base: float) -> tuple[float, 
 
 
 def loop_bases(bases: PerUnitBases, loop: LoopName) -> tuple[float, float]:
-    """Bases of what a loop controls and of its output: A and V, or rad/s and N m."""
+    """Bases of what a loop controls and of its output: A and V, or rad/s and N m.
+
+    Parameters
+    ----------
+    bases:
+        Per-unit bases in SI units.
+    loop:
+        Which loop.
+    """
     return (bases.speed, bases.torque) if loop == "speed" else (bases.current, bases.voltage)

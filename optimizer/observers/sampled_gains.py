@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from dqforge.optimizer.observers.parts import Pair, Reals
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.observers.parts import Pair
 from dqforge.optimizer.observers.sampled_machine import SampledMachine
 
 EVEN = 5
@@ -54,7 +55,7 @@ def limited(value: Reals, limit: Any) -> Reals:
     return np.where(value > limit, limit, np.where(value < -limit, -limit, value))
 
 
-def entries_at(model: SampledGains, x: Reals) -> list[Reals]:
+def matrix_entries(model: SampledGains, x: Reals) -> list[Reals]:
     """Entries of the sampled machine at ``x`` = omega_e T_s in rad."""
     s = x * x
     found = []
@@ -65,7 +66,7 @@ def entries_at(model: SampledGains, x: Reals) -> list[Reals]:
     return found
 
 
-def slopes_at(model: SampledGains, x: Reals) -> list[Reals]:
+def matrix_slopes(model: SampledGains, x: Reals) -> list[Reals]:
     """Derivatives by ``x`` = omega_e T_s in rad of the entries of the sampled machine."""
     s = x * x
     found = []
@@ -85,3 +86,17 @@ def next_currents(e: list[Reals], i: Pair, v: Pair) -> Pair:
         (((e[0] * i[0] + e[5] * i[1]) + e[2] * v[0]) + e[7] * v[1]) + e[4],
         (((e[6] * i[0] + e[1] * i[1]) + e[8] * v[0]) + e[3] * v[1]) + e[9],
     )
+
+
+def model_scale(gains: Any) -> tuple[float, float]:
+    """``scale`` of gains that hold a sampled machine: its period in s and magnet flux linkage in
+    Wb.
+
+    Parameters
+    ----------
+    gains:
+        With the member ``model``.
+    """
+    t_s = float(gains.model.t_s)
+    # h_q over gamma_qq, to first order in the speed: the back-EMF over the speed.
+    return t_s, abs(float(gains.model.table[36])) * t_s / float(gains.model.table[12])

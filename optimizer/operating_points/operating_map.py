@@ -71,6 +71,15 @@ def voltage_limit(
 ) -> VoltageLimit:
     """Largest phase amplitude of a modulator's linear range, less a margin (0 to 1)
     that is kept for control.
+
+    Parameters
+    ----------
+    inverter:
+        DC-link voltage and dead time.
+    modulation:
+        The modulator.
+    margin:
+        Share of 0 to 1 that is kept for control.
     """
     return VoltageLimit(
         modulation, inverter.v_dc, margin, linear_limit(modulation, inverter.v_dc, margin)
@@ -139,6 +148,17 @@ def fastest_speed(
     machine: Machine, figures: Characteristics, limit: VoltageLimit, i_max: float
 ) -> float:
     """Speed in rad/s at which a map ends: that of the mechanics, or three times the base speed.
+
+    Parameters
+    ----------
+    machine:
+        Any machine; it may state a largest speed.
+    figures:
+        Its characteristics, with the base speed.
+    limit:
+        The voltage limit.
+    i_max:
+        Current limit in A (peak).
 
     Raises
     ------

@@ -1,21 +1,26 @@
-"""A kind of header beside the main one: its data, its way back and its harness."""
+"""A kind of header beside the main one: its files, its data, its way back and its harness."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
+from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.harness import Programme
+from dqforge.reports.plain_data import PlainData
 
 SWEEP_POINTS = 20_000
 
 
 SWEEP_SEED = 7
 
+R = TypeVar("R")
+M = TypeVar("M")
+
 
 @dataclass(frozen=True, slots=True)
-class FurtherHeader:
+class HeaderKind(Generic[R, M]):
     """One kind of header.
 
     Parameters
@@ -23,18 +28,29 @@ class FurtherHeader:
     name:
         Part of the file names ``<prefix>_<name>.h`` and of the key
         ``<name>_header`` in ``result.json``.
+    title:
+        What its functions give, in the plural, for messages.
+    files:
+        Names and bytes of its files for a result.
+    plain:
+        What ``result.json`` says of it, from which alone its model is built again; None where
+        the result has no header of this kind.
     read:
         Model from its plain data and the whole result; raises InputError where they
         are not what dqforge writes.
     programme:
         Harness, inputs and results of a model.
     vectors:
-        Whether ``<prefix>_<name>_vectors.h`` is written too.
+        Whether ``<prefix>_<name>_vectors.h`` is written too, with a function
+        ``<prefix>_<name>_mismatches``.
     """
 
     name: str
-    read: Callable[[Mapping[str, Any], Mapping[str, Any]], Any]
-    programme: Callable[[Any], Programme]
+    title: str
+    files: Callable[[Solution, R], dict[str, bytes]]
+    plain: Callable[[Solution, R], PlainData | None]
+    read: Callable[[Mapping[str, Any], Mapping[str, Any]], M]
+    programme: Callable[[M], Programme]
     vectors: bool = True
 
     @property
@@ -42,7 +58,7 @@ class FurtherHeader:
         """Key of its plain data in ``result.json``."""
         return f"{self.name}_header"
 
-    def files(self, prefix: str) -> list[str]:
+    def file_names(self, prefix: str) -> list[str]:
         """Names of its files."""
         return [
             f"{prefix}_{self.name}.h",

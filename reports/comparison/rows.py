@@ -5,19 +5,12 @@ gains and phase currents.
 from __future__ import annotations
 
 import hashlib
-import json
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from dqforge.machines.errors import InputError
+from dqforge.reports.capabilities import CAPABILITIES
+from dqforge.reports.capability import Capabilities, Quantity, Value
 from dqforge.reports.comparison.sources import Side
-
-Value = float | str | None
-
-
-# Shares below this are rounding, which moves with every input.
-_ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,28 +69,9 @@ _LIMITS: tuple[tuple[str, str, str], ...] = (
 )
 
 
-_ERRORS: tuple[tuple[str, str, str], ...] = (
-    ("i_d error", "i_d", "A"),
-    ("i_q error", "i_q", "A"),
-    ("torque error", "torque_relative", "%"),
-    ("copper loss penalty", "loss_relative", "%"),
-    ("voltage excess", "voltage_excess", "%"),
-)
-
-
-_LOOP: tuple[tuple[str, str, str], ...] = (
-    ("phase margin", "phase_margin_rad", "deg"),
-    ("gain margin (factor)", "gain_margin", ""),
-    ("delay margin", "delay_margin_s", "s"),
-    ("M_s", "max_sensitivity", ""),
-)
-
-
-_OBSERVER: tuple[tuple[str, str, str], ...] = (
-    ("A", "a", ""),
-    ("B_U", "b_u", "rad/(s V)"),
-    ("B_I", "b_i", "rad/(s A)"),
-    ("C", "c", "rad/(s A)"),
+_DRIVE = (
+    *(Quantity("machine", label, unit, ("drive", key)) for label, key, unit in _MACHINE),
+    *(Quantity("limits", label, unit, ("drive", key)) for label, key, unit in _LIMITS),
 )
 
 
@@ -114,131 +88,42 @@ def _checked(side: Side, *path: str) -> Value:
     return float(found)
 
 
-def _row(sides: tuple[Side, Side], section: str, label: str, unit: str, *path: str) -> Row:
-    return Row(section, label, unit, _checked(sides[0], *path), _checked(sides[1], *path))
+def _value(side: Side, quantity: Quantity) -> Value:
+    """What a side has of a quantity; None where it has none."""
+    if quantity.derived is None:
+        return _checked(side, *quantity.path)
+    found = side.value(*quantity.path)
+    if found is None:
+        return None
+    try:
+        return quantity.derived(found)
+    except (InputError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"{'.'.join(quantity.path)}: cannot be read; run the design again", source=side.source
+        ) from error
 
 
-def _share_row(sides: tuple[Side, Side], section: str, label: str, unit: str, *path: str) -> Row:
-    """As `_row`, less what is only rounding."""
-    a, b = (_checked(side, *path) for side in sides)
-    if unit == "%":
-        a, b = (
-            0.0 if isinstance(value, float) and abs(value) < _ROUNDING else value
-            for value in (a, b)
-        )
-    return Row(section, label, unit, a, b)
+def _row(sides: tuple[Side, Side], quantity: Quantity) -> Row:
+    a, b = (_value(side, quantity) for side in sides)
+    return Row(quantity.section, quantity.label, quantity.unit, a, b)
 
 
-def _derived(
-    sides: tuple[Side, Side], section: str, label: str, unit: str, of: Callable[[Side], Value]
-) -> Row:
-    return Row(section, label, unit, of(sides[0]), of(sides[1]))
-
-
-def _checksum(side: Side) -> str:
-    text = json.dumps(side.result["header"]["reference"], sort_keys=True)
-    return hashlib.sha256(text.encode("ascii")).hexdigest()[:12]
-
-
-def _hertz(path: tuple[str, ...]) -> Callable[[Side], Value]:
-    def frequency(side: Side) -> Value:
-        omega = _checked(side, *path)
-        return omega / (2.0 * math.pi) if isinstance(omega, float) else None
-
-    return frequency
-
-
-def _drive_rows(sides: tuple[Side, Side]) -> list[Row]:
-    machine = [_row(sides, "machine", label, unit, "drive", key) for label, key, unit in _MACHINE]
-    limits = [_row(sides, "limits", label, unit, "drive", key) for label, key, unit in _LIMITS]
-    return machine + limits
-
-
-def _reference_rows(sides: tuple[Side, Side]) -> list[Row]:
-    section = "current reference"
-    rows = [
-        _row(sides, section, "strategy", "", "drive", "strategy"),
-        _row(sides, section, "holds at", "rpm", "drive", "reference_omega_m_rad_per_s"),
-        _row(sides, section, "form", "", "fit", "form"),
-        _row(sides, section, "method", "", "fit", "method"),
-        _row(sides, section, "number format", "", "fit", "reference", "format"),
-        _row(sides, section, "degree", "", "fit", "degree"),
-        _row(sides, section, "segments", "", "fit", "segments"),
-        _row(sides, section, "largest torque", "N m", "fit", "torque_max_Nm"),
-        *(
-            _share_row(sides, section, f"{label}, found", unit, "fit", "errors", key)
-            for label, key, unit in _ERRORS
-        ),
-        *(
-            _share_row(sides, section, f"{label}, proven", unit, "fit", "certificate", key)
-            for label, key, unit in _ERRORS
-        ),
-        _derived(sides, section, "bytes of constants", "", lambda side: side.constant_bytes),
-        _derived(sides, section, "checksum of constants", "", _checksum),
-    ]
-    for key, unit, label in (
-        ("flash_B", "", "bytes of the surface"),
-        ("omega_m_rad_per_s", "rpm", "surface up to"),
-    ):
-        rows.append(_row(sides, section, label, unit, "weakening", key))
-    return rows
-
-
-def _gain_rows(sides: tuple[Side, Side]) -> list[Row]:
-    rows = []
-    units = {
-        "i_d": ("V/A", "V/(A s)"),
-        "i_q": ("V/A", "V/(A s)"),
-        "speed": ("N m s/rad", "N m/rad"),
-    }
-    for loop, (kp, ki) in units.items():
-        section, path = f"{loop} loop", ("gains", loop)
-        rows += [
-            _row(sides, section, "method", "", *path, "method"),
-            _row(sides, section, "kp", kp, *path, "kp"),
-            _row(sides, section, "ki", ki, *path, "ki"),
-            _row(sides, section, "sampled every", "s", *path, "t_s"),
-            _derived(
-                sides,
-                section,
-                "bandwidth (crossover)",
-                "Hz",
-                _hertz((*path, "crossover_rad_per_s")),
-            ),
-            *(_row(sides, section, label, unit, *path, key) for label, key, unit in _LOOP),
-        ]
-    rows += [
-        _row(sides, "observer", label, unit, "gains", "observer", key)
-        for label, key, unit in _OBSERVER
-    ]
-    return rows
-
-
-def _waveform_rows(sides: tuple[Side, Side]) -> list[Row]:
-    rows = [
-        _row(sides, "phase currents", "torque", "N m", "waveforms", "torque_Nm"),
-        _row(sides, "phase currents", "speed", "rpm", "waveforms", "omega_m_rad_per_s"),
-    ]
-    for rule in ("dq", "dqx", "dqy", "limited"):
-        path = ("waveforms", "rules", rule)
-        rows.append(_row(sides, "phase currents", f"copper loss, {rule}", "W", *path, "copper_W"))
-    return rows
-
-
-def quantity_rows(sides: tuple[Side, Side]) -> tuple[Row, ...]:
+def quantity_rows(
+    sides: tuple[Side, Side], capabilities: Capabilities = CAPABILITIES
+) -> tuple[Row, ...]:
     """Rows of every quantity that at least one of two results has, whether it differs or not.
+
+    Those of one section stand together, where its first one stands.
 
     Raises
     ------
     InputError
         A result holds something else than dqforge writes.
     """
-    rows = [
-        *_drive_rows(sides),
-        *_reference_rows(sides),
-        *_gain_rows(sides),
-        *_waveform_rows(sides),
-    ]
+    asked = [*_DRIVE, *(part for capability in capabilities for part in capability.quantities)]
+    sections = list(dict.fromkeys(quantity.section for quantity in asked))
+    asked.sort(key=lambda quantity: sections.index(quantity.section))
+    rows = [_row(sides, quantity) for quantity in asked]
     return tuple(row for row in rows if row.a is not None or row.b is not None)
 
 

@@ -10,6 +10,8 @@ import math
 from dataclasses import dataclass
 
 from dqforge.machines.errors import InputError
+from dqforge.reports.capabilities import CAPABILITIES
+from dqforge.reports.capability import Capabilities
 from dqforge.reports.comparison.rows import Row, code_row, quantity_rows
 from dqforge.reports.comparison.sources import Side
 from dqforge.reports.plain_data import PlainData
@@ -201,13 +203,15 @@ def _macro_rows(sides: tuple[Side, Side]) -> tuple[tuple[MacroRow, ...], int | N
     return rows, len(names), []
 
 
-def compare_sides(a: Side, b: Side) -> Comparison:
+def compare_sides(a: Side, b: Side, capabilities: Capabilities = CAPABILITIES) -> Comparison:
     """Everything that two sides can be compared by.
 
     Parameters
     ----------
     a, b:
-        Designs, results or headers (`comparison_sources.read_side`).
+        Designs, results or headers (`sources.read_side`).
+    capabilities:
+        Those of the product, or these and some from outside, as the sides were solved with.
 
     Returns
     -------
@@ -223,7 +227,7 @@ def compare_sides(a: Side, b: Side) -> Comparison:
     sides = (a, b)
     macros, compared, notes = _macro_rows(sides)
     headers = [name for name, side in (("A", a), ("B", b)) if side.header_only]
-    rows: tuple[Row, ...] = () if headers else quantity_rows(sides)
+    rows: tuple[Row, ...] = () if headers else quantity_rows(sides, capabilities)
     losses, alone = ((), []) if headers else _loss_rows(sides)
     if headers:
         plural = "are headers" if len(headers) > 1 else "is a header"

@@ -13,7 +13,10 @@ from typing import Any
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.reports.capabilities import CAPABILITIES
+from dqforge.reports.capability import Capabilities
 from dqforge.reports.current_reference.plain import from_plain
+from dqforge.reports.current_reference.quantities import CONSTANTS
 from dqforge.reports.pages.envelope import FORMAT, to_text
 from dqforge.reports.pages.files import LARGEST_FILE, LARGEST_JSON, read_output
 from dqforge.reports.plain_data import PlainData
@@ -57,8 +60,6 @@ class Side:
         The header without comments and prefixes; None where there is none.
     header_only:
         True where ``result`` holds nothing but the name of the design and the digest of its file.
-    constant_bytes:
-        Bytes of the constants of the current reference; None for a header alone.
     """
 
     source: str
@@ -66,7 +67,6 @@ class Side:
     macros: dict[str, str] | None
     code: str | None = None
     header_only: bool = False
-    constant_bytes: float | None = None
 
     @property
     def name(self) -> str:
@@ -132,11 +132,19 @@ def read_side(text: str, load: Callable[[str], Design]) -> Side:
     return solved_side(text, load(text))
 
 
-def solved_side(source: str, design: Design) -> Side:
+def solved_side(source: str, design: Design, capabilities: Capabilities = CAPABILITIES) -> Side:
     """The side of a design, solved and emitted as `dqforge run` does, without a file being
     written.
+
+    Parameters
+    ----------
+    source:
+        What the user named.
+    design:
+        What is solved.
+    capabilities:
+        Those of the product, or these and some from outside.
     """
-    from dqforge.optimizer.current_reference.cost_model import reference_bytes
     from dqforge.optimizer.solution import solve
     from dqforge.reports.main_header.header import header_files
 
@@ -144,14 +152,12 @@ def solved_side(source: str, design: Design) -> Side:
     prefix = design.export.prefix
     header = header_files(solution)[f"{prefix}.h"].decode("ascii")
     # Through the text, so that both sides are rounded alike.
-    result = json.loads(to_text("run", design.name, plain_solution(solution)))
-    size = float(reference_bytes(solution.reference))
+    result = json.loads(to_text("run", design.name, plain_solution(solution, capabilities)))
     return Side(
         source,
-        result,
+        _with_bytes(result, source),
         header_macros(header, prefix),
         header_code(header, prefix),
-        constant_bytes=size,
     )
 
 
@@ -215,19 +221,21 @@ def _from_result(text: str, path: Path) -> Side:
                 f"{part}: is missing or no object; run the design again", source=source
             )
     macros, code = _header_beside(path, result["header"].get("prefix"))
-    return Side(text, result, macros, code, constant_bytes=_constant_bytes(result, text))
+    return Side(text, _with_bytes(result, text), macros, code)
 
 
-def _constant_bytes(result: PlainData, source: str) -> float:
-    """Bytes of the constants of the reference that a result describes."""
+def _with_bytes(result: PlainData, source: str) -> PlainData:
+    """A result with the bytes of the constants of its reference, for `QUANTITIES`."""
     from dqforge.optimizer.current_reference.cost_model import reference_bytes
 
+    header = result["header"]
     try:
-        return float(reference_bytes(from_plain(result["header"]["reference"])))
+        size = float(reference_bytes(from_plain(header["reference"])))
     except (InputError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
             "header.reference: cannot be read; run the design again", source=source
         ) from error
+    return result | {"header": header | {CONSTANTS: size}}
 
 
 def _from_header(text: str, path: Path) -> Side:

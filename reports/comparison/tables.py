@@ -6,7 +6,8 @@ import math
 from itertools import groupby
 
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.reports.comparison.rows import Row, Value
+from dqforge.reports.capability import Value
+from dqforge.reports.comparison.rows import Row
 from dqforge.reports.comparison.sides_compared import Comparison, LossRow, MacroRow
 from dqforge.reports.comparison.sources import Side
 from dqforge.reports.pages.table import Table

@@ -8,9 +8,9 @@ from dataclasses import asdict
 import numpy as np
 
 from dqforge.machines.design.design import Design
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.optimizer.fixed_control.design import FixedControlFit
 from dqforge.optimizer.fixed_control.step import FixedControl
-from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.numbers import rounded_up
@@ -125,7 +125,8 @@ def control_fixed_context(design: Design, fit: FixedControlFit) -> PlainData:
         "inverse_root": round(2**bits / math.sqrt(3.0)),
         "half_root": round(2**bits * math.sqrt(0.75)),
         "two_thirds": round(2**bits * 2 / 3),
-        "modulation": control.modulation,
+        "modulator": MODULATORS[control.modulation],
+        "third_share": round(2**bits * 4 * MODULATORS[control.modulation].share),
         "dc_scale": control.dc_scale,
         "dc_least": control.dc_least,
         "limit": asdict(control.limit),
@@ -209,15 +210,3 @@ def control_fixed_programme(control: FixedControl) -> Programme:
         context,
         name="fixed-point control",
     )
-
-
-def plain_fixed(solution: Solution) -> PlainData:
-    """Control functions in fixed point with their evidence; nothing where none are asked for."""
-    if not solution.fixed:
-        return {}
-    evidence = {fit.control.format: plain_fixed_evidence(fit) for fit in solution.fixed}
-    headers = {
-        f"control_{fit.control.format}_header": plain_fixed_control(fit.control)
-        for fit in solution.fixed
-    }
-    return {"control_fixed": evidence} | headers

@@ -14,10 +14,12 @@ from dqforge.reports.current_reference.data_text import data_lines
 from dqforge.reports.current_reference.figures import ROUNDING
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.operating_points.html import operating_table
+from dqforge.reports.pages.certificate_text import proof_title, proven_text
 from dqforge.reports.pages.html_table import HtmlTable, Row, error_cells, heading_cells
 from dqforge.reports.pages.html_text import (
     NARROW,
     ceiling,
+    count,
     number,
     quantity,
     raised,
@@ -104,6 +106,21 @@ def reference_part(solution: Solution) -> PlainData:
         "trials": trials_table(solution.trials, solution.design.fit.core)
         if solution.trials
         else None,
+    }
+
+
+def errors_part(solution: Solution) -> PlainData:
+    """The part of the report on torque error and loss penalty."""
+    errors, proof = solution.fit.errors, solution.certificate
+    return {
+        "samples": count(errors.samples),
+        "proven": "" if proof is None else symbols(proven_text(proof, 3)),
+        "proven_title": "" if proof is None else proof_title(proof),
+        "torque": (
+            f"{quantity(ceiling(errors.torque), 'N m', 3)} "
+            f"({share(ceiling(errors.torque_relative, 2))} of the largest torque)"
+        ),
+        "loss": symbols(penalty_text(solution)),
     }
 
 

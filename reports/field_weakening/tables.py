@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dqforge.optimizer.field_weakening.fit import SurfaceTrial, WeakeningFit
-from dqforge.optimizer.solution import Solution
 from dqforge.reports.field_weakening.text import (
     domain_text,
     errors_text,
@@ -85,12 +84,8 @@ def weakening_html(fit: WeakeningFit) -> HtmlTable:
     )
 
 
-def weakening_part(solution: Solution) -> PlainData | None:
-    """The part of the report on field weakening; None without."""
-    fit = solution.weakening
-    if fit is None:
-        return None
-    prefix = solution.design.export.prefix
+def weakening_part(fit: WeakeningFit, prefix: str) -> PlainData:
+    """The part of the report on field weakening."""
     return {
         "domain": domain_text(fit),
         "errors": errors_text(fit),

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from dqforge.machines.design.design import Design
 from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.optimizer.losses.mission_budget import MissionComparison, MissionRun
 from dqforge.optimizer.losses.point_comparison import LossComparison
-from dqforge.optimizer.solution import Solution
+from dqforge.reports.losses.figures import POINTS_SHOWN
 from dqforge.reports.losses.map_tables import mission_mark, mission_tables
 from dqforge.reports.pages.html_table import HtmlTable, Row, heading_cells
 from dqforge.reports.pages.html_text import (
@@ -19,10 +20,10 @@ from dqforge.reports.pages.html_text import (
     symbols,
 )
 from dqforge.reports.pages.labels import (
-    MODULATION_LABELS,
     STRATEGY_TEXT,
     WITHOUT_BRIDGE,
     friction_text,
+    modulation_label,
     obstacle,
     part_label,
     point_text,
@@ -46,12 +47,9 @@ _VISIBLE = 1e-4
 _MOST_ROWS = 40
 
 
-def mission_part(solution: Solution) -> PlainData | None:
-    """What the report prints of a mission, None where there is none."""
-    found = solution.mission
-    if found is None:
-        return None
-    (table,) = mission_tables(solution.design, found)
+def mission_part(design: Design, found: MissionComparison) -> PlainData:
+    """What the report prints of a mission."""
+    (table,) = mission_tables(design, found)
     return {"source": found.mission.source, "notes": table.notes, "table": _table(found)}
 
 
@@ -71,7 +69,7 @@ def _table(found: MissionComparison) -> HtmlTable:
 
 
 def _cells(run: MissionRun, kinds: list[str], mark: str) -> tuple[str, ...]:
-    label = f"{STRATEGY_TEXT[run.strategy]}, {MODULATION_LABELS[run.modulation]}"
+    label = f"{STRATEGY_TEXT[run.strategy]}, {modulation_label(run.modulation)}"
     name = symbols(f"{label}: {mark}" if mark not in {"", "best"} else label)
     if not (run.steady and math.isfinite(run.total)):
         return (name, *("\u2013" for _ in range(len(kinds) + 3)))
@@ -82,21 +80,18 @@ def _cells(run: MissionRun, kinds: list[str], mark: str) -> tuple[str, ...]:
     return (name, *(number(energy / _WATT_HOUR) for energy in energies), *warm)
 
 
-def best_loss(solution: Solution) -> tuple[str, str, str] | None:
+def best_loss(comparison: LossComparison) -> tuple[str, str, str] | None:
     """(total, alternative, comparison) at the first operating point that
-    has a feasible alternative.
+    has a feasible alternative; None where no point has one.
     """
-    comparison = solution.losses
-    if comparison is None:
-        return None
     for p, (point, best) in enumerate(zip(comparison.points, comparison.best_labels, strict=True)):
         if best is None:
             continue
         index = (int(comparison.best_strategy[p]), int(comparison.best_modulation[p]), p)
-        alternative = f"{STRATEGY_TEXT[best[0]]} with {MODULATION_LABELS[best[1]]}"
+        alternative = f"{STRATEGY_TEXT[best[0]]} with {modulation_label(best[1])}"
         first = (
             f"{STRATEGY_TEXT[comparison.strategies[0]]} with "
-            f"{MODULATION_LABELS[comparison.modulations[0]]}"
+            f"{modulation_label(comparison.modulations[0])}"
         )
         saving = float(comparison.saving[index]) / 100.0
         against = (
@@ -108,6 +103,12 @@ def best_loss(solution: Solution) -> tuple[str, str, str] | None:
             f"at {point_text(point)}{against}",
         )
     return None
+
+
+def loss_part(comparison: LossComparison) -> PlainData:
+    """What the report prints of a comparison."""
+    left_out = max(0, len(comparison.points) - POINTS_SHOWN)
+    return {"tables": loss_tables(comparison), "points_left_out": left_out}
 
 
 def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
@@ -129,7 +130,7 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
             for m, modulation in enumerate(comparison.modulations):
                 index = (s, m, p)
                 best = (comparison.best_strategy[p], comparison.best_modulation[p]) == (s, m)
-                label = f"{STRATEGY_TEXT[strategy]}, {MODULATION_LABELS[modulation]}"
+                label = f"{STRATEGY_TEXT[strategy]}, {modulation_label(modulation)}"
                 reason = obstacle(comparison, index)
                 parts = (*(getattr(budget, kind) for kind in kinds), budget.total)
                 cells = (

@@ -19,10 +19,8 @@ from dqforge.reports.pages.labels import watts
 from dqforge.reports.plain_data import PlainData
 
 
-def choice_part(choice: ModulationChoice | None, prefix: str) -> PlainData | None:
-    """What the report prints of a choice, None where there is none."""
-    if choice is None:
-        return None
+def choice_part(choice: ModulationChoice, prefix: str) -> PlainData:
+    """What the report prints of a choice."""
     return {
         "text": _text(choice),
         "prices": _prices(choice),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.observers.reduced_order import (
     ErrorsAtLoad,
     ObserverError,
@@ -29,15 +28,12 @@ if TYPE_CHECKING:
     pass
 
 
-def observer_tables(gains: GainSet, errors: Sequence[ErrorsAtLoad]) -> list[HtmlTable]:
-    """Coefficients of the speed observer and its errors with and without load,
-    or what is said of a position observer.
+def speed_tables(observer: ReducedOrderObserver, errors: Sequence[ErrorsAtLoad]) -> list[HtmlTable]:
+    """Coefficients of the speed observer and its errors with and without load.
 
     ``errors`` are the steady errors of the speed: without load, and with half the largest torque.
     """
-    if gains.observer is not None:
-        return [_coefficients_table(gains.observer), _speed_error_table(errors)]
-    return [] if gains.position is None else _position_tables(gains.position)
+    return [_coefficients_table(observer), _speed_error_table(errors)]
 
 
 def _coefficients_table(observer: ReducedOrderObserver) -> HtmlTable:
@@ -75,7 +71,8 @@ def _speed_error_table(errors: Sequence[ErrorsAtLoad]) -> HtmlTable:
     return HtmlTable(symbols(caption), heading_cells(*columns), tuple(rows))
 
 
-def _position_tables(position: PositionObserver) -> list[HtmlTable]:
+def position_tables(position: PositionObserver) -> list[HtmlTable]:
+    """Errors of a position observer over its speeds, with what they include."""
     return [
         HtmlTable(
             symbols(f"{title}: {'; '.join(notes)}"),

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dqforge.reports.c_code.numbers import (
@@ -21,12 +24,39 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
-def _source(name: str) -> str | None:
-    """Text of the template ``<room>/<file>``, which lies in the folder ``templates`` of its
-    room.
+_FURTHER: list[Path] = []
+
+
+@contextmanager
+def further_templates(folder: Path) -> Iterator[None]:
+    """Look for templates in a folder first, as long as the context lasts.
+
+    Parameters
+    ----------
+    folder:
+        Holds ``<room>/<file>``, such as ``observers/luenberger.j2``.
     """
-    room, _, file = name.partition("/")
-    path = resources.files("dqforge.reports") / room / "templates" / file
+    try:
+        _FURTHER.insert(0, folder)
+        _environment.cache_clear()
+        yield
+    finally:
+        _FURTHER.remove(folder)
+        _environment.cache_clear()
+
+
+def _source(name: str) -> str | None:
+    """Text of the template ``<room>/<file>``, which lies in the folder ``templates`` of its room;
+    of a template from outside the package, which is named by its absolute path, that of the file.
+    """
+    for folder in _FURTHER:
+        if (folder / name).is_file():
+            return (folder / name).read_text(encoding="utf-8")
+    if Path(name).is_absolute():
+        path: Path | Traversable = Path(name)
+    else:
+        room, _, file = name.rpartition("/")
+        path = resources.files("dqforge.reports").joinpath(room, "templates", file)
     return path.read_text(encoding="utf-8") if path.is_file() else None
 
 

@@ -112,6 +112,10 @@ class DriveSimulation:
         """Observed less true electrical angle in rad, as `angle_error` has it, shape (N,)."""
         return angle_error(self.run)
 
+    def files(self) -> dict[str, bytes]:
+        """Name and bytes of the file of samples."""
+        return simulation_files(self)
+
 
 def drive_of(design: Design) -> Drive:
     """What is simulated of a design.

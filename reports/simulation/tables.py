@@ -114,21 +114,11 @@ def simulation_html(found: DriveSimulation) -> list[HtmlTable]:
     return tables
 
 
-def simulation_part(found: DriveSimulation | None) -> PlainData | None:
-    """What the report's template prints of a simulation: tables, figure and file names;
-    None where there is none.
-    """
-    if found is None:
-        return None
-    from markupsafe import Markup
-
-    from dqforge.reports.pages.figures_style import to_svg
-    from dqforge.reports.simulation.figures import plot_simulation
-
+def simulation_part(found: DriveSimulation) -> PlainData:
+    """What the report's template prints of a simulation: tables and file names."""
     prefix = found.design.export.prefix
     return {
         "tables": simulation_html(found),
-        "figure": Markup(to_svg(plot_simulation(found))),
         "file": f"{prefix}_simulation.npz",
         "controller": f"{prefix}_control.h",
     }

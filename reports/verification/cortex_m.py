@@ -18,9 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
-from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.reports.c_code.harness import Programme
+from dqforge.reports.c_code.header_kind import HeaderKind
+from dqforge.reports.capabilities import CAPABILITIES
+from dqforge.reports.capability import Capabilities, header_kinds
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.cross_tools import TARGETS, build, emulate, target_of
 from dqforge.reports.verification.cycle_model import Span
@@ -36,16 +38,11 @@ from dqforge.reports.verification.target_programmes import (
 __all__ = ["TARGETS", "TargetVerification", "target_of", "verify_on_target"]
 
 
-_DIFFERS = {
-    101: "current reference",
-    102: "phase currents",
-    103: "current reference with field weakening",
-    104: "choice of modulator",
-    105: "gains over the current",
-    106: "control functions in fixed point",
-}
+_FIRST_DIFFERS = 101
 
-"""Exit codes of the program on the target; the emulator's own failures end with 1."""
+"""Exit code of the program on the target where the current reference differs, one more for each
+kind of header behind it; the emulator's own failures end with 1.
+"""
 
 
 _VECTOR_TORQUE = re.compile(rb"\{ 0x([0-9A-F]{8})U, 0x[0-9A-F]{8}U, 0x[0-9A-F]{8}U \}")
@@ -96,8 +93,39 @@ def _torques(vectors: bytes) -> SingleArray:
     return np.array(words, dtype=np.uint32).view(np.float32)
 
 
+def _run_vectors(
+    files: Mapping[str, bytes], prefix: str, target: str, kinds: Sequence[HeaderKind[Any, Any]]
+) -> bytes:
+    """Run all test vectors on the target; the source of the program that did."""
+    context = {
+        "prefix": prefix,
+        "kinds": [kind.name for kind in kinds],
+        "first": _FIRST_DIFFERS,
+    }
+    main = render("verification/main.c.j2", context).encode("ascii")
+    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
+        build(
+            {**files, "target_main.c": main},
+            (*WARNINGS, "-Wno-overlength-strings"),
+            target,
+            Path(name),
+        )
+        code = emulate(target, Path(name))
+    titles = ["current reference", *(kind.title for kind in kinds)]
+    if _FIRST_DIFFERS <= code < _FIRST_DIFFERS + len(titles):
+        raise VerificationError(
+            f"on {target} the {titles[code - _FIRST_DIFFERS]} do not give the results of their "
+            "test vectors"
+        )
+    return main
+
+
 def verify_on_target(
-    files: Mapping[str, bytes], prefix: str, target: str, programmes: Sequence[Programme] = ()
+    files: Mapping[str, bytes],
+    prefix: str,
+    target: str,
+    programmes: Sequence[Programme] = (),
+    capabilities: Capabilities = CAPABILITIES,
 ) -> TargetVerification:
     """Compile the headers for a target, run them on its emulation, and cost the current reference.
 
@@ -113,6 +141,8 @@ def verify_on_target(
         One of `TARGETS`.
     programmes:
         Harnesses of the headers; what has neither these nor test vectors is named in the outcome.
+    capabilities:
+        Those whose headers are looked for.
 
     Raises
     ------
@@ -129,34 +159,12 @@ def verify_on_target(
     torques = _codes(vectors, number_format) if number_format else _torques(vectors)
     if torques.size == 0:
         raise VerificationError(f"{prefix}_vectors.h holds no test vectors; run the design again")
-    context = {
-        "prefix": prefix,
-        "waveform": f"{prefix}_waveform_vectors.h" in files,
-        "weakening": f"{prefix}_weakening_vectors.h" in files,
-        "fixed": [name for name in FIXED_WIDTHS if f"{prefix}_control_{name}_vectors.h" in files],
-        "modulation": f"{prefix}_modulation_vectors.h" in files,
-        "gains": f"{prefix}_gains_vectors.h" in files,
-        "differs": dict(
-            zip(
-                ("reference", "phases", "weakening", "modulation", "gains", "fixed"),
-                _DIFFERS,
-                strict=True,
-            )
-        ),
-    }
-    main = render("verification/main.c.j2", context).encode("ascii")
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        build(
-            {**files, "target_main.c": main},
-            (*WARNINGS, "-Wno-overlength-strings"),
-            target,
-            Path(name),
-        )
-        code = emulate(target, Path(name))
-    if code in _DIFFERS:
-        raise VerificationError(
-            f"on {target} the {_DIFFERS[code]} do not give the results of their test vectors"
-        )
+    kinds = [
+        kind
+        for kind in header_kinds(capabilities)
+        if kind.vectors and f"{prefix}_{kind.name}_vectors.h" in files
+    ]
+    main = _run_vectors(files, prefix, target, kinds)
     runs = run_on_target(files, prefix, programmes, target)
     seen = reached(files, [main, *(harness_of(part, prefix) for part in programmes)])
     costed = torques[:_LARGEST_TRACE]

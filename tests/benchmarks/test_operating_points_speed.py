@@ -131,8 +131,8 @@ def test_memory_of_a_million_points() -> None:
     """Peak memory of a fresh process that solves a million points of a linear machine."""
     program = (
         "import resource, numpy as np\n"
-        "from dqforge.machines.synchronous import LinearMachine\n"
-        "from dqforge.optimizer.operating_points import optimal_points\n"
+        "from dqforge.machines.dq_machines.synchronous import LinearMachine\n"
+        "from dqforge.optimizer.operating_points.points import optimal_points\n"
         "g = np.random.default_rng(0)\n"
         "m = LinearMachine(4, 2e-3, 350e-6, 592e-6, 0.1049, 283.0)\n"
         "t, w = g.uniform(-250, 250, 10**6), g.choice(np.linspace(-900, 900, 201), 10**6)\n"

@@ -25,7 +25,7 @@ from dqforge.reports.control.fixed_tables import control_fixed_tables
 from dqforge.reports.loops.html import loop_table
 from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.loops.tables import gains_tables
-from dqforge.reports.observers.html import observer_tables
+from dqforge.reports.observers.html import speed_tables
 from dqforge.reports.observers.text import position_parts
 from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.pages.html_text import NARROW, number, quantity, share
@@ -123,7 +123,7 @@ def test_errors_of_the_speed_observer_are_in_the_result() -> None:
     assert f"by {plain['load_rad_per_s_per_Nm'] * RPM:.3g} rpm" in notes[1]
     assert f"{100.0 * plain['resistance_error']:.0f} % too high" in notes[2]
     assert f"by {plain['resistance_rad_per_s_per_A'] * RPM:.3g} rpm" in notes[2]
-    rows = observer_tables(gains, errors)[1].rows
+    rows = speed_tables(gains.observer, errors)[1].rows
     for row, found in zip(rows, plain["steady"], strict=True):
         cells = [quantity(found["load_Nm"], "N m")]
         for error in (found["exact"], found["resistance_too_high"]):

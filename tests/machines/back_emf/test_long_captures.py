@@ -188,7 +188,7 @@ def test_two_hundred_megabytes_take_less_than_a_gibibyte(tmp_path: Path) -> None
     program = (
         "import resource, sys\n"
         "from pathlib import Path\n"
-        "from dqforge.reports.bemf import CaptureRequest, read_capture\n"
+        "from dqforge.reports.back_emf.capture import CaptureRequest, read_capture\n"
         "found = read_capture([Path(sys.argv[1])], CaptureRequest())\n"
         "print(found.result.psi_pm, found.result.periods, "
         "resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)\n"

@@ -15,7 +15,8 @@ from dqforge.machines.entries.c_names import check_prefix
 from dqforge.machines.entries.header_names import SUFFIXES, taken_header
 from dqforge.machines.entries.rules import EntryError
 from dqforge.machines.errors import InputError
-from dqforge.reports.capabilities import FURTHER_HEADERS
+from dqforge.reports.capabilities import CAPABILITIES
+from dqforge.reports.capability import header_kinds
 
 # C23 (N3220, annex B) and C++23 (table of headers), written down here once more.
 STANDARD = """
@@ -73,7 +74,7 @@ def test_prefixes_of_the_library_are_free() -> None:
 
 
 def test_the_names_of_all_written_files_are_looked_at() -> None:
-    written = {file for part in FURTHER_HEADERS for file in part.files("x")}
+    written = {file for kind in header_kinds(CAPABILITIES) for file in kind.file_names("x")}
     assert written | {"x.h", "x_vectors.h"} <= {f"x{suffix}.h" for suffix in SUFFIXES}
 
 

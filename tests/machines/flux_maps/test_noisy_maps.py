@@ -84,6 +84,7 @@ def test_a_map_of_each_library_machine_with_noise_loads_tunes_and_gives_its_mtpa
     assert_mtpa_within_noise(design, true)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("kind", ["half plane", "scattered", "fine", "coarse"])
 def test_noise_is_smoothed_whatever_the_layout_of_the_points(kind: str, tmp_path: Path) -> None:
     points = {
@@ -251,7 +252,7 @@ def test_the_price_of_smoothing_is_told_everywhere_alike(
     solution = solve(design)
     largest = format_quantity(evidence.torque_residual[1], "N m", 3)
     assert f"at most {largest} from that of the plain spline" in render(
-        "main_header/header.h.j2", header_context(solution)
+        "main_header/dialects/neutral/header.h.j2", header_context(solution)
     )
     (row,) = (
         row

@@ -23,9 +23,9 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.pll import pll_gains
 from dqforge.optimizer.sampled_systems import SampledSystem, lift, loop_margins
 from dqforge.optimizer.solution import solve
+from dqforge.reports.loops.constants import margin_text
 from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.loops.tables import gains_tables
-from dqforge.reports.main_header.header import margin_text
 from dqforge.reports.observers.speed_loop_text import loop_words, observed_notes
 from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.simulation.compiled_plant import simulate, simulator
@@ -127,6 +127,7 @@ def test_margins_of_the_flux_observer_are_those_of_the_short_model(spread: float
         assert found.radius[k] == pytest.approx(radius, abs=2e-3)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("spread", [3.0, 8.0])
 def test_margins_of_the_extended_emf_are_those_of_the_short_model(spread: float) -> None:
     design = template("extended-emf", spread)

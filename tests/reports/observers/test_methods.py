@@ -16,7 +16,7 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.drive_motion import plants
-from dqforge.optimizer.observers.methods import matsui as sampled_observers
+from dqforge.optimizer.observers.methods import ekf as ekf_method
 from dqforge.optimizer.observers.methods.ekf import ekf_gains
 from dqforge.optimizer.observers.methods.kalman_model import ekf
 from dqforge.optimizer.observers.methods.matsui_errors import steady_error
@@ -34,7 +34,7 @@ NEW: tuple[ObserverMethodName, ...] = ("matsui-voltage", "matsui-current", "ekf"
 def quick_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search for the covariances is tested where it is written; here any will do."""
     monkeypatch.setattr(
-        sampled_observers,
+        ekf_method,
         "_consistent",
         lambda m, t_s, top: ekf_gains(ekf(m, t_s, 1e-2, 1e5, 1e-5, top)),
     )

@@ -26,12 +26,15 @@ from dqforge.optimizer.observers.methods import third_harmonic as third
 from dqforge.optimizer.observers.methods.ekf import ekf_gains, ekf_start, ekf_step
 from dqforge.optimizer.observers.methods.injection import injection
 from dqforge.optimizer.observers.methods.injection_run import track
-from dqforge.optimizer.observers.methods.matsui import (
+from dqforge.optimizer.observers.methods.matsui_current import (
+    current_gains,
     matsui_current_start,
     matsui_current_step,
-    matsui_gains,
+)
+from dqforge.optimizer.observers.methods.matsui_voltage import (
     matsui_voltage_start,
     matsui_voltage_step,
+    voltage_gains,
 )
 from dqforge.optimizer.observers.methods.tracking_steps import (
     injection_gains,
@@ -44,7 +47,7 @@ from dqforge.optimizer.observers.methods.tracking_steps import (
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, cast
 from dqforge.optimizer.observers.sampled_machine import wrapped
 from dqforge.optimizer.observers.trials import CurrentSensor, Trial, simulate
-from dqforge.reports.observers.float32_model import SINGLE
+from dqforge.reports.c_code.float32_functions import SINGLE
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.host import COMPILERS, WARNINGS, Compiler
 
@@ -112,8 +115,8 @@ def emitted(code: str) -> Emitted:
             IPM, T_S, "voltage" if "voltage" in code else "current", 200.0, omega_max=2000.0
         )
         if observer.kind == "voltage":
-            return Emitted(code, matsui_gains(observer), matsui_voltage_start, matsui_voltage_step)
-        return Emitted(code, matsui_gains(observer), matsui_current_start, matsui_current_step)
+            return Emitted(code, voltage_gains(observer), matsui_voltage_start, matsui_voltage_step)
+        return Emitted(code, current_gains(observer), matsui_current_start, matsui_current_step)
     if code == "injection":
         extra = "out[2] = observer.v.alpha; out[3] = observer.v.beta;"
         tracker = injection(IPM, T_S, 60.0, 120.0, samples=8, omega_max=2000.0)
@@ -183,7 +186,7 @@ def modelled(item: Emitted, sequences: FloatArray, maths: Arithmetic) -> Any:
 def compiled(item: Emitted, sequences: FloatArray, compiler: Compiler, folder: Path) -> SingleArray:
     """Results of the emitted C, shape (drives, LENGTH, 4)."""
     names = {"prefix": "drive", "macro": "DRIVE"}
-    observer = render(f"observer_{item.code}.j2", names | {"gains": item.gains})
+    observer = render(f"observers/{item.code}.j2", names | {"gains": item.gains})
     source = HARNESS.format(
         types=render("c_code/control_types.j2", names), observer=observer, code=item.code,
         upper=item.code.upper(),
@@ -232,6 +235,7 @@ def test_c_is_its_model_bit_for_bit(code: str, compiler: Compiler, tmp_path: Pat
     assert np.all(np.isfinite(found[4:]))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("code", CODES)
 def test_single_precision_follows_double_precision(code: str) -> None:
     item, sequences = emitted(code), rows(8)[2:]

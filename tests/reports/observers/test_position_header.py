@@ -27,7 +27,8 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import EXACT, cast
 from dqforge.optimizer.observers.proof import prove
 from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.reports.observers.float32_model import SINGLE, observer_inputs, observer_outputs
+from dqforge.reports.c_code.float32_functions import SINGLE
+from dqforge.reports.observers.float32_model import observer_inputs, observer_outputs
 from dqforge.reports.observers.position_header import (
     emitted,
     observer_files,
@@ -103,7 +104,7 @@ def test_an_observer_reads_back_as_it_was_written(name: str) -> None:
     assert observer is not None
     plain = json.loads(json.dumps(plain_observer(observer)))
     again = observer_from(plain)
-    inputs = observer_inputs(observer.gains, 2000, 5)
+    inputs = observer_inputs(observer.method, observer.gains, 2000, 5)
     np.testing.assert_array_equal(
         observer_outputs(again.method, again.gains, inputs),
         observer_outputs(observer.method, observer.gains, inputs),
@@ -127,11 +128,12 @@ def test_single_precision_costs_no_angle(name: str) -> None:
     single = observe(method, gains, motion, maths=SINGLE)
     assert single.theta_e.dtype == np.float32
     assert np.max(np.abs(single.angle_error(motion)[-500:])) < 1e-3
-    outputs = observer_outputs(method, gains, observer_inputs(gains, 20_000, 3))
+    outputs = observer_outputs(method, gains, observer_inputs(method, gains, 20_000, 3))
     assert np.isfinite(outputs).all()
     assert np.max(np.abs(outputs[:, 1])) * t_s > 0.9
 
 
+@pytest.mark.thinned
 @EVERY
 def test_what_is_said_agrees_with_what_was_judged(name: str) -> None:
     observer = _observer(name)

@@ -22,17 +22,19 @@ from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.names import ObserverMethodName
-from dqforge.optimizer.observers.methods import matsui as sampled_observers
+from dqforge.optimizer.observers.methods import ekf as ekf_method
 from dqforge.optimizer.observers.methods.ekf import ekf_gains
 from dqforge.optimizer.observers.methods.kalman_model import ekf
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.reports.c_code.harness import Programme
-from dqforge.reports.capabilities import FURTHER_HEADERS, programmes
+from dqforge.reports.capabilities import CAPABILITIES
+from dqforge.reports.capability import header_kinds
 from dqforge.reports.run import RunOutput, export_design
 from dqforge.reports.verification.cortex_m import verify_on_target
 from dqforge.reports.verification.cross_tools import TARGETS
 from dqforge.reports.verification.target_programmes import reached, run_on_target
 from dqforge.reports.verification.text import target_text
+from dqforge.reports.written_headers import programmes
 
 BENCH = "paper001-pmsm-bench"
 ROWS = 2000
@@ -52,7 +54,7 @@ def tools() -> None:
 def quick_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search for the covariances is tested where it is written; here any will do."""
     monkeypatch.setattr(
-        sampled_observers,
+        ekf_method,
         "_consistent",
         lambda m, t_s, top: ekf_gains(ekf(m, t_s, 1e-2, 1e5, 1e-5, top)),
     )
@@ -130,7 +132,7 @@ def parts_of(output: RunOutput, rows: int = ROWS) -> tuple[set[str], list[Progra
 
 
 def test_each_kind_of_header_is_in_one_of_the_designs() -> None:
-    assert set.union(*KINDS.values()) == {kind.name for kind in FURTHER_HEADERS}
+    assert set.union(*KINDS.values()) == {kind.name for kind in header_kinds(CAPABILITIES)}
     assert set(KINDS) == set(DESIGNS)
 
 
@@ -173,19 +175,19 @@ def test_every_position_observer_runs_on_the_core(method: ObserverMethodName, ta
 
 
 @pytest.mark.parametrize(
-    ("kind", "pattern", "by"),
+    ("kind", "room", "pattern", "by"),
     [
-        ("observer", r"_wrap\(observer->theta_e \+ ", "_wrap(observer->theta_e - "),
-        pytest.param("control", r"zero = 0\.5F", "zero = 0.51F", marks=pytest.mark.slow),
+        ("observer", "observers", r"_wrap\(observer->theta_e \+ ", "_wrap(observer->theta_e - "),
+        pytest.param("control", "control", r"zero = 0\.5F", "zero = 0.51F", marks=pytest.mark.slow),
     ],
 )
-def test_a_changed_header_differs_on_the_core(kind: str, pattern: str, by: str) -> None:
+def test_a_changed_header_differs_on_the_core(kind: str, room: str, pattern: str, by: str) -> None:
     output = exported("control and position observer")
     _, parts = parts_of(output)
     files = headers(output)
     text, count = re.subn(pattern, by, files[f"bench001_{kind}.h"].decode("ascii"), count=1)
     assert count == 1
-    own = [part for part in parts if part.template.startswith(f"{kind}_harness")]
+    own = [part for part in parts if part.template == f"{room}/harness.c.j2"]
     assert len(own) == 1
     with pytest.raises(
         VerificationError,

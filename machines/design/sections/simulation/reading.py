@@ -21,6 +21,7 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.rules import Quantity, si_of
 from dqforge.machines.errors import InputError
+from dqforge.machines.names import SPEED_OBSERVER
 from dqforge.machines.places import KeyPath
 from dqforge.machines.plants.scenario import (
     ControlMode,
@@ -147,7 +148,7 @@ def _sensorless(
     if section is None:
         return None
     path: KeyPath = (*_PATH, "sensorless")
-    if control.observer is None or control.observer.method == "reduced-order":
+    if control.observer is None or control.observer.method == SPEED_OBSERVER:
         message = (
             "simulation.sensorless needs an observer of the position; write control.observer: "
             "{method: flux}"

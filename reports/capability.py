@@ -1,0 +1,182 @@
+"""One record per capability: from its result to everything that is said and emitted of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from dqforge.machines.design.design import Design
+from dqforge.optimizer.solution import Solution
+from dqforge.reports.c_code.header_kind import HeaderKind
+from dqforge.reports.pages.chapters import Chapter
+from dqforge.reports.pages.table import Table
+from dqforge.reports.plain_data import PlainData
+from dqforge.reports.simulation.design_run import DriveSimulation
+from dqforge.reports.verification.host import Verification
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+    from matplotlib.figure import Figure
+
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a run knows when it speaks: the solution, the outcome of the verification and the
+    simulation, each None where there is none.
+    """
+
+    solution: Solution
+    verification: Verification | None = None
+    simulation: DriveSimulation | None = None
+
+    @property
+    def design(self) -> Design:
+        """The design that was solved."""
+        return self.solution.design
+
+
+@dataclass(frozen=True, slots=True)
+class ReportPart:
+    """What a capability writes into a chapter: the template (``<room>/<file>``, or the path of a
+    file) and what it prints.
+
+    The template sees ``data``, the capability's ``figures`` by name, and imports the macros of
+    ``pages/parts.html.j2``.
+    """
+
+    chapter: Chapter
+    template: str
+    data: PlainData
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """A key number of the summary: what it is, the number, and what stands behind it."""
+
+    label: str | Markup
+    value: str
+    detail: str | Markup
+
+
+Value = float | str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One quantity that ``compare`` sets side by side.
+
+    Parameters
+    ----------
+    section, label, unit:
+        Heading, name and unit of its row (`format_quantity`); numbers are in SI.
+    path:
+        Keys of ``result.json`` that lead to it.
+    derived:
+        What the row shows for what stands there, where that is not the entry itself.
+    """
+
+    section: str
+    label: str
+    unit: str
+    path: tuple[str, ...]
+    derived: Callable[[Any], Value] | None = None
+
+
+Rows = list[tuple[str, str]]
+Draw = Callable[[], "Figure"]
+
+
+def _no_rows(_solution: Solution, _found: Any) -> Rows:
+    return []
+
+
+def _no_texts(_solution: Solution, _found: Any) -> list[str]:
+    return []
+
+
+def _no_tables(_solution: Solution, _found: Any) -> list[Table]:
+    return []
+
+
+def _no_tiles(_solution: Solution, _found: Any) -> list[Tile]:
+    return []
+
+
+def _no_figures(_solution: Solution, _found: Any) -> dict[str, Draw]:
+    return {}
+
+
+def _no_parts(_solution: Solution, _found: Any) -> list[ReportPart]:
+    return []
+
+
+def _no_files(_solution: Solution, _found: Any) -> dict[str, bytes]:
+    return {}
+
+
+@dataclass(frozen=True, slots=True)
+class Capability(Generic[R]):
+    """One thing that a design can ask for.
+
+    Parameters
+    ----------
+    name:
+        Key of its result in ``result.json``.
+    title:
+        What it is, in a few words.
+    of:
+        Its result; None where the design does not ask for it.
+    plain:
+        What stands under ``name``; None for a capability that only adds headers.
+    always:
+        Whether ``name`` and the keys of its headers stand in ``result.json`` with null where the
+        design does not ask for it; else they are left out.
+    summary:
+        Rows for the summary of a run on the terminal: label and text.
+    tables:
+        Tables for the terminal.
+    sentences, tiles:
+        What the first paragraph of the report says of it, and its key numbers.
+    figures:
+        Figures of its parts of the report, by name; each is drawn when it is called.
+    parts:
+        Its parts of the report.
+    headers:
+        Kinds of headers that it emits.
+    files:
+        Files that a run writes beside headers, result and report.
+    quantities:
+        What ``compare`` sets side by side.
+    """
+
+    name: str
+    title: str
+    of: Callable[[Outcome], R | None]
+    plain: Callable[[Solution, R], Any] | None = None
+    always: bool = True
+    summary: Callable[[Solution, R], Rows] = _no_rows
+    tables: Callable[[Solution, R], list[Table]] = _no_tables
+    sentences: Callable[[Solution, R], list[str]] = _no_texts
+    tiles: Callable[[Solution, R], list[Tile]] = _no_tiles
+    figures: Callable[[Solution, R], Mapping[str, Draw]] = _no_figures
+    parts: Callable[[Solution, R], list[ReportPart]] = _no_parts
+    headers: tuple[HeaderKind[R, Any], ...] = ()
+    files: Callable[[Solution, R], dict[str, bytes]] = _no_files
+    quantities: tuple[Quantity, ...] = ()
+
+
+Capabilities = Sequence[Capability[Any]]
+
+
+def asked_for(capabilities: Capabilities, outcome: Outcome) -> list[tuple[Capability[Any], Any]]:
+    """The capabilities that a design asks for, each with its result."""
+    found = [(capability, capability.of(outcome)) for capability in capabilities]
+    return [(capability, result) for capability, result in found if result is not None]
+
+
+def header_kinds(capabilities: Capabilities) -> list[HeaderKind[Any, Any]]:
+    """All kinds of headers beside the main one, in the order in which they are written."""
+    return [kind for capability in capabilities for kind in capability.headers]

@@ -1,0 +1,159 @@
+"""Gains of the control loops and their schedule, as records."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from dqforge.optimizer.control_design.gain_set import GainSet
+from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.solution import Solution
+from dqforge.reports.c_code.header_kind import HeaderKind
+from dqforge.reports.capability import Capability, Draw, Outcome, Quantity, ReportPart, Rows, Tile
+from dqforge.reports.loops.header import (
+    evaluator_from,
+    gains_files,
+    gains_programme,
+    plain_evaluator,
+)
+from dqforge.reports.loops.html import LOOP_TEXT, loop_table, tolerance_tables
+from dqforge.reports.loops.plain import plain_gains
+from dqforge.reports.loops.tables import gains_tables
+from dqforge.reports.observers.speed_loop_text import left_words, loop_words
+from dqforge.reports.pages.chapters import LOOPS as CHAPTER
+from dqforge.reports.pages.html_text import degrees, symbols
+from dqforge.reports.plain_data import PlainData
+
+
+def _loops(gains: GainSet) -> list[LoopGains]:
+    return [loop for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None]
+
+
+def _summary(_: Solution, gains: GainSet) -> Rows:
+    return [(f"{loop.loop} loop", loop_words(loop)) for loop in _loops(gains)]
+
+
+def _margin(loop: LoopGains) -> str:
+    """Phase margin, or that the loop has none."""
+    return degrees(loop.phase_margin) if loop.stable else "unstable"
+
+
+def _sentences(_: Solution, gains: GainSet) -> list[str]:
+    margins = ", ".join(f"{LOOP_TEXT[loop.loop]} {_margin(loop)}" for loop in _loops(gains))
+    sentences = [f"The phase margins of the sampled loops are {margins}."]
+    speed = gains.speed
+    if speed is not None and speed.observed is not None:
+        sentences.append(
+            f"The speed loop is judged with the lag of its observer; {left_words(speed)}."
+        )
+    return sentences
+
+
+def _tiles(_: Solution, gains: GainSet) -> list[Tile]:
+    loops = _loops(gains)
+    worst = min(loops, key=lambda loop: (loop.stable, abs(loop.phase_margin)))
+    others = [f"{LOOP_TEXT[loop.loop]} {_margin(loop)}" for loop in loops if loop is not worst]
+    detail = symbols(f"{LOOP_TEXT[worst.loop]} loop; {', '.join(others)}")
+    return [Tile("Smallest phase margin", _margin(worst), detail)]
+
+
+def _figures(_: Solution, gains: GainSet) -> Mapping[str, Draw]:
+    from dqforge.reports.loops.figures import plot_gains
+
+    return {"loops": lambda: plot_gains(gains)}
+
+
+def _plain(solution: Solution, gains: GainSet) -> PlainData:
+    return plain_gains(solution.design, gains, solution.observer_errors)
+
+
+def _parts(_: Solution, gains: GainSet) -> list[ReportPart]:
+    tables = [loop_table(gains), *tolerance_tables(gains)]
+    return [ReportPart(CHAPTER, "loops/report.html.j2", {"tables": tables})]
+
+
+def _hertz(omega: float) -> float:
+    return omega / (2.0 * math.pi)
+
+
+_GAIN_UNITS = {
+    "i_d": ("V/A", "V/(A s)"),
+    "i_q": ("V/A", "V/(A s)"),
+    "speed": ("N m s/rad", "N m/rad"),
+}
+
+_OBSERVER = (
+    ("A", "a", ""),
+    ("B_U", "b_u", "rad/(s V)"),
+    ("B_I", "b_i", "rad/(s A)"),
+    ("C", "c", "rad/(s A)"),
+)
+
+
+def _loop_quantities(loop: str, kp: str, ki: str) -> tuple[Quantity, ...]:
+    section, path = f"{loop} loop", ("gains", loop)
+    return (
+        Quantity(section, "method", "", (*path, "method")),
+        Quantity(section, "kp", kp, (*path, "kp")),
+        Quantity(section, "ki", ki, (*path, "ki")),
+        Quantity(section, "sampled every", "s", (*path, "t_s")),
+        Quantity(section, "bandwidth (crossover)", "Hz", (*path, "crossover_rad_per_s"), _hertz),
+        Quantity(section, "phase margin", "deg", (*path, "phase_margin_rad")),
+        Quantity(section, "gain margin (factor)", "", (*path, "gain_margin")),
+        Quantity(section, "delay margin", "s", (*path, "delay_margin_s")),
+        Quantity(section, "M_s", "", (*path, "max_sensitivity")),
+    )
+
+
+LOOPS = Capability(
+    name="gains",
+    title="control loops",
+    of=lambda outcome: outcome.solution.loops,
+    plain=_plain,
+    summary=_summary,
+    tables=lambda solution, gains: gains_tables(solution.design, gains),
+    sentences=_sentences,
+    tiles=_tiles,
+    figures=_figures,
+    parts=_parts,
+    quantities=(
+        *(row for loop, units in _GAIN_UNITS.items() for row in _loop_quantities(loop, *units)),
+        *(
+            Quantity("observer", label, unit, ("gains", "observer", key))
+            for label, key, unit in _OBSERVER
+        ),
+    ),
+)
+
+
+def _left_out(outcome: Outcome) -> str | None:
+    return outcome.solution.gains_left_out if outcome.solution.loops is None else None
+
+
+NO_LOOPS = Capability(
+    name="gains_left_out",
+    title="why there are no control loops",
+    of=_left_out,
+    plain=lambda _, why: why,
+    always=False,
+    summary=lambda _, why: [("no loops", why)],
+    sentences=lambda _, why: [f"There are no control loops: {why}."],
+)
+
+GAIN_SCHEDULE = Capability(
+    name="gain_schedule",
+    title="gains over the current",
+    of=lambda outcome: None if outcome.solution.loops is None else outcome.solution.loops.schedule,
+    headers=(
+        HeaderKind(
+            name="gains",
+            title="gains over the current",
+            files=lambda solution, schedule: gains_files(solution.design, schedule),
+            plain=lambda _, schedule: plain_evaluator(schedule.fit.evaluator),
+            read=lambda own, _: evaluator_from(own),
+            programme=gains_programme,
+        ),
+    ),
+)
+
+"""Its table and its JSON stand with those of the loops."""

@@ -1,0 +1,1 @@
+"""Dialects of the main header, a folder each."""

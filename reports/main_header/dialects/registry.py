@@ -1,0 +1,7 @@
+"""All dialects of the main header."""
+
+from __future__ import annotations
+
+from dqforge.reports.main_header.dialects.neutral.dialect import NEUTRAL
+
+DIALECTS = {dialect.name: dialect for dialect in (NEUTRAL,)}

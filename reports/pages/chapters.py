@@ -1,0 +1,37 @@
+"""The chapters of the report and their order; capabilities write the parts of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Chapter:
+    """A chapter of the report.
+
+    Parameters
+    ----------
+    id, title:
+        Its anchor, and its name in the contents.
+    opening:
+        Template of what stands before its parts, whoever writes them; empty where its only part
+        opens it.
+    """
+
+    id: str
+    title: str
+    opening: str = ""
+
+
+REFERENCE = Chapter("reference", "Current reference")
+ERRORS = Chapter("errors", "Torque error and loss")
+LOOPS = Chapter("loops", "Control loops", "loops/opening.html.j2")
+LOSSES = Chapter("losses", "Loss comparison", "losses/opening.html.j2")
+MODULATION = Chapter("modulation", "Modulator and frequency")
+WAVEFORMS = Chapter("waveforms", "Phase currents")
+WEAKENING = Chapter("weakening", "Field weakening")
+SIMULATION = Chapter("simulation", "Simulation")
+
+CHAPTERS = (REFERENCE, ERRORS, LOOPS, LOSSES, MODULATION, WAVEFORMS, WEAKENING, SIMULATION)
+
+"""In the order of the report; a chapter that is not listed follows them."""
