@@ -52,6 +52,13 @@ def expected_files() -> set[str]:
     return {f"dqforge/{path.relative_to(ROOT).as_posix()}" for path in paths}
 
 
+def test_the_map_of_the_code_names_every_room() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    rooms = {path.parent for floor in FLOORS for path in (ROOT / floor).rglob("__init__.py")}
+    missing = [room.name for room in rooms if f"`{room.name}`" not in text]
+    assert not missing, f"docs/architecture.md does not name {', '.join(missing)}"
+
+
 def test_every_room_is_a_package() -> None:
     """What setuptools installs is a list of rooms: it must be the list of folders with modules."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())

@@ -100,7 +100,7 @@ def make_design(
         },
         "export": {"prefix": prefix},
     }
-    _merge(content, {key: _plain(value) for key, value in sections.items()})
+    _merge(content, {key: python_values(value) for key, value in sections.items()})
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=100).encode("utf-8")
     if not isinstance(machine, SaturatedMachine):
         return load_text(text, SOURCE)
@@ -139,7 +139,7 @@ def _of_kind(kind: str, value: float, unit: str, name: str) -> dict[str, str]:
 def _machine(machine: BuiltMachine) -> dict[str, Any]:
     """The section ``machine``."""
     common: dict[str, Any] = {
-        "pole_pairs": _plain(machine.pole_pairs),
+        "pole_pairs": python_values(machine.pole_pairs),
         "resistance": _of_kind("phase", machine.r_s, "Ohm", "r_s"),
         "max_current": _of_kind("peak", machine.i_max, "A", "i_max"),
     }
@@ -212,12 +212,12 @@ def _merge(content: dict[str, Any], further: Mapping[str, Any]) -> None:
             content[key] = value
 
 
-def _plain(value: Any) -> Any:
-    """NumPy numbers and arrays as Python's, mappings and sequences copied."""
+def python_values(value: Any) -> Any:
+    """A value for a design file: numbers and arrays of NumPy as those of Python."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
+        return {str(key): python_values(entry) for key, entry in value.items()}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return python_values(value.tolist())
     if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
+        return [python_values(entry) for entry in value]
     return value.item() if isinstance(value, np.generic) else value

@@ -321,7 +321,13 @@ def complete_by_symmetry(
 
 
 def mirrored(flux_map: FluxMap) -> FluxMap:
-    """The map of the machine with i_q, psi_q and the torque counted the other way."""
+    """The map of the machine with i_q, psi_q and the torque counted the other way.
+
+    Parameters
+    ----------
+    flux_map:
+        Flux linkages over the currents of a machine.
+    """
     return FluxMap(
         flux_map.i_d,
         -flux_map.i_q[::-1],
@@ -408,7 +414,15 @@ class Inductances:
 
 
 def inductances(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> Inductances:
-    """Incremental and apparent inductances of any machine at currents in A, shape (N,)."""
+    """Incremental and apparent inductances of any machine at currents in A, shape (N,).
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    i_d, i_q:
+        Currents in A (peak), shape (N,).
+    """
     here = machine.jet(i_d, i_q)
     at_no_d, at_no_q = machine.jet(np.zeros_like(i_d), i_q), machine.jet(i_d, np.zeros_like(i_q))
     small = _SMALL_CURRENT * machine.i_max

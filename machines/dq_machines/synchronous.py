@@ -21,7 +21,17 @@ if TYPE_CHECKING:  # which works on the arrays that are named here
 def torque_from_flux(
     pole_pairs: int, psi_d: FloatArray, psi_q: FloatArray, i_d: FloatArray, i_q: FloatArray
 ) -> FloatArray:
-    """Air-gap torque T = 3/2 p (psi_d i_q - psi_q i_d) in N m, any broadcastable shapes."""
+    """Air-gap torque T = 3/2 p (psi_d i_q - psi_q i_d) in N m, any broadcastable shapes.
+
+    Parameters
+    ----------
+    pole_pairs:
+        Number of pole pairs p.
+    psi_d, psi_q:
+        Flux linkages in Wb (peak of phase), any shape.
+    i_d, i_q:
+        Currents in A (peak), shapes that fit.
+    """
     return 1.5 * pole_pairs * (psi_d * i_q - psi_q * i_d)
 
 
@@ -29,6 +39,13 @@ def copper_loss(r_s: float, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
     """Copper loss 3/2 R |i|^2 in W for peak dq currents in A, any broadcastable shapes.
 
     Paper 000 (12) prints R |i|^2, which holds for another scaling of the currents.
+
+    Parameters
+    ----------
+    r_s:
+        Phase resistance in Ohm.
+    i_d, i_q:
+        Currents in A (peak), any shapes that fit.
     """
     return 1.5 * r_s * (i_d * i_d + i_q * i_q)
 

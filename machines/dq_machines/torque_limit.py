@@ -14,6 +14,15 @@ def largest_torque_within(machine: Machine, i_max: float, strategy: Strategy = "
     """Largest torque in N m within a current limit in A.
 
     Of saturated machines by a scan, good for a cross-check.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    i_max:
+        Current limit in A (peak).
+    strategy:
+        Which currents make the torque.
     """
     if isinstance(machine, LinearMachine):
         saliency = machine.saliency if strategy == "mtpa" else 0.0

@@ -95,6 +95,13 @@ def required_device(inverter: Inverter) -> SwitchDevice:
 def resistance_factor(device: SwitchDevice, junction_temperature: FloatArray) -> FloatArray:
     """On resistance at a junction temperature in degC, any shape, relative to that at 25 degC:
     1 + alpha (T - 25).
+
+    Parameters
+    ----------
+    device:
+        The switch, with its temperature coefficient alpha in 1/K.
+    junction_temperature:
+        Temperature T in degC, any shape.
     """
     return 1.0 + device.on_resistance_temperature_coefficient * (
         junction_temperature - REFERENCE_TEMPERATURE
@@ -196,7 +203,15 @@ def bridge_load(
 
 
 def junction_temperature(inverter: Inverter, loss: FloatArray) -> FloatArray:
-    """Junction temperature in degC for inverter losses in W, any shape: T_coolant + R_th P / 6."""
+    """Junction temperature in degC for inverter losses in W, any shape: T_coolant + R_th P / 6.
+
+    Parameters
+    ----------
+    inverter:
+        Temperature of the coolant and thermal resistance of a switch.
+    loss:
+        Losses P of the whole inverter in W, any shape.
+    """
     device = required_device(inverter)
     return inverter.coolant_temperature + device.thermal_resistance / SWITCH_POSITIONS * loss
 
@@ -207,6 +222,13 @@ def thermal_gain(inverter: Inverter, load: BridgeLoad) -> FloatArray:
 
     Each kelvin raises the losses, which raise the temperature by this many kelvins again:
     from 1 on it runs away.
+
+    Parameters
+    ----------
+    inverter:
+        Thermal resistance R_th in K/W and temperature coefficient alpha in 1/K.
+    load:
+        Loss of the resistances in W among the losses of the bridge, shape (...).
     """
     device = required_device(inverter)
     alpha = device.on_resistance_temperature_coefficient

@@ -81,6 +81,13 @@ def _elements(network: ThermalNetwork | None, total: float) -> tuple[list[float]
 def junction_networks(inverter: Inverter, tables: BridgeTables) -> JunctionNetworks:
     """Networks of the inverter's device; without data of its own each junction
     follows its loss at once.
+
+    Parameters
+    ----------
+    inverter:
+        Device and coolant.
+    tables:
+        Tables of the bridge, for devices without thermal data of their own.
     """
     model = inverter.device_model
     *own, shared = tables.resistances

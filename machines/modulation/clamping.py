@@ -20,14 +20,16 @@ Industrial Electronics 58(9), 2011, doi:10.1109/TIE.2010.2102311 (DDT-GDPWM).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import BoolArray, FloatArray, IndexArray
+from dqforge.machines.modulation.zero_sequence import compared, extremes, highest_rests, load_turn
 from dqforge.machines.names import ModulationName
+from dqforge.machines.transforms import DOUBLES, Pair, Reals, Triple, clarke
 
 DISCONTINUOUS: frozenset[ModulationName] = frozenset(
     ("dpwm0", "dpwm1", "dpwm2", "dpwm3", "dpwmmin", "dpwmmax", "gdpwm", "ddt-gdpwm")
@@ -94,43 +96,24 @@ def clamping_angle(load_angle: ArrayLike) -> FloatArray:
     return np.clip(_folded(np.sin(phi), np.cos(phi)) + _THIRTY, 0.0, _SIXTY)
 
 
-def _quadrature(voltage: FloatArray) -> FloatArray:
-    """Balanced phase values (..., 3) a quarter period later."""
-    return (np.roll(voltage, -1, axis=-1) - np.roll(voltage, 1, axis=-1)) / math.sqrt(3.0)
+def compared_at(
+    name: ModulationName, voltage: FloatArray, current: FloatArray
+) -> tuple[Triple[Reals], Triple[Reals], Pair[Reals] | None, Pair[Reals] | None]:
+    """References and currents of the phases, and for GDPWM the references' vector and
+    the turn of the load angle.
 
-
-def _clamping_angle_of_phases(voltage: FloatArray, current: FloatArray) -> FloatArray:
-    """Clamping angle of GDPWM (...) in rad from phase values (..., 3); 30 degrees
-    where there is no current.
+    Parameters
+    ----------
+    name:
+        The modulator.
+    voltage, current:
+        Phase references in V and phase currents in A, shape (..., 3).
     """
-    in_phase = np.sum(voltage * current, axis=-1)
-    across = np.sum(_quadrature(voltage) * current, axis=-1)
-    return np.clip(_folded(across, in_phase) + _THIRTY, 0.0, _SIXTY)
-
-
-def _seen_later(voltage: FloatArray, psi: FloatArray | float) -> FloatArray:
-    """Magnitudes (..., 3) of the references delayed by psi - 30 degrees:
-    the largest of them rests.
-    """
-    shift = np.asarray(psi)[..., None] - _THIRTY
-    return np.abs(np.cos(shift) * voltage + np.sin(shift) * _quadrature(voltage))
-
-
-_PRIORITIES: dict[ModulationName, Callable[[FloatArray, FloatArray], FloatArray]] = {
-    "dpwm0": lambda voltage, _current: _seen_later(voltage, 0.0),
-    "dpwm1": lambda voltage, _current: np.abs(voltage),
-    "dpwm2": lambda voltage, _current: _seen_later(voltage, _SIXTY),
-    "dpwm3": lambda voltage, _current: -np.abs(voltage),
-    "dpwmmin": lambda voltage, _current: -voltage,
-    "dpwmmax": lambda voltage, _current: voltage,
-    "gdpwm": lambda voltage, current: _seen_later(
-        voltage, _clamping_angle_of_phases(voltage, current)
-    ),
-    "ddt-gdpwm": lambda _voltage, current: np.abs(current),
-}
-
-"""Of the phases with the highest and the lowest reference, the one with the larger of
-these values (..., 3) rests."""
+    v, i = (Triple(*np.moveaxis(phases, -1, 0)) for phases in (voltage, current))
+    if name != "gdpwm":
+        return v, i, None, None
+    vector = clarke(DOUBLES, v)
+    return v, i, vector, load_turn(vector, clarke(DOUBLES, i), _REACTIVE)
 
 
 def resting_phase(
@@ -151,13 +134,15 @@ def resting_phase(
         from the space vectors of both, DDT-GDPWM compares currents, the others look at the
         references alone.
     """
-    highest = np.argmax(voltage, axis=-1)
-    lowest = 2 - np.argmin(voltage[..., ::-1], axis=-1)
-    priority = _PRIORITIES[name](voltage, current)
-    of_highest, of_lowest = (
-        np.take_along_axis(priority, k[..., None], axis=-1)[..., 0] for k in (highest, lowest)
-    )
-    upper = np.asarray(of_highest >= of_lowest)
+    v, i, vector, turn = compared_at(name, voltage, current)
+    number = Triple(*np.arange(3))
+    if name in ONE_RAIL:
+        (_, highest), (_, lowest) = extremes(DOUBLES, v, number)
+        upper = np.full(v.a.shape, name == "dpwmmax")
+    else:
+        seen = compared(DOUBLES, name, v, i, vector, turn)
+        (_, of_high, highest), (_, of_low, lowest) = extremes(DOUBLES, v, seen, number)
+        upper = np.asarray(highest_rests(DOUBLES, name, of_high, of_low))
     return np.where(upper, highest, lowest), upper
 
 
@@ -168,6 +153,13 @@ def hand_over(name: ModulationName, load_angle: FloatArray) -> FloatArray:
     0 or 60 degrees where it changes between the sectors only, and for continuous modulators. With
     DDT-GDPWM it is where the magnitudes of the two currents cross, with the others at the clamping
     angle.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    load_angle:
+        Angle in rad by which the current lags the voltage, shape (...).
     """
     if name == "ddt-gdpwm":
         return np.minimum(np.mod(load_angle + _THIRTY, math.pi / 2.0), _SIXTY)
@@ -184,6 +176,13 @@ def sector_rule(name: ModulationName, lag: FloatArray) -> tuple[FloatArray, Floa
     degrees, keeps the order V_a > V_b > V_c. It is split where a phase current is zero and where
     the resting phase changes, and each part gets its own Gauss rule: 24 angles. With modulators of
     one rail the next sector follows with the same 24.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    lag:
+        Angle in rad by which the current lags the voltage, shape (...).
     """
     current_zero = np.mod(lag + _THIRTY, _SIXTY)
     change = hand_over(name, lag)

@@ -18,7 +18,6 @@ Industrial Electronics 58(9), 2011, doi:10.1109/TIE.2010.2102311 (DDT-GDPWM).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import get_args
 
@@ -26,8 +25,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import BoolArray, FloatArray
-from dqforge.machines.modulation.clamping import DISCONTINUOUS, resting_phase, sector_rule
+from dqforge.machines.modulation.clamping import (
+    DISCONTINUOUS,
+    compared_at,
+    resting_phase,
+    sector_rule,
+)
+from dqforge.machines.modulation.zero_sequence import zero_sequence_of
 from dqforge.machines.names import ModulationName
+from dqforge.machines.transforms import DOUBLES, dq_to_phases
 
 __all__ = [
     "LINEAR_LIMITS",
@@ -38,7 +44,6 @@ __all__ = [
     "PhaseWaveforms",
     "clamped_phases",
     "in_linear_range",
-    "inverse_park",
     "linear_limit",
     "modulate",
     "modulation_index",
@@ -73,9 +78,6 @@ SIX_STEP_AMPLITUDE = 2.0 / math.pi
 
 # A reference that was computed to lie on the limit exceeds it by a few roundings at most.
 _LIMIT_ROUNDING = 1e-12
-
-
-_PHASE_SHIFT = np.array([0.0, 2.0, -2.0]) * (math.pi / 3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,67 +156,24 @@ def in_linear_range(name: ModulationName, amplitude: FloatArray | float, v_dc: f
     """Tell where the phase-voltage amplitude (V, peak, any shape) is within the linear range.
 
     False for NaN.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    amplitude:
+        Phase-voltage amplitude in V (peak), any shape.
+    v_dc:
+        DC-link voltage in V.
     """
     return np.asarray(amplitude <= linear_limit(name, v_dc) * (1.0 + _LIMIT_ROUNDING))
-
-
-def inverse_park(x_d: FloatArray, x_q: FloatArray, theta_e: FloatArray) -> FloatArray:
-    """Phase values (..., 3) of amplitude-invariant dq values (...) at the electrical
-    angle theta_e in rad (...).
-    """
-    angle = np.asarray(theta_e)[..., None] - _PHASE_SHIFT
-    phases = np.asarray(x_d)[..., None] * np.cos(angle) - np.asarray(x_q)[..., None] * np.sin(angle)
-    return np.asarray(phases, dtype=np.float64)
-
-
-def _third_harmonic(share: float) -> Callable[[FloatArray, FloatArray, float], FloatArray]:
-    """Zero sequence v_dc/2 - share V cos(3 alpha), from cos(3 alpha) V^3 = 4 v_a v_b
-    v_c of balanced references.
-    """
-
-    def zero_sequence(voltage: FloatArray, _current: FloatArray, v_dc: float) -> FloatArray:
-        square = 2.0 / 3.0 * np.sum(voltage**2, axis=-1)
-        some = square > 0.0
-        third = np.where(some, 4.0 * np.prod(voltage, axis=-1) / np.where(some, square, 1.0), 0.0)
-        return np.asarray(0.5 * v_dc - share * third, dtype=np.float64)
-
-    return zero_sequence
-
-
-def _spwm(voltage: FloatArray, _current: FloatArray, v_dc: float) -> FloatArray:
-    return np.full(voltage.shape[:-1], 0.5 * v_dc, dtype=np.float64)
-
-
-def _svpwm(voltage: FloatArray, _current: FloatArray, v_dc: float) -> FloatArray:
-    return np.asarray(0.5 * (v_dc - np.max(voltage, axis=-1) - np.min(voltage, axis=-1)))
-
-
-_CONTINUOUS: dict[ModulationName, Callable[[FloatArray, FloatArray, float], FloatArray]] = {
-    "spwm": _spwm,
-    "thipwm6": _third_harmonic(1.0 / 6.0),
-    "thipwm4": _third_harmonic(1.0 / 4.0),
-    "svpwm": _svpwm,
-}
 
 
 def zero_sequence(
     name: ModulationName, voltage: FloatArray, current: FloatArray, v_dc: float
 ) -> FloatArray:
-    """Zero-sequence voltage V0 in V from the negative rail.
-
-    ::
-
-        SPWM           V0 = v_dc / 2
-        THIPWM6        V0 = v_dc / 2 - V cos(3 alpha) / 6
-                       alpha the angle of the voltage vector from phase a
-        THIPWM4        V0 = v_dc / 2 - V cos(3 alpha) / 4
-        SVPWM          V0 = (v_dc - V_max - V_min) / 2
-        discontinuous  V0 = v_dc - V_max where the highest phase rests, -V_min where the lowest does
-        DDT-GDPWM      the highest if |I_max| >= |I_min|
-
-    where I_max and I_min are the currents of the phases with the highest and the lowest reference,
-    and `dqforge.machines.modulation.clamping` says which rests with the others. Paper 000 (14)
-    prints -V_max in the last case, which would clamp no phase.
+    """Zero-sequence voltage V0 in V from the negative rail, by the rules of
+    `dqforge.machines.modulation.zero_sequence`.
 
     Parameters
     ----------
@@ -231,19 +190,23 @@ def zero_sequence(
     -------
     FloatArray, shape (...)
     """
-    voltage, current = np.broadcast_arrays(voltage, current)
-    if name not in DISCONTINUOUS:
-        return _CONTINUOUS[name](voltage, current, v_dc)
-    _, upper = resting_phase(name, voltage, current)
-    return np.asarray(
-        np.where(upper, v_dc - np.max(voltage, axis=-1), -np.min(voltage, axis=-1)),
-        dtype=np.float64,
-    )
+    v, i, vector, turn = compared_at(name, *np.broadcast_arrays(voltage, current))
+    link = np.full(v.a.shape, v_dc, dtype=np.float64)
+    return np.asarray(zero_sequence_of(DOUBLES, name, v, i, link, vector, turn), dtype=np.float64)
 
 
 def clamped_phases(name: ModulationName, voltage: FloatArray, current: FloatArray) -> BoolArray:
     """Mark the phase that does not switch, shape (..., 3): exactly one with discontinuous
     modulators, else none.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    voltage:
+        Phase references in V from the star point, shape (..., 3).
+    current:
+        Phase currents in A, shape (..., 3).
     """
     voltage, current = np.broadcast_arrays(voltage, current)
     if name not in DISCONTINUOUS:
@@ -260,6 +223,17 @@ def modulate(
 
     The duty cycle of a clamped phase is exactly 0 or 1. Nothing is clipped: test the amplitude of
     the reference with `in_linear_range`.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    voltage:
+        Phase references in V from the star point, shape (..., 3).
+    current:
+        Phase currents in A, shape (..., 3); only GDPWM and DDT-GDPWM look at them.
+    v_dc:
+        DC-link voltage in V.
     """
     v_zero = zero_sequence(name, voltage, current, v_dc)
     clamped = clamped_phases(name, voltage, current)
@@ -279,8 +253,8 @@ def _waveforms(
     theta_e: FloatArray,
     weight: FloatArray,
 ) -> PhaseWaveforms:
-    voltage = inverse_park(v_d[..., None], v_q[..., None], theta_e)
-    current = inverse_park(i_d[..., None], i_q[..., None], theta_e)
+    voltage = dq_to_phases(v_d[..., None], v_q[..., None], theta_e)
+    current = dq_to_phases(i_d[..., None], i_q[..., None], theta_e)
     return PhaseWaveforms(theta_e, weight, voltage, current, modulate(name, voltage, current, v_dc))
 
 
@@ -344,6 +318,16 @@ def sector_waveforms(
     DPWMMAX treat the half waves differently: 48 angles cover 120 degrees there.
 
     Without voltage the direction of the voltage vector is taken as that of the d axis.
+
+    Parameters
+    ----------
+    name:
+        The modulator.
+    v_d, v_q, i_d, i_q:
+        Phase voltages in V and currents in A in rotor coordinates (peak), broadcastable to
+        the shape (...).
+    v_dc:
+        DC-link voltage in V.
     """
     v_d, v_q, i_d, i_q = _operating_points(v_d, v_q, i_d, i_q)
     voltage_angle = np.arctan2(v_q, v_d)

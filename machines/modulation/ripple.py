@@ -36,11 +36,11 @@ from dqforge.machines.modulation.modulators import (
     SIX_STEP_AMPLITUDE,
     PhaseWaveforms,
     in_linear_range,
-    inverse_park,
     modulate,
     sector_waveforms,
 )
 from dqforge.machines.names import ModulationName
+from dqforge.machines.transforms import dq_to_phases, rotor_axes
 
 _THIRTY = math.pi / 6.0
 
@@ -214,15 +214,16 @@ def harmonic_distortion_factor(
     return np.asarray(m**2 * (c2 + m * (c3 + m * c4)))
 
 
-def _rotor_axes(theta_e: FloatArray) -> FloatArray:
-    """Rows of the amplitude-invariant Park transform (..., 2, 3) at electrical angles (...)."""
-    angle = theta_e[..., None] - np.array([0.0, 2.0, -2.0]) * (math.pi / 3.0)
-    return 2.0 / 3.0 * np.stack([np.cos(angle), -np.sin(angle)], axis=-2)
-
-
 def inverse_inductance(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
     """Inverse of the incremental inductances in 1/H, shape (N, 2, 2), at currents in A,
     shape (N,).
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    i_d, i_q:
+        Currents in A (peak), shape (N,).
     """
     jet = machine.jet(i_d, i_q)
     matrix = np.stack(
@@ -243,7 +244,7 @@ def ripple_squares(wave: PhaseWaveforms, stiffness: FloatArray) -> FloatArray:
     stiffness:
         Inverse of the incremental inductances in 1/H, shape (N, 2, 2).
     """
-    axes = stiffness[:, None] @ _rotor_axes(wave.theta_e)
+    axes = stiffness[:, None] @ rotor_axes(wave.theta_e)
     through = axes @ flux_moments(np.clip(wave.modulation.duty, 0.0, 1.0))
     return np.asarray(np.einsum("ng,ngkp,ngkp->nk", wave.weight, through, axes))
 
@@ -256,7 +257,7 @@ def _flux_corners(duty: FloatArray, theta_e: FloatArray) -> FloatArray:
     places = np.sort(off, axis=-1)[..., :, None]
     own = off[..., None, :]
     phases = -0.5 * np.minimum(places, own) * (1.0 - np.maximum(places, own))
-    corners = phases @ np.swapaxes(_rotor_axes(theta_e), -1, -2)
+    corners = phases @ np.swapaxes(rotor_axes(theta_e), -1, -2)
     ends = np.zeros((*corners.shape[:-2], 1, 2))
     return np.concatenate([ends, corners, ends], axis=-2)
 
@@ -308,8 +309,8 @@ def _largest_torque_ripple(
     theta = (
         _peak_angles(name, direction - np.arctan2(currents[1], currents[0])) - direction[:, None]
     )
-    voltage = inverse_park(voltages[0][:, None], voltages[1][:, None], theta)
-    current = inverse_park(currents[0][:, None], currents[1][:, None], theta)
+    voltage = dq_to_phases(voltages[0][:, None], voltages[1][:, None], theta)
+    current = dq_to_phases(currents[0][:, None], currents[1][:, None], theta)
     corners = v_dc * t_s * _flux_corners(modulate(name, voltage, current, v_dc).duty, theta)
     # T = 3/2 p psi x i, where psi varies by lambda and i by the stiffness times lambda.
     stiffness = inverse_inductance(machine, currents[0], currents[1])

@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.modulation.modulators import inverse_park
 from dqforge.machines.modulation.overmodulation import saturate
 from dqforge.machines.modulation.ripple import switching_instants
 from dqforge.machines.names import ModulationName
+from dqforge.machines.transforms import dq_to_phases
 
 ComplexArray = NDArray[np.complex128]
 
@@ -169,8 +169,8 @@ def switched_period(
     start = length * np.arange(carrier_ratio)
     middle = np.asarray(start + 0.5 * length, dtype=np.float64)
     zero = np.zeros(())
-    voltage = inverse_park(np.asarray(amplitude), zero, middle)
-    current = inverse_park(
+    voltage = dq_to_phases(np.asarray(amplitude), zero, middle)
+    current = dq_to_phases(
         np.asarray(math.cos(load_angle)), np.asarray(-math.sin(load_angle)), middle
     )
     duty = saturate(name, voltage, current, v_dc).duty

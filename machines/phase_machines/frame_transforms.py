@@ -10,7 +10,6 @@ holds at any angles and is as exact as F' is: take the formula's derivative wher
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,16 +18,17 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines import frames as dq_frames
 from dqforge.machines.phase_machines.frames import (
+    CLARKE,
     Entries,
     Frame,
     FrameAngles,
     FrameRms,
-    clarke,
     frame_rms,
     loss_ratio_x_over_y,
     thesis_shapes,
     transform,
 )
+from dqforge.machines.transforms import POWER_INVARIANT
 
 __all__ = [
     "Frame",
@@ -36,8 +36,6 @@ __all__ = [
     "FrameRates",
     "FrameRms",
     "amplitude_factor",
-    "clarke",
-    "clarke_amplitude_invariant",
     "frame_rates",
     "frame_rms",
     "from_frame",
@@ -67,18 +65,6 @@ class FrameRates:
     growth_y: FloatArray
 
 
-def clarke_amplitude_invariant() -> FloatArray:
-    """Matrix (3, 3) from phases to alpha and beta with the peak of a phase,
-    and 0 as the mean of the phases.
-
-    Paper 002 has the power-invariant one alone, (2.13), which is :func:`clarke`.
-    The inverse is not the transpose.
-    """
-    half, root = 0.5, math.sqrt(0.75)
-    rows = [[1.0, -half, -half], [0.0, root, -root], [half] * 3]
-    return 2.0 / 3.0 * np.array(rows)
-
-
 def spectral_derivative(waveform: FloatArray) -> FloatArray:
     """Derivative by the angle in 1/rad of periodic values on the grid theta_j = 2 pi j / N,
     along the last axis.
@@ -86,6 +72,11 @@ def spectral_derivative(waveform: FloatArray) -> FloatArray:
     Exact for harmonics below N/2. A harmonic at N/2 has no slope at the angles of the grid and is
     left out. At kinks and jumps it rings over the whole period;
     :func:`dqforge.machines.phase_machines.phase_machine.derivative` keeps errors local.
+
+    Parameters
+    ----------
+    waveform:
+        Values in any unit over one period, shape (..., N).
     """
     count = waveform.shape[-1]
     spectrum = 1j * np.arange(count // 2 + 1) * np.fft.rfft(waveform)
@@ -101,10 +92,10 @@ def amplitude_factor(frame: Frame, shape: FloatArray) -> FloatArray:
     """
     if frame in ("alphabeta0", "dq0"):
         return np.ones(shape.shape[1])
-    axes = clarke() @ shape
+    axes = CLARKE @ shape
     length = np.linalg.norm(axes if frame == "dqy" else axes[:2], axis=0)
     with np.errstate(divide="ignore"):
-        return np.asarray(math.sqrt(1.5) / length, dtype=np.float64)
+        return np.asarray(POWER_INVARIANT / length, dtype=np.float64)
 
 
 def to_frame(
@@ -145,6 +136,19 @@ def from_frame(
 
     The matrices are orthogonal, their inverses the transposes: paper 002 (C.2), (D.2), (E.6).
     Parameters, shapes and errors are those of :func:`to_frame`.
+
+    Parameters
+    ----------
+    frame:
+        The frame.
+    theta:
+        Angles in rad, shape (N,).
+    shape:
+        Back-EMF shape F at these angles, shape (3, N).
+    axes:
+        Quantities on the axes of the frame in any unit, shape (3, N).
+    scaled:
+        Whether the quantities were divided by `amplitude_factor`.
     """
     _require_same_size(shape, axes)
     phases: FloatArray = np.einsum("jkm,kj->mj", transform(frame, theta, shape), axes)
@@ -209,6 +213,15 @@ def transform_rate(
 
     Parameters and errors are those of :func:`frame_rates`; alphabeta0 and dq0 exist for any
     shape and ignore the slope.
+
+    Parameters
+    ----------
+    frame:
+        The frame.
+    theta:
+        Angles in rad, shape (N,).
+    shape, slope:
+        Back-EMF shape F at these angles and its derivative by theta in 1/rad, shape (3, N).
     """
     matrix = transform(frame, theta, shape)
     if frame == "alphabeta0":

@@ -26,6 +26,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import derivative
+from dqforge.machines.transforms import DOUBLES, POWER_INVARIANT, clarke_matrix, park
 
 Frame = Literal["alphabeta0", "dq0", "dqx", "dqy"]
 
@@ -36,7 +37,7 @@ Entry = FloatArray | float
 Entries = tuple[tuple[Entry, Entry, Entry], tuple[Entry, Entry, Entry], tuple[Entry, Entry, Entry]]
 
 
-AMPLITUDE_INVARIANT = math.sqrt(2.0 / 3.0)
+AMPLITUDE_INVARIANT = 1.0 / POWER_INVARIANT
 
 """Amplitude-invariant (peak of phase) over power-invariant quantity on the alpha, beta,
 d and q axes.
@@ -46,12 +47,14 @@ is the mean of the phases.
 """
 
 
+CLARKE = clarke_matrix(power_invariant=True)
+
+"""Orthogonal matrix (3, 3) from phases to alpha, beta and 0; paper 002 (2.13)."""
+
+
 LEAST_ANGLES = 24
 
 """Angles of a period below which derivatives and means tell nothing."""
-
-
-_SCALE = math.sqrt(1.5)
 
 
 _TURN = 2.0 * math.pi / 3.0
@@ -105,13 +108,6 @@ class FrameRms:
     zero: float
 
 
-def clarke() -> FloatArray:
-    """Orthogonal matrix (3, 3) from phases to alpha, beta and 0; paper 002 (2.13)."""
-    half, root = 0.5, math.sqrt(0.75)
-    rows = [[1.0, -half, -half], [0.0, root, -root], [math.sqrt(half)] * 3]
-    return AMPLITUDE_INVARIANT * np.array(rows)
-
-
 def thesis_shapes(count: int) -> dict[str, FloatArray]:
     """Shapes of paper 002, section 2.5, at `count` angles: name to F, shape (3, count).
 
@@ -159,12 +155,12 @@ def transform(frame: Frame, theta: FloatArray, shape: FloatArray) -> FloatArray:
             "per column"
         )
     if frame == "alphabeta0":
-        return np.tile(clarke(), (theta.size, 1, 1))
+        return np.tile(CLARKE, (theta.size, 1, 1))
     if frame == "dq0":
-        return _rotation(np.cos(theta), np.sin(theta)) @ clarke()
+        return _rotation(np.cos(theta), np.sin(theta)) @ CLARKE
     size = np.hypot(alpha, beta)
     _require_direction(size, theta)
-    to_x: FloatArray = _rotation(beta / size, -alpha / size) @ clarke()
+    to_x: FloatArray = _rotation(beta / size, -alpha / size) @ CLARKE
     if frame == "dqx":
         return to_x
     whole = np.hypot(size, zero)
@@ -195,17 +191,17 @@ def frame_angles(shape: FloatArray) -> FrameAngles:
     theta = _grid(alpha.size)
     size = _directed(alpha, beta, theta)
     whole = np.hypot(size, zero)
-    alpha_rate, beta_rate, zero_rate = clarke() @ derivative(shape)
+    alpha_rate, beta_rate, zero_rate = CLARKE @ derivative(shape)
     size_rate = (alpha * alpha_rate + beta * beta_rate) / size
-    cosine, sine = np.cos(theta), np.sin(theta)
+    along, across = park(DOUBLES, (alpha, beta), (np.cos(theta), np.sin(theta)))
     return FrameAngles(
         # Measured from the dq axes the angle needs no unwrapping.
-        theta_x=np.arctan2(-(cosine * alpha + sine * beta), cosine * beta - sine * alpha),
+        theta_x=np.arctan2(-along, across),
         theta_y=np.arctan2(-size, zero),
         theta_x_rate=(alpha * beta_rate - beta * alpha_rate) / size**2 - 1.0,
         theta_y_rate=(size * zero_rate - zero * size_rate) / whole**2,
-        a_x=_SCALE / size,
-        a_y=_SCALE / whole,
+        a_x=POWER_INVARIANT / size,
+        a_y=POWER_INVARIANT / whole,
     )
 
 
@@ -256,7 +252,7 @@ def dynamic_model(
     seen = axes if frame == "dqy" else axes[:2]
     # Both factors are inverse to the length of the vector they see,
     # so a'/a is minus the growth of that length.
-    growth = -np.sum(seen * (clarke() @ derivative(shape))[: seen.shape[0]], axis=0) / np.sum(
+    growth = -np.sum(seen * (CLARKE @ derivative(shape))[: seen.shape[0]], axis=0) / np.sum(
         seen**2, axis=0
     )
     coupling += growth[:, np.newaxis, np.newaxis] * inductance
@@ -269,6 +265,16 @@ def inductance_entries(frame: Frame, sine: Entry, cosine: Entry, l_s: Entry, m_s
     ``sine`` and ``cosine`` of theta_y matter in dqy alone.
 
     Paper 002 (2.14)-(2.16) and (E.38)-(E.46).
+
+    Parameters
+    ----------
+    frame:
+        The frame.
+    sine, cosine:
+        Those of theta_y, numbers or shape (N,).
+    l_s, m_s:
+        Self inductance of a phase and mutual inductance of two, in H, numbers or shape
+        (N,).
     """
     plane, zero = l_s - m_s, l_s + 2.0 * m_s
     if frame != "dqy":
@@ -292,6 +298,18 @@ def coupling_entries(
     Paper 002 (2.20)-(2.22), (2.30), (2.31) and (E.26)-(E.34), corrected: there is no speed term on
     the 0 axis, where (2.22), (C.7) and (C.12) print one, and the factor of sin theta_y is L_s -
     M_s, where (E.27) and (E.29) print L_s + 2 M_s.
+
+    Parameters
+    ----------
+    frame:
+        The frame.
+    sine, cosine:
+        Those of theta_y, numbers or shape (N,).
+    turn, rate:
+        Speeds of both turns of the frame over that of theta, numbers or shape (N,).
+    l_s, m_s:
+        Self inductance of a phase and mutual inductance of two, in H, numbers or shape
+        (N,).
     """
     if frame == "alphabeta0":
         return ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -321,14 +339,14 @@ def frame_rms(shape: FloatArray) -> FrameRms:
     """
     alpha, beta, zero = _clarke_axes(shape)
     theta = _grid(alpha.size)
-    cosine, sine = np.cos(theta), np.sin(theta)
+    d, q = park(DOUBLES, (alpha, beta), (np.cos(theta), np.sin(theta)))
 
     def rms(*parts: FloatArray) -> float:
         return math.sqrt(sum(float(np.mean(part**2)) for part in parts))
 
     return FrameRms(
-        d=rms(cosine * alpha + sine * beta),
-        q=rms(cosine * beta - sine * alpha),
+        d=rms(d),
+        q=rms(q),
         qx=rms(alpha, beta),
         qy=rms(alpha, beta, zero),
         zero=rms(zero),
@@ -369,7 +387,7 @@ def _clarke_axes(shape: FloatArray) -> FloatArray:
     peak = float(np.max(np.abs(shape)))
     if peak > 1.0 + _ROUNDING:
         raise InputError(f"a back-EMF shape is at most 1, got {peak:g}: divide it by its peak")
-    axes: FloatArray = clarke() @ shape
+    axes: FloatArray = CLARKE @ shape
     return axes
 
 

@@ -57,7 +57,13 @@ SHIFT_SIXTH = -np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 
 
 def derivative(waveform: FloatArray) -> FloatArray:
-    """Derivative by the angle in 1/rad along the last axis, periodic, of sixth order."""
+    """Derivative by the angle in 1/rad along the last axis, periodic, of sixth order.
+
+    Parameters
+    ----------
+    waveform:
+        Values in any unit over one period, shape (..., N).
+    """
     step = 2.0 * np.pi / waveform.shape[-1]
     found: FloatArray = np.zeros_like(waveform)
     for distance, weight in enumerate(STENCIL, start=1):

@@ -19,6 +19,7 @@ from dqforge.machines.phase_machines.phase_machine import (
     between,
     derivative,
 )
+from dqforge.machines.transforms import DOUBLES, park
 
 _SAME = 1e-9
 
@@ -115,7 +116,8 @@ class SalientPhaseMachine:
         """
         theta = 2.0 * np.pi * np.arange(self.angles) / self.angles
         turns = theta[:, np.newaxis] - _TURN * np.arange(3)
-        axes = np.sqrt(2.0 / 3.0) * np.stack([np.cos(turns), -np.sin(turns)])
+        phase = np.ones_like(turns), np.zeros_like(turns)
+        axes = np.sqrt(2.0 / 3.0) * np.stack(park(DOUBLES, phase, (np.cos(turns), np.sin(turns))))
         l_d, l_q = np.mean(np.einsum("xjk,jkl,xjl->xj", axes, self.inductance, axes), axis=1)
         return float(l_d), float(l_q)
 

@@ -25,10 +25,10 @@ from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.modulation.modulators import inverse_park
 from dqforge.machines.plants.current_trace import CurrentTrace
 from dqforge.machines.plants.fed_machine import I_D, I_Q, Z_D, Z_Q, BridgeDrive, Plant, build_plant
 from dqforge.machines.plants.switching_events import Controller, follow
+from dqforge.machines.transforms import dq_to_phases
 
 # All switching states of the bridge, (8, 3).
 BRIDGE_STATES: BoolArray = np.array(
@@ -135,7 +135,7 @@ class _RampController:
         v_q = scheme.kp * (plant.i_q - state[..., I_Q]) + scheme.ki * state[..., Z_Q]
         turn = time * scheme.f_carrier
         triangle = self.scale * (2.0 * np.abs(turn - np.floor(turn) - 0.5) - 0.5)
-        above = inverse_park(v_d, v_q, plant.omega_e * time) - triangle[..., None]
+        above = dq_to_phases(v_d, v_q, plant.omega_e * time) - triangle[..., None]
         return np.where(legs, -above, above) - 0.5 * scheme.comparator_band
 
     def decide(
@@ -340,7 +340,7 @@ def simulate_currents(
     rotating = not isinstance(scheme, RampComparison) or scheme.frame == "synchronous"
     plant = build_plant(drive, d, q, omega_e, rotating=rotating)
     v_d, v_q = machine.voltage(d, q, omega_e)
-    legs = inverse_park(v_d, v_q, np.zeros(d.size)) > 0.0
+    legs = dq_to_phases(v_d, v_q, np.zeros(d.size)) > 0.0
     integral = None
     if isinstance(scheme, RampComparison):
         legs = np.zeros_like(legs)  # the triangle starts at its top

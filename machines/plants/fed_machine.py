@@ -19,7 +19,7 @@ import numpy as np
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
-from dqforge.machines.modulation.modulators import inverse_park
+from dqforge.machines.transforms import dq_to_phases, phases_to_dq
 
 # Places in the state: currents, voltages, integrals of the current errors, and the constant 1.
 I_D, I_Q, I_0, V_D, V_Q, V_0, Z_D, Z_Q, ONE = range(9)
@@ -34,9 +34,6 @@ _TERMS = 9
 
 
 _RELATIVE_STEP = 0.1
-
-
-_PHASE_SHIFT = np.array([0.0, 2.0, -2.0]) * (math.pi / 3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,10 +132,8 @@ class Plant:
         electrical angle (...) in rad.
         """
         leg = self.drive.v_dc * (legs - 0.5)
-        angle = theta_e[..., None] - _PHASE_SHIFT
         changed = np.array(state)
-        changed[..., V_D] = 2.0 / 3.0 * np.sum(leg * np.cos(angle), axis=-1)
-        changed[..., V_Q] = -2.0 / 3.0 * np.sum(leg * np.sin(angle), axis=-1)
+        changed[..., V_D], changed[..., V_Q] = phases_to_dq(leg, theta_e)
         changed[..., V_0] = 0.0 if self.drive.neutral_inductance is None else np.mean(leg, axis=-1)
         return changed
 
@@ -158,11 +153,11 @@ class Plant:
 
     def phase_currents(self, state: FloatArray, theta_e: FloatArray) -> FloatArray:
         """Phase currents in A (..., 3) of states (..., 9) at electrical angles (...) in rad."""
-        return inverse_park(state[..., I_D], state[..., I_Q], theta_e) + state[..., I_0, None]
+        return dq_to_phases(state[..., I_D], state[..., I_Q], theta_e) + state[..., I_0, None]
 
     def phase_errors(self, state: FloatArray, theta_e: FloatArray) -> FloatArray:
         """Phase currents less their references in A, shape (..., N, 3), of states (..., N, 9)."""
-        difference = inverse_park(state[..., I_D] - self.i_d, state[..., I_Q] - self.i_q, theta_e)
+        difference = dq_to_phases(state[..., I_D] - self.i_d, state[..., I_Q] - self.i_q, theta_e)
         return np.asarray(difference + state[..., I_0, None], dtype=np.float64)
 
 

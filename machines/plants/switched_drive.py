@@ -18,9 +18,10 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.losses.bridge_tables import BridgeTables
-from dqforge.machines.modulation.modulators import inverse_park, modulate
+from dqforge.machines.modulation.modulators import modulate
 from dqforge.machines.modulation.ripple import switching_instants
 from dqforge.machines.names import ModulationName
+from dqforge.machines.transforms import dq_to_phases, phases_to_dq
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
@@ -82,8 +83,8 @@ def _pulses(
     # A voltage held over the carrier period in stator coordinates is smaller by
     # the mean of the rotation.
     held = 0.5 * omega_e * t_s / math.sin(0.5 * omega_e * t_s)
-    phase = inverse_park(v_d * held, v_q * held, theta)
-    duty = modulate(name, phase, inverse_park(i_d, i_q, theta), v_dc).duty
+    phase = dq_to_phases(v_d * held, v_q * held, theta)
+    duty = modulate(name, phase, dq_to_phases(i_d, i_q, theta), v_dc).duty
     edges = start[:, None, None] + switching_instants(duty, t_s)
     place = edges.transpose(0, 2, 1).reshape(-1)
     step = np.zeros((place.size, 3))
@@ -155,10 +156,7 @@ def simulate_period(
     pulses = _pulses(modulation, voltage, current, omega_e, v_dc, carrier_ratio)
     length = np.diff(pulses.instant)
     leg = v_dc * (pulses.state - np.mean(pulses.state, axis=-1, keepdims=True))
-    # Amplitude-invariant Park transform of the voltages at the start of each piece.
-    turn = omega_e * pulses.instant[:-1, None] - np.array([0.0, 2.0, -2.0]) * (math.pi / 3.0)
-    v_d = 2.0 / 3.0 * np.sum(np.cos(turn) * leg, axis=-1)
-    v_q = -2.0 / 3.0 * np.sum(np.sin(turn) * leg, axis=-1)
+    v_d, v_q = phases_to_dq(leg, omega_e * pulses.instant[:-1])  # at the start of each piece
     whole = _propagators(machine, omega_e, length)
     start = _periodic(whole, v_d, v_q)
     inside = _propagators(machine, omega_e, 0.5 * length[:, None] * (1.0 + _GAUSS_NODES))
@@ -166,7 +164,7 @@ def simulate_period(
     found = np.einsum("ngij,nj->ngi", inside, state)
     time = pulses.instant[:-1, None] + 0.5 * length[:, None] * (1.0 + _GAUSS_NODES)
     weight = 0.5 * length[:, None] * _GAUSS_WEIGHTS / float(pulses.instant[-1])
-    phases = inverse_park(found[..., 0], found[..., 1], omega_e * time)
+    phases = dq_to_phases(found[..., 0], found[..., 1], omega_e * time)
     return _accounted(
         machine, tables, pulses, start, (found, phases, weight), omega_e, v_dc, junction_temperature
     )
@@ -219,7 +217,7 @@ def _accounted(
         else (_warm(tables, tables.diode.at(size), temperature) * size)
     )
     conduction = float(np.sum(weight[..., None] * np.where(forward, channel, backward)))
-    at = np.abs(inverse_park(start[1:-1, 0], start[1:-1, 1], omega_e * pulses.instant[1:-1]))
+    at = np.abs(dq_to_phases(start[1:-1, 0], start[1:-1, 1], omega_e * pulses.instant[1:-1]))
     switched = np.any([pulses.state[1:] != pulses.state[:-1]], axis=0)
     # Pulses that fill or leave out the whole carrier period have edges that meet: they are none.
     switched &= (_neighbour(pulses, 1) > 0.0) & (_neighbour(pulses, -1) > 0.0)

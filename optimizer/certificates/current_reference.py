@@ -34,10 +34,10 @@ from dqforge.optimizer.certificates.exact_conditions import Condition, Task
 from dqforge.optimizer.certificates.interval_newton import (
     UNKNOWN,
     Interval,
+    errors_without_currents,
     newton,
-    without_currents,
 )
-from dqforge.optimizer.certificates.near_zero_torque import NARROW, beside
+from dqforge.optimizer.certificates.near_zero_torque import NARROW, bounds_near_zero_torque
 from dqforge.optimizer.certificates.rounding import pieces
 from dqforge.optimizer.current_reference.forms import (
     Reference,
@@ -177,17 +177,17 @@ def _bounds(task: Task, interval: Interval, found: FloatArray) -> tuple[FloatArr
         )
     except ZeroDivisionError:
         if conditions != ["loss"]:
-            best = without_currents(task, interval)
+            best = errors_without_currents(task, interval)
     beyond = _conditions_beyond(task, interval, conditions, float(best[_TORQUE]))
     for condition in beyond:
         best[_LOSSES] = np.maximum(best[_LOSSES], _losses(task, interval, condition))
     may_fall = len(conditions) + len(beyond) > 1 or not np.all(np.isfinite(best))
     if conditions == ["loss"] and np.any(best > _FAR * found):
         try:
-            best = np.minimum(best, beside(task, interval).values())
+            best = np.minimum(best, bounds_near_zero_torque(task, interval).values())
             may_fall = interval.high - interval.low > NARROW * interval.high
         except ZeroDivisionError:
-            best = np.minimum(best, without_currents(task, interval))
+            best = np.minimum(best, errors_without_currents(task, interval))
     return np.asarray(best), may_fall
 
 

@@ -166,7 +166,7 @@ class Task:
         return (v_d * v_d + v_q * v_q) * scale - 1, by_d, by_q
 
 
-def over_box(task: Task, box: tuple[arb, arb], condition: Condition) -> Local:
+def conditions_over_box(task: Task, box: tuple[arb, arb], condition: Condition) -> Local:
     """Torque and condition over a box of currents, whatever cells it touches."""
     found = [task.local(jet(*box), *box, condition) for jet in jets(task.choice.machine, *box)]
     return Local(

@@ -14,7 +14,12 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.certificates.ball import Expansion, Value, exactly, hull, upper, widened
 from dqforge.optimizer.certificates.enclosures import JetFunction, jets
-from dqforge.optimizer.certificates.exact_conditions import Condition, Local, Task, over_box
+from dqforge.optimizer.certificates.exact_conditions import (
+    Condition,
+    Local,
+    Task,
+    conditions_over_box,
+)
 from dqforge.optimizer.certificates.rounding import Piece
 from dqforge.optimizer.current_reference.forms import PENALTY_FROM
 
@@ -121,7 +126,7 @@ def newton(task: Task, interval: Interval, condition: Condition) -> Bounds:
     ]
     for _ in range(_NEWTON_TRIES):
         box = (i_d + arb(0, reach[0]), i_q + arb(0, reach[1]))
-        at = over_box(task, box, condition)
+        at = conditions_over_box(task, box, condition)
         inverse = 1 / (at.t_d * at.c_q - at.t_q * at.c_d)
         if not inverse.is_finite():
             raise ZeroDivisionError
@@ -219,12 +224,12 @@ def torque_and_voltage(task: Task, interval: Interval) -> tuple[arb, float]:
 
     rows = [expansion.enclose(errors(formula)) for formula in jets(task.choice.machine, *box)]
     error, excess = (hull(list(column)) for column in zip(*rows, strict=True))
-    at = over_box(task, box, "voltage")
+    at = conditions_over_box(task, box, "voltage")
     room = at.t_d.abs_upper() * rounding_d + at.t_q.abs_upper() * rounding_q
     return widened(error, room), _voltage_excess(task, excess, at, rounding_d, rounding_q)
 
 
-def without_currents(task: Task, interval: Interval) -> FloatArray:
+def errors_without_currents(task: Task, interval: Interval) -> FloatArray:
     """Torque error and voltage alone: where torque and voltage limit touch,
     the exact currents are not isolated.
     """

@@ -14,7 +14,7 @@ import numpy as np
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.certificates.ball import Expansion, Value, exactly, hull, upper, widened
 from dqforge.optimizer.certificates.enclosures import jets
-from dqforge.optimizer.certificates.exact_conditions import Task, over_box
+from dqforge.optimizer.certificates.exact_conditions import Task, conditions_over_box
 from dqforge.optimizer.certificates.interval_newton import (
     UNKNOWN,
     Bounds,
@@ -67,7 +67,7 @@ class _Chord:
         return exactly(0.0), exactly(0.0)
 
 
-def beside(task: Task, interval: Interval) -> Bounds:
+def bounds_near_zero_torque(task: Task, interval: Interval) -> Bounds:
     """Bounds where a reference errs by a good part of the currents themselves, as near rest.
 
     The exact currents are enclosed for themselves, about the chord between the solver's,
@@ -116,7 +116,7 @@ def _loss_beside(
     parts = [_exact_near_rest(task, *ends) for ends in pairwise(edges)]
     exact_d, exact_q = (hull(list(column)) for column in zip(*parts, strict=True))
     off_d, off_q = i_d - exact_d, i_q - exact_q
-    at = over_box(task, (i_d.union(exact_d), i_q.union(exact_q)), "loss")
+    at = conditions_over_box(task, (i_d.union(exact_d), i_q.union(exact_q)), "loss")
     factor = (exact_d * at.t_d + exact_q * at.t_q) / (at.t_d * at.t_d + at.t_q * at.t_q)
     straight = (1 - factor * at.t_dd) * off_d * off_d + (1 - factor * at.t_qq) * off_q * off_q
     more = (straight - 2 * factor * at.t_dq * off_d * off_q).abs_upper()

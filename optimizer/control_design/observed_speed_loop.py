@@ -25,7 +25,7 @@ from dqforge.optimizer.control_design.observer_drive import (
 )
 from dqforge.optimizer.loops.gains import LoopGains, speed_delay
 from dqforge.optimizer.loops.observed_margins import ObservedLoop
-from dqforge.optimizer.loops.pi_methods import advice, calmer, largest_factor, speed_pi
+from dqforge.optimizer.loops.pi_methods import calmer, largest_factor, loop_advice, speed_pi
 from dqforge.optimizer.loops.plants import DisturbanceResponse, PiLoop, close_pi
 from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
 from dqforge.optimizer.observers.tuning import PositionObserver
@@ -134,7 +134,7 @@ def _advice(settings: SpeedLoopSettings, gains: tuple[float, float], factor: flo
             f"it holds with control.speed_loop.kp = {gains[0]:.4g} N m s/rad and ki = "
             f"{gains[1]:.4g} N m/rad"
         )
-    return advice("control.speed_loop", settings, factor)
+    return loop_advice("control.speed_loop", settings, factor)
 
 
 def judge_observed(

@@ -43,6 +43,13 @@ def alternatives(choice: CurrentChoice, fit: ReferenceFit) -> tuple[Alternative,
     Other forms search their own breakpoints; other methods and side conditions keep those of
     ``fit``, so that the price of each option is seen alone. Empty where the reference needs no
     polynomial.
+
+    Parameters
+    ----------
+    choice:
+        Machine, strategy and limits.
+    fit:
+        The fit to vary.
     """
     if fit.d is None and fit.q is None:
         return ()

@@ -96,7 +96,21 @@ def estimated_cycles(
     number_format: NumberFormat = "float32",
     core: Core = "cortex-m4",
 ) -> float:
-    """Cycles of both currents on a core, an estimate to rank candidates by."""
+    """Cycles of both currents on a core, an estimate to rank candidates by.
+
+    Parameters
+    ----------
+    form:
+        Form of the reference.
+    degree:
+        Degree of its polynomials.
+    segments:
+        Number of their segments.
+    number_format:
+        Format of its numbers.
+    core:
+        The processor core.
+    """
     return _CYCLES[core][form if number_format == "float32" else number_format].cycles(
         degree, segments
     )
@@ -105,7 +119,19 @@ def estimated_cycles(
 def constant_bytes(
     form: FitForm, degree: int, segments: int, number_format: NumberFormat = "float32"
 ) -> int:
-    """Bytes of the constants of a form whose axes share their breakpoints."""
+    """Bytes of the constants of a form whose axes share their breakpoints.
+
+    Parameters
+    ----------
+    form:
+        Form of the reference.
+    degree:
+        Degree of its polynomials.
+    segments:
+        Number of their segments.
+    number_format:
+        Format of its numbers.
+    """
     polynomials = len(AXES[form])
     if number_format != "float32":
         word = FIXED_WIDTHS[number_format] // 4

@@ -110,7 +110,17 @@ def _search_edges(curves: list[Curve], settings: FitSettings, end: float) -> Flo
 def find_edges(
     curves: dict[str, Curve], settings: FitSettings, end: float
 ) -> dict[str, FloatArray]:
-    """Segment edges per axis, each of shape (S + 1,), given or searched for, shared or own."""
+    """Segment edges per axis, each of shape (S + 1,), given or searched for, shared or own.
+
+    Parameters
+    ----------
+    curves:
+        Currents in A over torque in N m, by axis.
+    settings:
+        Degree, number of segments, given edges, breakpoint mode.
+    end:
+        End of the domain in N m.
+    """
     if settings.breakpoints is not None:
         return dict.fromkeys(curves, np.array([0.0, *settings.breakpoints, end]))
     groups = [[axis] for axis in curves] if settings.breakpoint_mode == "own" else [list(curves)]
@@ -122,7 +132,15 @@ def find_edges(
 
 
 def exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None:
-    """The form that needs no polynomial, where the machine and the strategy have one."""
+    """The form that needs no polynomial, where the machine and the strategy have one.
+
+    Parameters
+    ----------
+    choice:
+        Machine, strategy and limits.
+    form:
+        The form that is wanted.
+    """
     machine = choice.closed_form
     if machine is None:
         return None
@@ -137,7 +155,15 @@ def exact_form(choice: CurrentChoice, form: FitForm) -> tuple[str, Form] | None:
 
 
 def least_degree(form: FitForm, settings: FitSettings) -> int:
-    """Least degree of a form: 2 where i_d has no linear term."""
+    """Least degree of a form: 2 where i_d has no linear term.
+
+    Parameters
+    ----------
+    form:
+        Form of the reference.
+    settings:
+        Whether i_d is to be flat at zero torque.
+    """
     return 2 if form == "even-odd" or (settings.flat_at_zero and "d" in AXES[form]) else 1
 
 
@@ -149,6 +175,13 @@ def possible_forms(
     ``torque-exact`` needs constant inductances and a magnet, ``closed-form`` and ``even-odd`` the
     MTPA locus that these have. Fixed point has plain polynomials only: it is for cores on which a
     division or a root costs more than all the rest.
+
+    Parameters
+    ----------
+    choice:
+        Machine, strategy and limits.
+    number_format:
+        Format of the numbers.
     """
     machine = choice.machine
     if not isinstance(machine, LinearMachine) or number_format != "float32":

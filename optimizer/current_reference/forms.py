@@ -272,6 +272,17 @@ def error_curves(
 ) -> ErrorCurves:
     """Compare the arithmetic of a reference with the exact strategy in double at torques
     >= 0 that it knows, (N,).
+
+    Parameters
+    ----------
+    choice:
+        Machine, strategy and limits: the exact currents.
+    reference:
+        What the emitted C computes.
+    torque:
+        Torques in N m, or codes of them, shape (N,).
+    fused:
+        Whether products and sums are contracted.
     """
     machine = choice.machine
     i_d, i_q = (
@@ -297,6 +308,15 @@ def reference_errors(
 ) -> ReferenceErrors:
     """Largest errors of the reference over its domain, in the arithmetic of the
     emitted C (both contractions).
+
+    Parameters
+    ----------
+    choice:
+        Machine, strategy and limits: the exact currents.
+    reference:
+        What the emitted C computes.
+    samples:
+        Number of torques.
     """
     torque = reference.samples(samples)
     contractions = (False,) if isinstance(reference, FixedReference) else (False, True)

@@ -19,7 +19,17 @@ from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 
 def code_scale(choice: CurrentChoice, settings: FitSettings, end: float) -> CodeScale:
-    """Full scales of a fixed-point format, checked against what it must hold."""
+    """Full scales of a fixed-point format, checked against what it must hold.
+
+    Parameters
+    ----------
+    choice:
+        Machine, strategy and limits.
+    settings:
+        Format and full scales as far as they are given.
+    end:
+        End of the domain in N m.
+    """
     if settings.full_scale is None or settings.format is None:
         raise InputError(
             f"fit.format: {settings.format} needs the bases of torque and current; give full_scale"
@@ -48,7 +58,15 @@ def _rounded_up(value: float) -> str:
 
 
 def on_codes(edges: FloatArray, scale: CodeScale) -> FloatArray:
-    """Segment edges whose inner ones are whole codes."""
+    """Segment edges whose inner ones are whole codes.
+
+    Parameters
+    ----------
+    edges:
+        Edges in N m, shape (S + 1,).
+    scale:
+        Full scales of torque and current.
+    """
     inner = [float(scale.arguments(np.array(scale.code(edge)))) for edge in edges[1:-1]]
     return np.array([0.0, *inner, edges[-1]])
 
@@ -56,7 +74,19 @@ def on_codes(edges: FloatArray, scale: CodeScale) -> FloatArray:
 def in_fixed_point(
     choice: CurrentChoice, settings: FitSettings, end: float, fits: dict[str, PiecewisePolynomial]
 ) -> FixedReference:
-    """Integers of polynomials, or of the straight line where the exact reference is one."""
+    """Integers of polynomials, or of the straight line where the exact reference is one.
+
+    Parameters
+    ----------
+    choice:
+        Machine, strategy and limits.
+    settings:
+        Format and full scales as far as they are given.
+    end:
+        End of the domain in N m.
+    fits:
+        Polynomials of the currents in A over torque in N m, by axis.
+    """
     scale, curves = code_scale(choice, settings, end), choice.curves(end)
     machine = choice.machine
     if not fits:
@@ -81,6 +111,17 @@ def holds(
     """Whether the full scales hold torques and currents up to the end of the domain in N m.
 
     Floats hold everything.
+
+    Parameters
+    ----------
+    choice:
+        Machine, strategy and limits.
+    settings:
+        Full scales as far as they are given.
+    number_format:
+        Format of the numbers.
+    end:
+        End of the domain in N m.
     """
     if number_format == "float32":
         return True

@@ -14,6 +14,11 @@ from dqforge.optimizer.current_reference.integer_form import FixedReference
 def signed_reference(positive: ReferenceFit, negative: ReferenceFit) -> SignedReference:
     """The references of both signs of the torque as one.
 
+    Parameters
+    ----------
+    positive, negative:
+        Fits of positive torques, and of those of the mirrored machine.
+
     Raises
     ------
     InputError

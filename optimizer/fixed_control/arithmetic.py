@@ -14,21 +14,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import isqrt
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from dqforge.machines.transforms import C, N
 
 CodeArray = NDArray[np.int64]
 
 
 BoolArray = NDArray[np.bool_]
-
-
-N = TypeVar("N")
-
-
-C = TypeVar("C")
 
 
 class Arithmetic(Protocol[N, C]):
@@ -267,23 +263,6 @@ class Ranges:
         if condition is None:
             return a.hull(b)
         return a if condition else b
-
-
-@dataclass(frozen=True, slots=True)
-class Triple(Generic[N]):
-    """Values of the phases a, b, c."""
-
-    a: N
-    b: N
-    c: N
-
-
-@dataclass(frozen=True, slots=True)
-class Pair(Generic[N]):
-    """Values on two axes: alpha and beta, d and q, or cosine and sine."""
-
-    x: N
-    y: N
 
 
 def larger(o: Arithmetic[N, Any], a: N, b: N) -> N:

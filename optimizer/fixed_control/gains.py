@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, C, N, rounded
+from dqforge.machines.transforms import C, N
+from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded
 from dqforge.optimizer.loops.gains import (
     LoopGains,
     analyse_current_loop,

@@ -12,7 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.fixed_control.arithmetic import Pair, Range, Ranges, Reach, Triple
+from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
+from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach
 from dqforge.optimizer.fixed_control.gains import scaled
 from dqforge.optimizer.fixed_control.step import (
     FixedControl,
@@ -28,15 +29,7 @@ from dqforge.optimizer.fixed_control.step import (
     pi_step,
     pi_velocity,
 )
-from dqforge.optimizer.fixed_control.transforms import (
-    clarke,
-    clarke_inverse,
-    duties,
-    full_scale,
-    park,
-    park_inverse,
-    rotation,
-)
+from dqforge.optimizer.fixed_control.transforms import Codes, duties, full_scale, rotation
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
 
@@ -127,10 +120,11 @@ def step_ranges(control: FixedControl) -> Ranges:
     current_control(found, control, integral, measured, Pair(every, every))
     found.prefix = "parts: "
     turn = rotation(found, width, angle)
-    park(found, width, Pair(every, every), turn)
-    park_inverse(found, width, Pair(every, every), turn)
-    clarke(found, width, Triple(every, every, every))
-    clarke_inverse(found, width, Pair(every, every))
+    numbers = Codes(found, width)
+    park(numbers, Pair(every, every), turn)
+    park_inverse(numbers, Pair(every, every), turn)
+    clarke(numbers, Triple(every, every, every))
+    clarke_inverse(numbers, Pair(every, every))
     decouple(found, width, control.decoupling, every, Pair(every, every))
     v_dc, phases = Range(1, top), Triple(every, every, every)
     duties(found, width, control.modulation, control.dc_scale, Pair(every, every), v_dc, phases)

@@ -11,15 +11,14 @@ from dataclasses import dataclass
 from typing import Any, Generic, Literal
 
 from dqforge.machines.names import ModulationName, NumberFormat
-from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, N, Pair, Triple, rounded
+from dqforge.machines.transforms import N, Pair, Triple, clarke, park, park_inverse
+from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded
 from dqforge.optimizer.fixed_control.gains import scaled
 from dqforge.optimizer.fixed_control.transforms import (
+    Codes,
     SineSteps,
-    clarke,
     duties,
     full_scale,
-    park,
-    park_inverse,
     rotation,
     sine_steps,
 )
@@ -302,9 +301,9 @@ def current_control(
     reference: Pair[N],
 ) -> ControlStep[N]:
     """One sample of the current control, from phase currents to duty cycles."""
-    width = control.width
+    width, codes = control.width, Codes(o, control.width)
     v_dc = o.clamp(measured.v_dc, control.dc_least, full_scale(width))
-    current = park(o, width, clarke(o, width, measured.i), rotation(o, width, measured.theta_e))
+    current = park(codes, clarke(codes, measured.i), rotation(o, width, measured.theta_e))
     feed = decouple(o, width, control.decoupling, measured.omega, current)
     error = Pair(
         o.total("d error", reference.x, o.negative(current.x)),
@@ -329,6 +328,6 @@ def current_control(
         measured.theta_e,
         scaled(o, "angle advance", control.advance, measured.omega),
     )
-    vector = park_inverse(o, width, found, rotation(o, width, o.wrapped(turn, width)))
+    vector = park_inverse(codes, found, rotation(o, width, o.wrapped(turn, width)))
     duty = duties(o, width, control.modulation, control.dc_scale, vector, v_dc, measured.i)
     return ControlStep(duty, after, vector, current, found)

@@ -1,4 +1,4 @@
-"""Angle functions, Clarke and Park transforms and duty cycles in integers,
+"""Angle functions, the numbers of Clarke and Park transforms, and duty cycles in integers,
 as the emitted C has them.
 
 Every function takes its operations from an `Arithmetic`: numbers make it the model, ranges its
@@ -11,34 +11,23 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar, Generic, get_args
 
 import numpy as np
 
+from dqforge.machines.modulation.zero_sequence import zero_sequence_of
 from dqforge.machines.names import ModulationName
+from dqforge.machines.transforms import N, Pair, Triple, clarke_inverse
 from dqforge.optimizer.fixed_control.arithmetic import (
     Arithmetic,
     Integers,
-    N,
-    Pair,
-    Triple,
     larger,
     magnitude,
     rounded,
 )
 
-FIXED_MODULATORS: tuple[ModulationName, ...] = (
-    "spwm",
-    "thipwm6",
-    "thipwm4",
-    "svpwm",
-    "dpwm0",
-    "dpwm1",
-    "dpwm2",
-    "dpwm3",
-    "dpwmmin",
-    "dpwmmax",
-    "ddt-gdpwm",
+FIXED_MODULATORS: tuple[ModulationName, ...] = tuple(
+    name for name in get_args(ModulationName) if name != "gdpwm"
 )
 
 """Modulators that there are in integers; GDPWM needs the angle of the
@@ -151,133 +140,73 @@ def full_scale(width: int) -> int:
     return int(2 ** (width - 1) - 1)
 
 
-def clarke(o: Arithmetic[N, Any], width: int, phase: Triple[N]) -> Pair[N]:
-    """Alpha = (2 a - b - c)/3 and beta = (b - c)/sqrt 3, saturated at full scale."""
-    top, bits = full_scale(width), width - 1
-    third, root = round(2**bits / 3), round(2**bits / math.sqrt(3.0))
-    double = o.product("clarke: 2 a", o.const(2), phase.a)
-    sums = o.total("clarke: 2 a - b - c", double, o.negative(phase.b), o.negative(phase.c))
-    alpha = rounded(o, "clarke: alpha", o.product("clarke: alpha", sums, o.const(third)), bits)
-    gap = o.total("clarke: b - c", phase.b, o.negative(phase.c))
-    beta = rounded(o, "clarke: beta", o.product("clarke: beta", gap, o.const(root)), bits)
-    return Pair(o.clamp(alpha, -top, top), o.clamp(beta, -top, top))
-
-
-def clarke_inverse(o: Arithmetic[N, Any], width: int, vector: Pair[N]) -> Triple[N]:
-    """A = alpha, b and c = -alpha/2 +- sqrt(3)/2 beta, saturated at full scale."""
-    top, bits = full_scale(width), width - 1
-    half = o.product("clarke inverse: alpha/2", vector.x, o.const(2 ** (bits - 1)))
-    side = o.product("clarke inverse: beta", vector.y, o.const(round(2**bits * math.sqrt(0.75))))
-    b = rounded(o, "clarke inverse: b", o.total("clarke inverse: b", side, o.negative(half)), bits)
-    back = o.negative(side)
-    c = rounded(o, "clarke inverse: c", o.total("clarke inverse: c", back, o.negative(half)), bits)
-    return Triple(o.clamp(vector.x, -top, top), o.clamp(b, -top, top), o.clamp(c, -top, top))
-
-
-def park(o: Arithmetic[N, Any], width: int, vector: Pair[N], turn: Pair[N]) -> Pair[N]:
-    """D = alpha cos + beta sin, q = beta cos - alpha sin, saturated at full scale."""
-    top, bits = full_scale(width), width - 1
-    d = o.total(
-        "park: d", o.product("park: d", vector.x, turn.x), o.product("park: d", vector.y, turn.y)
-    )
-    cross = o.product("park: q", vector.x, turn.y)
-    q = o.total("park: q", o.product("park: q", vector.y, turn.x), o.negative(cross))
-    found = rounded(o, "park: d", d, bits), rounded(o, "park: q", q, bits)
-    return Pair(o.clamp(found[0], -top, top), o.clamp(found[1], -top, top))
-
-
-def park_inverse(o: Arithmetic[N, Any], width: int, vector: Pair[N], turn: Pair[N]) -> Pair[N]:
-    """Alpha = d cos - q sin, beta = d sin + q cos, saturated at full scale."""
-    return park(o, width, vector, Pair(turn.x, o.negative(turn.y)))
-
-
-def _third_harmonic(o: Arithmetic[N, Any], width: int, v: Triple[N], share: int) -> N:
-    """V cos(3 alpha) / 4 of balanced phases = a b c / V^2, times 4 / share; 0 without voltage."""
-    bits, top = width - 1, full_scale(width)
-    squares = [o.product("third harmonic: square", value, value) for value in (v.a, v.b, v.c)]
-    mean = [o.shifted(square, bits) for square in squares]
-    total = o.total("third harmonic: V^2", *mean)
-    # V^2 = 2/3 (a^2 + b^2 + c^2)
-    length = o.shifted(
-        o.product("third harmonic: V^2", total, o.const(round(2**bits * 2 / 3))), bits
-    )
-    cube = o.product(
-        "third harmonic: a b c", o.shifted(o.product("third harmonic: a b", v.a, v.b), bits), v.c
-    )
-    ratio = o.clamp(
-        o.quotient("third harmonic: ratio", cube, larger(o, length, o.const(1))), -top, top
-    )
-    if share == 4:
-        return ratio
-    scale = o.const(round(2**bits * 4 / share))
-    return rounded(o, "third harmonic", o.product("third harmonic", ratio, scale), bits)
-
-
-def _extremes(o: Arithmetic[N, Any], v: Triple[N], seen: Triple[N]) -> tuple[N, N, N, N]:
-    """Highest and lowest phase, and what is seen of these two.
-
-    Of equals the first is highest, the last lowest.
+@dataclass(frozen=True, slots=True)
+class Codes(Generic[N]):
+    """Codes of ``width`` bits as the `Numbers` of the transforms: products have twice as many bits,
+    ends saturate.
     """
-    high, high_seen, low, low_seen = v.a, seen.a, v.a, seen.a
-    for value, view in ((v.b, seen.b), (v.c, seen.c)):
-        keeps, falls = o.at_least(high, value), o.at_least(low, value)
-        high, high_seen = o.choose(keeps, high, value), o.choose(keeps, high_seen, view)
-        low, low_seen = o.choose(falls, value, low), o.choose(falls, view, low_seen)
-    return high, low, high_seen, low_seen
 
+    halves: ClassVar[bool] = False
 
-def _seen(
-    o: Arithmetic[N, Any], modulation: ModulationName, v: Triple[N], i: Triple[N]
-) -> Triple[N]:
-    """What decides between the two rails: the larger magnitude of this rests."""
-    if modulation == "ddt-gdpwm":
-        return i
-    if modulation == "dpwm0":  # the references 30 degrees later, apart from a factor
-        other = Triple(v.b, v.c, v.a)
-    elif modulation == "dpwm2":
-        other = Triple(v.c, v.a, v.b)
-    else:
-        return v
-    name = f"{modulation}: difference"
-    return Triple(
-        *(o.total(name, x, o.negative(y)) for x, y in zip(_three(v), _three(other), strict=True))
-    )
+    o: Arithmetic[N, Any]
+    width: int
 
+    @property
+    def bits(self) -> int:
+        """Bits of a code without its sign."""
+        return self.width - 1
 
-def _three(v: Triple[N]) -> tuple[N, N, N]:
-    return v.a, v.b, v.c
+    def product(self, name: str, a: N, b: N) -> N:
+        """The product a b."""
+        return self.o.product(name, a, b)
 
+    def total(self, name: str, *terms: N) -> N:
+        """Sum of terms, added from the left."""
+        return self.o.total(name, *terms)
 
-def zero_sequence(
-    o: Arithmetic[N, Any], width: int, modulation: ModulationName, v: Triple[N], i: Triple[N]
-) -> N:
-    """Zero sequence from the negative rail as a share of the dc link, 2^(width - 1) is all of
-    it.
-    """
-    half = o.const(2 ** (width - 2))
-    if modulation == "spwm":
-        return half
-    if modulation in ("thipwm6", "thipwm4"):
-        third = _third_harmonic(o, width, v, int(modulation[-1]))
-        return o.total(f"{modulation}: zero sequence", half, o.negative(third))
-    return _from_extremes(o, width, modulation, _extremes(o, v, _seen(o, modulation, v, i)))
+    def negative(self, a: N) -> N:
+        """The number -a."""
+        return self.o.negative(a)
 
+    def magnitude(self, a: N) -> N:
+        """The magnitude of a."""
+        return magnitude(self.o, a)
 
-def _from_extremes(
-    o: Arithmetic[N, Any], width: int, modulation: ModulationName, found: tuple[N, N, N, N]
-) -> N:
-    """Zero sequence of the modulators that look at the highest and the lowest phase."""
-    high, low, high_seen, low_seen = found
-    upper = o.total(f"{modulation}: zero sequence", o.const(2 ** (width - 1)), o.negative(high))
-    lower = o.negative(low)
-    if modulation == "svpwm":
-        return o.shifted(o.total("svpwm: zero sequence", upper, lower), 1)
-    if modulation in ("dpwmmax", "dpwmmin"):
-        return upper if modulation == "dpwmmax" else lower
-    high_seen, low_seen = magnitude(o, high_seen), magnitude(o, low_seen)
-    if modulation == "dpwm3":
-        return o.choose(o.at_least(low_seen, high_seen), upper, lower)
-    return o.choose(o.at_least(high_seen, low_seen), upper, lower)
+    def twice(self, name: str, a: N) -> N:
+        """The number 2 a."""
+        return self.o.product(name, self.o.const(2), a)
+
+    def halved(self, a: N) -> N:
+        """Half of a, downwards."""
+        return self.o.shifted(a, 1)
+
+    def part(self, name: str, a: N, share: float) -> N:
+        """The product with a constant, which is rounded to a code."""
+        return self.o.product(name, a, self.o.const(round(2**self.bits * share)))
+
+    def lowered(self, a: N) -> N:
+        """A product with the bits of a code, downwards."""
+        return self.o.shifted(a, self.bits)
+
+    def settled(self, name: str, a: N) -> N:
+        """A product or sum of products with the bits of a code, to nearest and saturated."""
+        return self.saturated(rounded(self.o, name, a, self.bits))
+
+    def saturated(self, a: N) -> N:
+        """The code nearest to a."""
+        return self.o.clamp(a, -full_scale(self.width), full_scale(self.width))
+
+    def ratio(self, name: str, a: N, b: N) -> N:
+        """Quotient towards zero of a product by a code that is not negative, saturated."""
+        return self.saturated(self.o.quotient(name, a, larger(self.o, b, self.o.const(1))))
+
+    def at_least(self, a: N, b: N) -> Any:
+        """Condition that a >= b."""
+        return self.o.at_least(a, b)
+
+    def choose(self, condition: Any, a: N, b: N) -> N:
+        """Number a where the condition holds, else b."""
+        return self.o.choose(condition, a, b)
 
 
 def duties(
@@ -295,16 +224,12 @@ def duties(
     The vector is divided by the dc link (towards zero) and saturated at it;
     ``v_dc`` must be positive.
     """
-    top, one = full_scale(width), 2 ** (width - 1)
+    codes, one = Codes(o, width), 2 ** (width - 1)
     factor = o.const(2 ** (width - 1 - scale))
     share = [
-        o.clamp(
-            o.quotient("duties: v / v_dc", o.product("duties: v", value, factor), v_dc), -top, top
-        )
-        for value in (vector.x, vector.y)
+        codes.saturated(o.quotient("duties: v / v_dc", o.product("duties: v", value, factor), v_dc))
+        for value in vector
     ]
-    phase = clarke_inverse(o, width, Pair(*share))
-    zero = zero_sequence(o, width, modulation, phase, i)
-    return Triple(
-        *(o.clamp(o.total("duties: sum", value, zero), 0, one) for value in _three(phase))
-    )
+    phase = clarke_inverse(codes, Pair(*share))
+    zero = zero_sequence_of(codes, modulation, phase, i, o.const(one))
+    return Triple(*(o.clamp(o.total("duties: sum", value, zero), 0, one) for value in phase))

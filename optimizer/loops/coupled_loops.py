@@ -58,7 +58,15 @@ class CurrentControl:
 
 
 def closed_matrices(machines: TurningMachines, control: CurrentControl) -> FloatArray:
-    """Maps of (i_d, i_q, v_d, v_q, I_d, I_q) over one sampling period, shape (M, 6, 6)."""
+    """Maps of (i_d, i_q, v_d, v_q, I_d, I_q) over one sampling period, shape (M, 6, 6).
+
+    Parameters
+    ----------
+    machines:
+        M machines at constant electrical speeds.
+    control:
+        Gains, decoupling and sampling period.
+    """
     from scipy.linalg import expm
 
     count, omega = len(machines.omega_e), machines.omega_e
@@ -86,6 +94,14 @@ def closed_matrices(machines: TurningMachines, control: CurrentControl) -> Float
 
 
 def largest_pole(machines: TurningMachines, control: CurrentControl) -> FloatArray:
-    """Largest modulus of the poles of both loops together, shape (M,); stable below 1."""
+    """Largest modulus of the poles of both loops together, shape (M,); stable below 1.
+
+    Parameters
+    ----------
+    machines:
+        M machines at constant electrical speeds.
+    control:
+        Gains, decoupling and sampling period.
+    """
     poles = np.linalg.eigvals(closed_matrices(machines, control))
     return np.asarray(np.max(np.abs(poles), axis=1), dtype=np.float64)

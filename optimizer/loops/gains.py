@@ -34,10 +34,10 @@ from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.loops.pi_methods import (
     CURRENT_DELAY,
     Settings,
-    advice,
     calmer,
     current_pi,
     largest_factor,
+    loop_advice,
     require_positive,
     speed_pi,
 )
@@ -194,6 +194,15 @@ def speed_delay(current_gains: LoopGains, t_s: float, settings: SpeedLoopSetting
 
     The current loop counts as 1/crossover, the time constant of the first-order
     system with its crossover.
+
+    Parameters
+    ----------
+    current_gains:
+        The current loop of the q axis, with its crossover in rad/s.
+    t_s:
+        Sampling period of the current loops in s.
+    settings:
+        Ratio of the sampling rates and time constant of the filter in s.
     """
     return 1.0 / current_gains.crossover + 0.5 * settings.ratio * t_s + settings.filter_time
 
@@ -213,6 +222,23 @@ def analyse_current_loop(
 
     Parameters as in `dqforge.optimizer.loops.plants.current_loop`; without ``respond`` the
     disturbance response, which can be long, is left out.
+
+    Parameters
+    ----------
+    r_s:
+        Phase resistance in Ohm.
+    inductance:
+        Inductance of the axis in H.
+    t_s:
+        Sampling period in s.
+    kp, ki:
+        Gains in V/A and V/(A s).
+    method:
+        What is said of where the gains come from.
+    loop:
+        Which axis: ``i_d`` or ``i_q``.
+    respond:
+        Whether the disturbance response is simulated.
     """
     model = current_loop(r_s, inductance, t_s, kp, ki)
     response = (
@@ -237,6 +263,21 @@ def analyse_speed_loop(
     N m/rad), stable or not.
 
     Without ``respond`` the disturbance response, which can be long, is left out.
+
+    Parameters
+    ----------
+    machine:
+        Any machine, with its inertia.
+    current_gains:
+        The current loop of the q axis.
+    control:
+        Sampling period and settings of the speed loop.
+    kp, ki:
+        Gains in N m s/rad and N m/rad.
+    method:
+        What is said of where the gains come from.
+    respond:
+        Whether the disturbance response is simulated.
     """
     model = _speed_model(machine, current_gains, control, (kp, ki))
     response = (
@@ -384,6 +425,19 @@ def speed_step_response(
 
     There is a point every current sample, or every few speed samples where those would be
     more than a figure can show.
+
+    Parameters
+    ----------
+    machine:
+        Any machine, with its inertia.
+    current_gains:
+        The current loop of the q axis.
+    control:
+        Sampling period and settings of the speed loop.
+    gains:
+        The speed loop.
+    duration:
+        Length in s.
     """
     return _speed_response(
         _speed_model(machine, current_gains, control, (gains.kp, gains.ki)), duration
@@ -419,6 +473,15 @@ def per_unit(gains: LoopGains, in_base: float, out_base: float) -> tuple[float, 
 
     ``in_base`` is the base of the controlled quantity (A, or rad/s),
     ``out_base`` that of the output (V, or N m).
+
+    Parameters
+    ----------
+    gains:
+        The loop, gains in SI units.
+    in_base:
+        Base of the controlled quantity, in A or rad/s.
+    out_base:
+        Base of the output, in V or N m.
     """
     if not (in_base > 0.0 and out_base > 0.0):
         raise InputError(f"per-unit bases must be positive, got {in_base:g} and {out_base:g}")
@@ -426,7 +489,15 @@ def per_unit(gains: LoopGains, in_base: float, out_base: float) -> tuple[float, 
 
 
 def loop_bases(bases: PerUnitBases, loop: LoopName) -> tuple[float, float]:
-    """Bases of what a loop controls and of its output: A and V, or rad/s and N m."""
+    """Bases of what a loop controls and of its output: A and V, or rad/s and N m.
+
+    Parameters
+    ----------
+    bases:
+        Per-unit bases in SI units.
+    loop:
+        Which loop.
+    """
     return (bases.speed, bases.torque) if loop == "speed" else (bases.current, bases.voltage)
 
 
@@ -552,7 +623,7 @@ def _refuse(
     hint = (
         "no smaller gains of this method reach it"
         if factor is None
-        else advice(key, settings, factor)
+        else loop_advice(key, settings, factor)
     )
     raise NoSolutionError(
         f"{key}: the {gains.loop} loop by method '{gains.method}' {reached}, "

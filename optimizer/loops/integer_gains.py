@@ -93,7 +93,17 @@ def quantise(
 
 
 def given(value: float, bits: int, width: Literal[16, 32] = 16) -> FixedGain:
-    """A gain in a format that was asked for; errors as `to_q`."""
+    """A gain in a format that was asked for; errors as `to_q`.
+
+    Parameters
+    ----------
+    value:
+        The gain as a real number.
+    bits:
+        Fractional bits of the format.
+    width:
+        Bits of the integer.
+    """
     return FixedGain(to_q(value, bits, width), bits, value)
 
 
@@ -113,6 +123,13 @@ def pi_integers(
     None where none are asked for.
 
     ``auto`` gives each gain the plain Qn format, n up to 30, with the most digits.
+
+    Parameters
+    ----------
+    kp, ki_ts:
+        Gain and integral gain times the sampling period, per unit.
+    q_formats:
+        Fractional bits of both, ``auto``, or None.
 
     Raises
     ------
@@ -146,6 +163,15 @@ def per_unit_gains(
     """Gains of a loop per unit of the bases, as real numbers and as integers.
 
     Errors as `pi_integers`.
+
+    Parameters
+    ----------
+    gains:
+        The loop, gains in SI units.
+    bases:
+        Per-unit bases in SI units.
+    q_formats:
+        Fractional bits of both gains, ``auto``, or None.
     """
     kp, ki_ts = per_unit(gains, *loop_bases(bases, gains.loop))
     return PerUnitGains(kp, ki_ts, pi_integers(kp, ki_ts, q_formats))

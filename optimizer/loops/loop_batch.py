@@ -228,6 +228,15 @@ def _open(
 def close_loops(plants: PlantBatch, kp: FloatArray | float, ki: FloatArray | float) -> LoopBatch:
     """Close a backward-Euler PI with gains kp and ki (1/s), one number or shape (N,),
     around every plant.
+
+    Parameters
+    ----------
+    plants:
+        N plants of one order.
+    kp:
+        Proportional gains, one number or shape (N,).
+    ki:
+        Integral gains per second, one number or shape (N,).
     """
     a, b = _open(plants, kp, np.asarray(ki) * plants.t_s)
     closed = a.copy()

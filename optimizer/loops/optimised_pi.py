@@ -75,12 +75,23 @@ def pi_scale(inertia: float, loss: float, t_sum: float) -> PiScale:
     return PiScale(inertia / (2.0 * t_sum), inertia / (8.0 * t_sum**2) + loss / (2.0 * t_sum))
 
 
-def excess(
+def sensitivity_excess(
     plants: PlantBatch, gains: tuple[float, float], max_sensitivity: float, omega: FloatArray
 ) -> FloatArray:
     """Logarithm of M_s over its bound on a grid of frequencies in rad/s, shape (N,).
 
     Large where a loop is unstable.
+
+    Parameters
+    ----------
+    plants:
+        N plants whose sensitivity is bounded.
+    gains:
+        kp and ki of the loop.
+    max_sensitivity:
+        Bound of M_s.
+    omega:
+        Frequencies in rad/s, shape (K,).
     """
     loops = close_loops(plants, *gains)
     radius = loops.radius
@@ -115,11 +126,12 @@ def _search(
 
     def penalised(x: FloatArray, _gradient: FloatArray) -> float:
         return float(
-            -x[1] + 50.0 * max(0.0, np.max(excess(plants, _gains(scale, x), bound, omega)))
+            -x[1]
+            + 50.0 * max(0.0, np.max(sensitivity_excess(plants, _gains(scale, x), bound, omega)))
         )
 
     def constraints(result: FloatArray, x: FloatArray, _gradient: FloatArray) -> None:
-        result[:] = excess(plants, _gains(scale, x), bound, omega)
+        result[:] = sensitivity_excess(plants, _gains(scale, x), bound, omega)
 
     if start is None:
         wide = nlopt.opt(nlopt.GN_DIRECT_L, 2)

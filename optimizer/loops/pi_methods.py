@@ -28,8 +28,18 @@ SEARCH_HALVINGS = 40
 SEARCH_BISECTIONS = 14  # the factor is then known to better than the three digits that are printed
 
 
-def need(value: float | None, key: str, method: str) -> float:
-    """Return a setting that the method cannot do without."""
+def required_setting(value: float | None, key: str, method: str) -> float:
+    """Return a setting that the method cannot do without.
+
+    Parameters
+    ----------
+    value:
+        The setting, None where it is not given.
+    key:
+        Its key in the design file.
+    method:
+        The method, for the message.
+    """
     if value is None:
         raise InputError(f"{key} is missing: method '{method}' needs it")
     if not (value > 0.0 and np.isfinite(value)):
@@ -50,21 +60,34 @@ def current_pi(
         symmetrical-optimum  kp = L/(a T)         ki = kp/(a^2 T)        T = 1.5 t_s, spread a
 
     ``r_s`` in Ohm, ``inductance`` in H, ``t_s`` in s.
+
+    Parameters
+    ----------
+    r_s:
+        Phase resistance in Ohm.
+    inductance:
+        Inductance of the axis in H.
+    t_s:
+        Sampling period in s.
+    settings:
+        Method and its settings.
     """
     method, key, t_sum = settings.method, "control.current_loop", CURRENT_DELAY * t_s
     if method == "given":
-        return need(settings.kp, f"{key}.kp", method), need(settings.ki, f"{key}.ki", method)
+        return required_setting(settings.kp, f"{key}.kp", method), required_setting(
+            settings.ki, f"{key}.ki", method
+        )
     if method == "magnitude-optimum":
         kp = inductance / (2.0 * t_sum)
         return kp, kp * r_s / inductance
     if method == "symmetrical-optimum":
-        spread = need(settings.spread, f"{key}.spread", method)
+        spread = required_setting(settings.spread, f"{key}.spread", method)
         kp = inductance / (spread * t_sum)
         return kp, kp / (spread**2 * t_sum)
-    omega = need(settings.bandwidth, f"{key}.bandwidth", method)
+    omega = required_setting(settings.bandwidth, f"{key}.bandwidth", method)
     if method == "bandwidth":
         return omega * inductance, omega * r_s
-    damping = need(settings.damping, f"{key}.damping", method)
+    damping = required_setting(settings.damping, f"{key}.damping", method)
     return 2.0 * damping * omega * inductance - r_s, omega**2 * inductance
 
 
@@ -87,18 +110,22 @@ def speed_pi(
         J in kg m^2, B in N m s/rad.
     t_sum:
         Sum of the small delays in s, see `speed_delay`.
+    settings:
+        Method and its settings.
     """
     method, key = settings.method, "control.speed_loop"
     if method == "given":
-        return need(settings.kp, f"{key}.kp", method), need(settings.ki, f"{key}.ki", method)
+        return required_setting(settings.kp, f"{key}.kp", method), required_setting(
+            settings.ki, f"{key}.ki", method
+        )
     if method == "symmetrical-optimum":
-        spread = need(settings.spread, f"{key}.spread", method)
+        spread = required_setting(settings.spread, f"{key}.spread", method)
         kp = inertia / (spread * t_sum)
         return kp, kp / (spread**2 * t_sum)
-    omega = need(settings.bandwidth, f"{key}.bandwidth", method)
+    omega = required_setting(settings.bandwidth, f"{key}.bandwidth", method)
     if method == "bandwidth":
         return omega * inertia, 0.25 * omega**2 * inertia
-    damping = need(settings.damping, f"{key}.damping", method)
+    damping = required_setting(settings.damping, f"{key}.damping", method)
     return 2.0 * damping * omega * inertia - friction, omega**2 * inertia
 
 
@@ -109,7 +136,21 @@ def require_positive(
     gains: tuple[float, float],
     rate: float,
 ) -> None:
-    """Refuse gains that are not positive and finite; ``rate`` in rad/s is R/(2 L) or B/(2 J)."""
+    """Refuse gains that are not positive and finite; ``rate`` in rad/s is R/(2 L) or B/(2 J).
+
+    Parameters
+    ----------
+    key:
+        Section of the design file, for the message.
+    loop:
+        Which loop, for the message.
+    settings:
+        Method and its settings.
+    gains:
+        kp and ki.
+    rate:
+        Rate of decay in rad/s that the loop must exceed: R/(2 L) or B/(2 J).
+    """
     kp, ki = gains
     if kp > 0.0 and ki > 0.0 and np.isfinite(kp) and np.isfinite(ki):
         return
@@ -129,14 +170,18 @@ def require_positive(
 def calmer(settings: Settings, factor: float) -> Settings:
     """Make the same settings ask for a calmer loop (factor below one)."""
     if settings.method == "given":
-        kp, ki = need(settings.kp, "kp", "given"), need(settings.ki, "ki", "given")
+        kp, ki = (
+            required_setting(settings.kp, "kp", "given"),
+            required_setting(settings.ki, "ki", "given"),
+        )
         return replace(settings, kp=kp * factor, ki=ki * factor)
     if settings.method == "symmetrical-optimum":
         return replace(settings, spread=settings.spread / factor)
     if settings.method == "optimised":
         return replace(settings, max_sensitivity=1.0 + (settings.max_sensitivity - 1.0) * factor)
     return replace(
-        settings, bandwidth=need(settings.bandwidth, "bandwidth", settings.method) * factor
+        settings,
+        bandwidth=required_setting(settings.bandwidth, "bandwidth", settings.method) * factor,
     )
 
 
@@ -169,8 +214,18 @@ def _rate_text(omega: float, *, up: bool) -> str:
     return f"{rounded:.6g} rad/s ({rounded / (2.0 * np.pi):.3g} Hz)"
 
 
-def advice(key: str, settings: CurrentLoopSettings | SpeedLoopSettings, factor: float) -> str:
-    """Say what to write for a loop that holds, given the factor from `largest_factor`."""
+def loop_advice(key: str, settings: CurrentLoopSettings | SpeedLoopSettings, factor: float) -> str:
+    """Say what to write for a loop that holds, given the factor from `largest_factor`.
+
+    Parameters
+    ----------
+    key:
+        Key of the design file whose value does not hold.
+    settings:
+        Method and its settings.
+    factor:
+        Factor by which all gains may grow at most.
+    """
     if settings.method == "given":
         return f"multiply {key}.kp and {key}.ki by {_three_digits(factor, up=False):.6g} or less"
     if settings.method == "symmetrical-optimum":
@@ -181,5 +236,7 @@ def advice(key: str, settings: CurrentLoopSettings | SpeedLoopSettings, factor: 
     if settings.method == "optimised":
         largest = 1.0 + _three_digits((settings.max_sensitivity - 1.0) * factor, up=False)
         return f"it holds from {key}.max_sensitivity = {largest:.6g} downwards"
-    limit = _rate_text(need(settings.bandwidth, "bandwidth", settings.method) * factor, up=False)
+    limit = _rate_text(
+        required_setting(settings.bandwidth, "bandwidth", settings.method) * factor, up=False
+    )
     return f"method '{settings.method}' holds up to {key}.bandwidth = {limit}"

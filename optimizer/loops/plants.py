@@ -214,7 +214,13 @@ def speed_loop(
 
 
 def response_length(closed: SampledSystem) -> int:
-    """Samples until the slowest mode of a stable loop has decayed to 1e-5."""
+    """Samples until the slowest mode of a stable loop has decayed to 1e-5.
+
+    Parameters
+    ----------
+    closed:
+        The closed loop.
+    """
     slowest = float(np.abs(closed.poles[0]))
     if slowest >= 1.0:
         return LONGEST_RESPONSE
@@ -229,6 +235,15 @@ def current_step(loop: PiLoop, steps: int, stride: int = 1) -> StepResponse:
     """Current in A after a unit step of its reference and of a voltage at the winding.
 
     ``steps`` counts the points, which are every ``stride``-th sample.
+
+    Parameters
+    ----------
+    loop:
+        A current loop.
+    steps:
+        Number of points.
+    stride:
+        Samples from point to point.
     """
     closed = lift(loop.closed, stride)
     reference = constant_input_states(closed, np.array([1.0, 0.0]), steps)
@@ -280,7 +295,13 @@ def speed_step(speed: SpeedLoop, steps: int, stride: int = 1) -> StepResponse:
 
 
 def disturbance_summary(response: StepResponse) -> DisturbanceResponse:
-    """Peak and settling time of the answer to the disturbance."""
+    """Peak and settling time of the answer to the disturbance.
+
+    Parameters
+    ----------
+    response:
+        Samples of the response to a unit step.
+    """
     deviation = np.abs(response.disturbance)
     peak = float(np.max(deviation))
     outside = np.flatnonzero(deviation > SETTLED * peak)

@@ -19,10 +19,10 @@ from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.loops.pi_methods import (
     CURRENT_DELAY,
     Settings,
-    advice,
     calmer,
     current_pi,
     largest_factor,
+    loop_advice,
     speed_pi,
 )
 from dqforge.optimizer.loops.tolerance_box import Axis, BoxPoints, DriveBox
@@ -90,7 +90,15 @@ class RobustSet:
 
 
 def summarise(margins: BatchMargins, points: BoxPoints) -> LoopRobustness:
-    """Worst values over the points, each with its place."""
+    """Worst values over the points, each with its place.
+
+    Parameters
+    ----------
+    margins:
+        Margins of the loop at N points of the box.
+    points:
+        The points.
+    """
     unstable = margins.radius >= 1.0
     badness = {
         "phase_margin": np.where(unstable, np.inf, -np.abs(margins.phase_margin)),
@@ -157,7 +165,7 @@ def _kept(
     hint = (
         "no smaller gains of this method reach it, narrow control.tolerances"
         if factor is None
-        else advice(key, settings, factor)
+        else loop_advice(key, settings, factor)
     )
     raise NoSolutionError(
         f"{key}: within control.tolerances the {gains.loop} loop by method '{gains.method}' "
@@ -171,6 +179,19 @@ def optimised_current(
     """Gains (V/A, V/(A s)) of a current loop by the method ``optimised`` for all plants.
 
     Arguments in Ohm, H and s.
+
+    Parameters
+    ----------
+    r_s:
+        Phase resistance in Ohm.
+    inductance:
+        Inductance of the axis in H.
+    t_s:
+        Sampling period in s.
+    bound:
+        Bound of M_s.
+    plants:
+        Plants whose M_s is bounded.
     """
     return optimised_pi(
         plants, bound, pi_scale(inductance, r_s, CURRENT_DELAY * t_s), "control.current_loop"
@@ -179,6 +200,15 @@ def optimised_current(
 
 def current_robustness(box: DriveBox, gains: LoopGains, axis: Axis) -> LoopRobustness:
     """Margins of a current loop over the box.
+
+    Parameters
+    ----------
+    box:
+        The drive with its tolerances.
+    gains:
+        The loop.
+    axis:
+        Which axis.
 
     Raises
     ------
@@ -208,6 +238,13 @@ def turning_robustness(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> Worst |
     and up to the largest speed.
 
     None where the machine states no largest speed.
+
+    Parameters
+    ----------
+    box:
+        The drive with its tolerances.
+    i_d, i_q:
+        The current loops.
 
     Raises
     ------
@@ -241,7 +278,17 @@ def turning_robustness(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> Worst |
 
 
 def speed_robustness(box: DriveBox, gains: LoopGains, current_gains: LoopGains) -> LoopRobustness:
-    """Margins of the speed loop over the box; raises as `current_robustness`."""
+    """Margins of the speed loop over the box; raises as `current_robustness`.
+
+    Parameters
+    ----------
+    box:
+        The drive with its tolerances.
+    gains:
+        The speed loop.
+    current_gains:
+        The current loop of the q axis.
+    """
     machine, control = box.design.machine, box.design.control
     settings, inertia = control.speed_loop, machine.inertia
     assert settings is not None

@@ -217,7 +217,15 @@ def fit_gains(
 
 
 def errors_of(evaluator: GainEvaluator, curves: Mapping[str, Curve]) -> dict[str, float]:
-    """Largest relative error of each gain on a dense grid of currents, in float32, fused or not."""
+    """Largest relative error of each gain on a dense grid of currents, in float32, fused or not.
+
+    Parameters
+    ----------
+    evaluator:
+        The gains as the firmware computes them.
+    curves:
+        Exact gains over the current in A, by name.
+    """
     from dqforge.optimizer.curves.single_precision import fused_multiply_add
 
     at = np.linspace(0.0, float(evaluator.end), _DENSE).astype(np.float32)

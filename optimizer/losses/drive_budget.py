@@ -186,14 +186,28 @@ _LOSSLESS = SwitchDevice(
 
 
 def known_bridge(inverter: Inverter) -> BridgeTables:
-    """Tables of the bridge; of one without losses where nothing is known of its switch."""
+    """Tables of the bridge; of one without losses where nothing is known of its switch.
+
+    Parameters
+    ----------
+    inverter:
+        DC link, device and coolant.
+    """
     return bridge_tables(
         inverter if inverter.device is not None else replace(inverter, device=_LOSSLESS)
     )
 
 
 def stacked_budgets(budgets: Sequence[DriveBudget], axis: int) -> DriveBudget:
-    """Budgets of one shape along a new axis."""
+    """Budgets of one shape along a new axis.
+
+    Parameters
+    ----------
+    budgets:
+        Budgets of one shape.
+    axis:
+        Place of the new axis.
+    """
     names = [part.name for part in fields(DriveBudget)]
     return DriveBudget(
         **{name: np.stack([getattr(b, name) for b in budgets], axis=axis) for name in names}
@@ -271,6 +285,21 @@ def waveform_averages(
     """Averages of the bridge at N points of the machine.
 
     The machine's arrays have the shape (N,), without NaN.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    inverter:
+        DC link, device and coolant.
+    tables:
+        Tables of the bridge.
+    found:
+        Budget of the machine at the points, arrays of shape (N,) without NaN.
+    modulation:
+        The modulator.
+    options:
+        What is counted beside the bridge and the winding.
     """
     voltage, current = np.stack([found.v_d, found.v_q]), np.stack([found.i_d, found.i_q])
     stiff = (
@@ -286,6 +315,17 @@ def switched_iron(
 ) -> FloatArray:
     """Iron loss in W that the switching makes, for phase amplitudes in V and carrier
     frequencies in Hz, broadcast.
+
+    Parameters
+    ----------
+    options:
+        The coefficients of the machine's loss.
+    voltage:
+        Phase-voltage amplitudes in V (peak), any shape.
+    v_dc:
+        DC-link voltage in V.
+    frequency:
+        Carrier frequencies in Hz, a shape that fits.
     """
     if options.ripple_resistance is None:
         return np.zeros(np.broadcast_shapes(np.shape(voltage), np.shape(frequency)))

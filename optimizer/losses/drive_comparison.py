@@ -226,7 +226,15 @@ def compare_drives(
 
 
 def dead_time_share(inverter: Inverter, alternatives: Alternatives) -> tuple[float, float]:
-    """Least and largest share of the linear range that dead time takes of the alternatives."""
+    """Least and largest share of the linear range that dead time takes of the alternatives.
+
+    Parameters
+    ----------
+    inverter:
+        Dead time in s.
+    alternatives:
+        Modulators and carrier frequencies in Hz.
+    """
     kept = [
         float(dead_time_factor(name, inverter.dead_time, frequency))
         for name in alternatives.modulations
@@ -282,6 +290,15 @@ def _strategy(
 def usable_limit(inverter: Inverter, name: ModulationName, margin: float = 0.0) -> float:
     """Largest phase amplitude in V: linear range of the modulator less dead time and a
     margin (0 to 1) for control.
+
+    Parameters
+    ----------
+    inverter:
+        DC link, carrier frequency and dead time.
+    name:
+        The modulator.
+    margin:
+        Share of 0 to 1 that is kept for control.
     """
     left = float(dead_time_factor(name, inverter.dead_time, inverter.f_sw))
     return linear_limit(name, inverter.v_dc) * left * (1.0 - margin)

@@ -112,6 +112,17 @@ def solve_map(
 ) -> LossMap:
     """Compare over the motoring quadrant, up to the most torque and the largest
     speed of the best modulator.
+
+    Parameters
+    ----------
+    design:
+        The design.
+    alternatives:
+        Strategies, modulators and frequencies.
+    margin:
+        Share of the voltage of 0 to 1 that is kept for control.
+    torques, speeds:
+        Numbers of torques and speeds.
     """
     limit = _widest(design.inverter, alternatives, margin)
     figures = characteristics(design.machine, limit.v_max, design.i_max)

@@ -11,7 +11,8 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.drive_motion import DriveMotion
-from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, Reals, cast
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, cast
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
 

@@ -14,12 +14,8 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-Reals = NDArray[Any]
-
-"""float64 or float32, shape (N,)."""
-
+from dqforge.machines.transforms import Floats, Reals
 
 Pair = tuple[Reals, Reals]
 
@@ -30,13 +26,12 @@ _Gains = TypeVar("_Gains")
 
 
 @dataclass(frozen=True, slots=True)
-class Arithmetic:
+class Arithmetic(Floats):
     """How angles are wrapped to -pi to pi and how (cosine, sine) is found.
 
     ``number`` is the type of all values.
     """
 
-    number: type[np.floating[Any]]
     wrap: Callable[[Reals], Reals]
     rotation: Callable[[Reals], Pair]
 
@@ -88,13 +83,3 @@ def cast(gains: _Gains, maths: Arithmetic) -> _Gains:
 def at_least(value: Reals, floor: Any) -> Reals:
     """The larger of both, as ``(value > floor) ? value : floor`` (the floor for not-a-number)."""
     return np.where(value > floor, value, floor)
-
-
-def park(x: Pair, turn: Pair) -> Pair:
-    """(alpha, beta) to (d, q) by (cosine, sine)."""
-    return turn[0] * x[0] + turn[1] * x[1], turn[0] * x[1] - turn[1] * x[0]
-
-
-def park_inverse(x: Pair, turn: Pair) -> Pair:
-    """(d, q) to (alpha, beta) by (cosine, sine)."""
-    return turn[0] * x[0] - turn[1] * x[1], turn[1] * x[0] + turn[0] * x[1]

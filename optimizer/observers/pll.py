@@ -22,7 +22,8 @@ import cmath
 from dataclasses import dataclass
 
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.observers.parts import Arithmetic, Reals
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.observers.parts import Arithmetic
 
 FASTEST = 0.5
 

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from dqforge.optimizer.observers.parts import Pair, Reals
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.observers.parts import Pair
 from dqforge.optimizer.observers.sampled_machine import SampledMachine
 
 EVEN = 5
@@ -54,7 +55,7 @@ def limited(value: Reals, limit: Any) -> Reals:
     return np.where(value > limit, limit, np.where(value < -limit, -limit, value))
 
 
-def entries_at(model: SampledGains, x: Reals) -> list[Reals]:
+def matrix_entries(model: SampledGains, x: Reals) -> list[Reals]:
     """Entries of the sampled machine at ``x`` = omega_e T_s in rad."""
     s = x * x
     found = []
@@ -65,7 +66,7 @@ def entries_at(model: SampledGains, x: Reals) -> list[Reals]:
     return found
 
 
-def slopes_at(model: SampledGains, x: Reals) -> list[Reals]:
+def matrix_slopes(model: SampledGains, x: Reals) -> list[Reals]:
     """Derivatives by ``x`` = omega_e T_s in rad of the entries of the sampled machine."""
     s = x * x
     found = []

@@ -155,6 +155,15 @@ def limit_speed(machine: Machine, i_d: FloatArray, i_q: FloatArray, v_max: float
 
     With the resistance drop |v|^2 = R^2 |i|^2 + 2 R omega (psi_d i_q - psi_q i_d) + omega^2 |psi|^2
     is quadratic in the speed; zero where the drop alone takes more, inf without flux.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    i_d, i_q:
+        Currents in A (peak), shape (N,).
+    v_max:
+        Phase-voltage amplitude in V (peak).
     """
     psi_d, psi_q = machine.flux(i_d, i_q)
     square, half = psi_d**2 + psi_q**2, machine.r_s * (psi_d * i_q - psi_q * i_d)
@@ -244,6 +253,17 @@ def envelope(
     """Largest torques at mechanical speeds in rad/s, shape (N,), for a phase-voltage limit in V.
 
     `envelope_speeds` makes speeds that show every kink.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    v_max:
+        Largest phase-voltage amplitude in V (peak).
+    omega_m:
+        Mechanical speeds in rad/s, shape (N,).
+    i_max:
+        Current limit in A (peak); that of the machine when None.
     """
     limit = machine.i_max if i_max is None else i_max
     locus = mtpa_locus(machine, limit)
@@ -263,6 +283,19 @@ def limit_changes(
 
     ``omega_m`` is a grid of ascending speeds in rad/s fine enough to part the changes; each is then
     narrowed to rounding. ``sign`` is 1 for motoring and -1 for braking torque at positive speeds.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    v_max:
+        Largest phase-voltage amplitude in V (peak).
+    omega_m:
+        Mechanical speeds in rad/s, ascending, shape (N,).
+    i_max:
+        Current limit in A (peak).
+    sign:
+        1 for motoring, -1 for braking.
     """
     beyond = sign * 2.0 * float(mtpa_locus(machine, i_max).torque[-1])
 
@@ -286,6 +319,19 @@ def envelope_speeds(
 ) -> FloatArray:
     """Evenly spaced speeds from 0 to ``fastest`` rad/s, and the kinks of both envelopes among them,
     ascending.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    v_max:
+        Largest phase-voltage amplitude in V (peak).
+    fastest:
+        Largest mechanical speed in rad/s.
+    i_max:
+        Current limit in A (peak).
+    count:
+        Number of evenly spaced speeds.
     """
     even = np.linspace(0.0, fastest, count)
     kinks = [limit_changes(machine, v_max, even, i_max, sign=sign) for sign in (1.0, -1.0)]
@@ -298,6 +344,15 @@ def loci(machine: Machine, v_max: float, i_max: float | None = None) -> Loci:
 
     MTPV points run from the speed at which they first come within the current limit to the largest
     speed, or to a hundred times the first where there is none.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    v_max:
+        Largest phase-voltage amplitude in V (peak).
+    i_max:
+        Current limit in A (peak); that of the machine when None.
     """
     limit = machine.i_max if i_max is None else i_max
     locus = mtpa_locus(machine, limit)
@@ -331,6 +386,15 @@ def _chosen(
 def characteristics(machine: Machine, v_max: float, i_max: float | None = None) -> Characteristics:
     """Figures of a machine for a phase-voltage limit in V and a current limit in A (peak;
     its own when None).
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    v_max:
+        Largest phase-voltage amplitude in V (peak).
+    i_max:
+        Current limit in A (peak); that of the machine when None.
     """
     limit = machine.i_max if i_max is None else i_max
     locus = mtpa_locus(machine, limit)
@@ -394,6 +458,15 @@ def voltage_limit(
 ) -> VoltageLimit:
     """Largest phase amplitude of a modulator's linear range, less a margin (0 to 1)
     that is kept for control.
+
+    Parameters
+    ----------
+    inverter:
+        DC-link voltage and dead time.
+    modulation:
+        The modulator.
+    margin:
+        Share of 0 to 1 that is kept for control.
     """
     return VoltageLimit(
         modulation, inverter.v_dc, margin, linear_limit(modulation, inverter.v_dc, margin)
@@ -462,6 +535,17 @@ def fastest_speed(
     machine: Machine, figures: Characteristics, limit: VoltageLimit, i_max: float
 ) -> float:
     """Speed in rad/s at which a map ends: that of the mechanics, or three times the base speed.
+
+    Parameters
+    ----------
+    machine:
+        Any machine; it may state a largest speed.
+    figures:
+        Its characteristics, with the base speed.
+    limit:
+        The voltage limit.
+    i_max:
+        Current limit in A (peak).
 
     Raises
     ------

@@ -316,6 +316,13 @@ def _stationarity(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatAr
 def domain_end(choice: CurrentChoice, settings: FitSettings) -> float:
     """End of the torque domain in N m: as given, or the largest torque that the limits allow.
 
+    Parameters
+    ----------
+    choice:
+        Machine, strategy and limits.
+    settings:
+        Its ``torque_max`` in N m is the given end, if there is one.
+
     Raises
     ------
     NoSolutionError

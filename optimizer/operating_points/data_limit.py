@@ -23,7 +23,7 @@ from dqforge.optimizer.operating_points.point_problem import (
     Problem,
     State,
 )
-from dqforge.optimizer.operating_points.region_edges import Intervals, intervals_of, roots
+from dqforge.optimizer.operating_points.region_edges import Intervals, bracketed_roots, intervals_of
 
 _TOGETHER = 2048
 
@@ -35,6 +35,15 @@ def hold_by_data(problem: Problem, state: State, region: CurrentRegion) -> None:
     """Move points that lie beyond the region to the best on its edge.
 
     ``state`` is changed in place.
+
+    Parameters
+    ----------
+    problem:
+        Machine, torques and limits of the points.
+    state:
+        Currents and multipliers of the points so far.
+    region:
+        Where the data of the flux map are.
     """
     outside = np.flatnonzero(~region.contains(state.i_d, state.i_q))
     if outside.size == 0:
@@ -89,7 +98,7 @@ def _on_the_torque_curve(
         return value - problem.torque[rows[places]], slope
 
     rising = torque[1, which] >= torque[0, which]
-    share = roots(follow, np.zeros(rows.size), np.ones(rows.size), rising=rising)
+    share = bracketed_roots(follow, np.zeros(rows.size), np.ones(rows.size), rising=rising)
     i_d, i_q = edges.point(which, share)
     here = problem.take(rows)
     jet = problem.machine.jet(i_d, i_q)
@@ -175,7 +184,7 @@ def _voltage_roots(
         slope = terms.d * edges.step_d[which[places]] + terms.q * edges.step_q[which[places]]
         return terms.value - here.v_max[places] ** 2, slope
 
-    return _Candidates(rows, *edges.point(which, roots(follow, low, high, rising=rising)))
+    return _Candidates(rows, *edges.point(which, bracketed_roots(follow, low, high, rising=rising)))
 
 
 def _dips(
@@ -196,7 +205,7 @@ def _dips(
         return terms.value, terms.d * d_ + terms.q * q_, bend
 
     rising = np.ones(rows.size, dtype=np.bool_)
-    lowest = roots(
+    lowest = bracketed_roots(
         lambda places, share: terms_at(places, share)[1:],
         np.zeros(rows.size),
         np.ones(rows.size),

@@ -139,6 +139,15 @@ def limited_drive(
     """The drive of a design, within the linear range of a modulator less a share of it
     that is kept for control.
 
+    Parameters
+    ----------
+    design:
+        Machine, current limit and inverter.
+    modulation:
+        The modulator.
+    margin:
+        Share of the voltage of 0 to 1 that is kept for control.
+
     Raises
     ------
     InputError
@@ -201,6 +210,15 @@ def points_within(
 
 def most_torque(drive: LimitedDrive, omega_m: float, sign: float = 1.0) -> OptimalPoints:
     """The point of most torque of a sign (1 or -1) at a mechanical speed in rad/s.
+
+    Parameters
+    ----------
+    drive:
+        The drive within its limits.
+    omega_m:
+        Mechanical speed in rad/s.
+    sign:
+        1 for driving, -1 for braking torque.
 
     Raises
     ------

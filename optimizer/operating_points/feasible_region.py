@@ -17,7 +17,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine, torque_from_flux
 from dqforge.optimizer.operating_points.local_terms import (
     Terms,
-    cross,
+    cross_of_gradients,
     current_terms,
     newton_step,
     torque_terms,
@@ -125,6 +125,13 @@ def ray_angles() -> FloatArray:
 def least_flux_current(machine: Machine, i_max: float) -> float:
     """Current on the d axis in A where the flux linkage vanishes, or the end of the limit
     that comes nearest to it.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    i_max:
+        Current limit in A (peak).
     """
     grid = np.linspace(-i_max, i_max, 2001)
     psi_d, _ = machine.flux(grid, np.zeros_like(grid))
@@ -142,6 +149,17 @@ def make_limits(machine: Machine, omega_e: FloatArray, v_max: FloatArray, i_max:
     where that one needs too much.
 
     The two differ by the resistance; the second matters near the end of the speed range only.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    omega_e:
+        Electrical speeds in rad/s, shape (N,).
+    v_max:
+        Largest phase-voltage amplitudes in V (peak), shape (N,).
+    i_max:
+        Current limit in A (peak).
     """
     least = least_flux_current(machine, i_max)
     limits = Limits(
@@ -179,6 +197,15 @@ def voltage_radius(
     Newton's method from outside: the squared voltage grows convexly along a ray of a linear
     machine, so that the steps approach from one side; a bracket keeps the steps of saturated
     machines safe. Returns the radius and whether the voltage limit was met.
+
+    Parameters
+    ----------
+    limits:
+        Limits with their centre.
+    angle:
+        Angles of the rays in rad, shape (N,).
+    radius:
+        Where the rays end at most, in A, shape (N,).
     """
     cosine, sine = np.cos(angle), np.sin(angle)
     low, high, found = np.zeros_like(radius), radius.copy(), radius.copy()
@@ -203,7 +230,15 @@ def voltage_radius(
 
 
 def boundary(limits: Limits, angle: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Radius in A, torque in N m and whether the voltage limit binds, on rays of shape (N,)."""
+    """Radius in A, torque in N m and whether the voltage limit binds, on rays of shape (N,).
+
+    Parameters
+    ----------
+    limits:
+        Limits with their centre.
+    angle:
+        Angles of the rays in rad, shape (N,).
+    """
     radius, at_voltage = voltage_radius(limits, angle, limits.circle_radius(angle))
     return radius, _torque(limits.machine, *limits.point(angle, radius)), at_voltage
 
@@ -231,7 +266,7 @@ def _polish(
         other = (
             current_terms(d, q)
             if corner
-            else cross(torque_terms(limits.machine, jet, d, q), voltage)
+            else cross_of_gradients(torque_terms(limits.machine, jet, d, q), voltage)
         )
         step_d, step_q = newton_step(
             voltage, other, here.v_max**2, limits.i_max**2 if corner else 0.0
@@ -372,6 +407,19 @@ def scan_region(
 
     Torque is counted positive; ``locus`` is the machine's MTPA locus up to ``i_max`` A (peak),
     ``v_max`` the largest phase-voltage amplitude in V, shape (U,).
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    locus:
+        Its MTPA locus up to the current limit.
+    omega_e:
+        Electrical speeds in rad/s of any sign, shape (U,).
+    v_max:
+        Largest phase-voltage amplitudes in V (peak), shape (U,).
+    i_max:
+        Current limit in A (peak).
     """
     limits = make_limits(machine, omega_e, v_max, i_max)
     count = omega_e.size

@@ -47,7 +47,17 @@ class LossCoefficients:
 
 
 def torque_terms(machine: Machine, jet: FluxJet, i_d: FloatArray, i_q: FloatArray) -> Terms:
-    """Torque in N m, T = 3/2 p (psi_d i_q - psi_q i_d)."""
+    """Torque in N m, T = 3/2 p (psi_d i_q - psi_q i_d).
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    jet:
+        Flux linkages in Wb and their derivatives at the currents, shape (N,).
+    i_d, i_q:
+        Currents in A (peak), shape (N,).
+    """
     k = 1.5 * machine.pole_pairs
     return Terms(
         value=k * (jet.psi_d * i_q - jet.psi_q * i_d),
@@ -62,7 +72,19 @@ def torque_terms(machine: Machine, jet: FluxJet, i_d: FloatArray, i_q: FloatArra
 def voltage_terms(
     machine: Machine, jet: FluxJet, i_d: FloatArray, i_q: FloatArray, omega_e: FloatArray
 ) -> Terms:
-    """Squared steady-state phase voltage in V^2, the resistance drop included."""
+    """Squared steady-state phase voltage in V^2, the resistance drop included.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    jet:
+        Flux linkages in Wb and their derivatives at the currents, shape (N,).
+    i_d, i_q:
+        Currents in A (peak), shape (N,).
+    omega_e:
+        Electrical speeds in rad/s, shape (N,).
+    """
     r_s = machine.r_s
     v_d, v_q = r_s * i_d - omega_e * jet.psi_q, r_s * i_q + omega_e * jet.psi_d
     d_d, d_q = r_s - omega_e * jet.l_qd, -omega_e * jet.l_qq
@@ -83,6 +105,17 @@ def loss_terms(
     """Loss in W.
 
     ``soft`` in A rounds the tip of |i| at zero current, where it has no derivative.
+
+    Parameters
+    ----------
+    coefficients:
+        Of currents and flux linkages, at the speeds of the points, shape (N,).
+    jet:
+        Flux linkages in Wb and their derivatives at the currents, shape (N,).
+    i_d, i_q:
+        Currents in A (peak), shape (N,).
+    soft:
+        Rounding of the tip in A.
     """
     square, linear, iron = coefficients.square, coefficients.linear, coefficients.iron
     magnitude = np.sqrt(i_d * i_d + i_q * i_q + soft * soft)
@@ -111,7 +144,13 @@ def loss_terms(
 
 
 def current_terms(i_d: FloatArray, i_q: FloatArray) -> Terms:
-    """Squared current magnitude in A^2."""
+    """Squared current magnitude in A^2.
+
+    Parameters
+    ----------
+    i_d, i_q:
+        Currents in A (peak), shape (N,).
+    """
     two, zero = np.full_like(i_d, 2.0), np.zeros_like(i_d)
     return Terms(i_d * i_d + i_q * i_q, 2.0 * i_d, 2.0 * i_q, two, zero, two)
 
@@ -132,10 +171,15 @@ def newton_step(
         ) * scale
 
 
-def cross(first: Terms, second: Terms) -> Terms:
+def cross_of_gradients(first: Terms, second: Terms) -> Terms:
     """Cross product of two gradients, zero where the level curves touch, with its own gradient.
 
     The second derivatives are not needed and are the gradient again in place of a third-order term.
+
+    Parameters
+    ----------
+    first, second:
+        Values with first and second derivatives by the currents in A, shape (N,).
     """
     d = first.dd * second.q + first.d * second.dq - first.dq * second.d - first.q * second.dd
     q = first.dq * second.q + first.d * second.qq - first.qq * second.d - first.q * second.dq

@@ -13,7 +13,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import torque_from_flux
 from dqforge.optimizer.operating_points.local_terms import (
-    cross,
+    cross_of_gradients,
     loss_terms,
     newton_step,
     torque_terms,
@@ -42,15 +42,36 @@ _TOGETHER = 16
 _STEPS = 20
 
 
-def missed(state: State, residuals: FloatArray) -> IndexArray:
-    """Points that were reached but are no optimum."""
+def missed_points(state: State, residuals: FloatArray) -> IndexArray:
+    """Points that were reached but are no optimum.
+
+    Parameters
+    ----------
+    state:
+        Currents of the points and whether they were reached.
+    residuals:
+        Largest relative violation of the conditions, shape (N,).
+    """
     return np.flatnonzero(state.reached & ~(residuals <= WORST))
 
 
-def rescue(problem: Problem, state: State, index: IndexArray, residuals: FloatArray) -> None:
+def replace_missed_points(
+    problem: Problem, state: State, index: IndexArray, residuals: FloatArray
+) -> None:
     """Replace points by better ones where the scan and Newton's method find any.
 
     ``state`` is changed in place.
+
+    Parameters
+    ----------
+    problem:
+        Machine, torques and limits of N points.
+    state:
+        Their currents and multipliers.
+    index:
+        The points to replace.
+    residuals:
+        Largest relative violation of the conditions, shape (N,).
     """
     for first in range(0, index.size, _TOGETHER):
         part = index[first : first + _TOGETHER]
@@ -119,7 +140,9 @@ def _polished(
         jet = problem.machine.jet(i_d, i_q)
         torque = torque_terms(problem.machine, jet, i_d, i_q)
         if code == Active.NONE:
-            other = cross(loss_terms(problem.loss, jet, i_d, i_q, problem.soft), torque)
+            other = cross_of_gradients(
+                loss_terms(problem.loss, jet, i_d, i_q, problem.soft), torque
+            )
             step_d, step_q = newton_step(torque, other, problem.torque, 0.0)
         else:
             other = voltage_terms(problem.machine, jet, i_d, i_q, problem.omega_e)

@@ -125,6 +125,13 @@ def mtpa_at_current(machine: LinearMachine, current: FloatArray) -> tuple[FloatA
 
     i_d = psi/(4 dl) - sqrt((psi/(4 dl))^2 + I^2/2) with dl = l_q - l_d,
     written without cancellation.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    current:
+        Magnitudes in A (peak), shape (N,).
     """
     current = np.asarray(current, dtype=np.float64)
     if machine.saliency == 0.0:

@@ -14,7 +14,7 @@ from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, torque_from_flux
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.operating_points.local_terms import (
-    cross,
+    cross_of_gradients,
     current_terms,
     newton_step,
     torque_terms,
@@ -98,7 +98,7 @@ def free_locus(machine: Machine, i_max: float) -> MtpaLocus:
         for _ in range(_POLISHING_STEPS):
             jet = machine.jet(i_d, i_q)
             circle = current_terms(i_d, i_q)
-            stationary = cross(torque_terms(machine, jet, i_d, i_q), circle)
+            stationary = cross_of_gradients(torque_terms(machine, jet, i_d, i_q), circle)
             step_d, step_q = newton_step(circle, stationary, current**2, 0.0)
             size = np.hypot(step_d, step_q)
             damping = np.minimum(1.0, 0.1 * current / np.maximum(size, 1e-300))
@@ -115,6 +115,13 @@ def free_locus(machine: Machine, i_max: float) -> MtpaLocus:
 def mtpa_locus(machine: Machine, i_max: float) -> MtpaLocus:
     """Table of the MTPA locus up to ``i_max`` A (peak), or up to the most torque that
     the data of a flux map hold.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    i_max:
+        Current limit in A (peak).
 
     Raises
     ------

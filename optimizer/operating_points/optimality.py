@@ -48,6 +48,13 @@ def residual(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Largest relative violation of the conditions, torque in N m, voltage in V and loss in W,
     shape (N,).
+
+    Parameters
+    ----------
+    problem:
+        Machine, torques and limits of the points.
+    state:
+        Currents and multipliers of the points.
     """
     machine, d, q = problem.machine, state.i_d, state.i_q
     jet = machine.jet(d, q)

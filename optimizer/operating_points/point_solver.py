@@ -15,7 +15,7 @@ from dqforge.optimizer.operating_points.feasible_region import (
     voltage_radius,
 )
 from dqforge.optimizer.operating_points.local_terms import (
-    cross,
+    cross_of_gradients,
     current_terms,
     loss_terms,
     newton_step,
@@ -56,7 +56,7 @@ def _valley(problem: Problem) -> tuple[FloatArray, FloatArray]:
         here, d, q = problem.take(live), i_d[live], i_q[live]
         jet = machine.jet(d, q)
         torque = torque_terms(machine, jet, d, q)
-        valley = cross(loss_terms(here.loss, jet, d, q, problem.soft), torque)
+        valley = cross_of_gradients(loss_terms(here.loss, jet, d, q, problem.soft), torque)
         step_d, step_q = newton_step(torque, valley, here.torque, 0.0)
         size = np.hypot(step_d, step_q)
         finite = np.isfinite(size)
@@ -163,6 +163,11 @@ def _crossing(
 def solve_chunk(problem: Problem) -> State:
     """Unlimited optimum first; where it breaks a limit, the region's most torque or
     the crossing with the limit.
+
+    Parameters
+    ----------
+    problem:
+        Machine, torques and limits of the points.
     """
     i_d, i_q = _valley(problem)
     limits = Limits(

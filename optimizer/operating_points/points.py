@@ -21,7 +21,7 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.operating_points.data_limit import hold_by_data
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
-from dqforge.optimizer.operating_points.missed_points import missed, rescue
+from dqforge.optimizer.operating_points.missed_points import missed_points, replace_missed_points
 from dqforge.optimizer.operating_points.mtpa_locus import free_locus
 from dqforge.optimizer.operating_points.optimality import residual
 from dqforge.optimizer.operating_points.point_problem import Active, BoolArray, Problem
@@ -168,9 +168,9 @@ def _solve(problem: Problem) -> tuple[NDArray[Any], ...]:
     free = replace(problem, region=None)
     state = solve_chunk(free)
     residuals, torque, voltage, losses = residual(free, state)
-    again = missed(state, residuals)
+    again = missed_points(state, residuals)
     if again.size:
-        rescue(free, state, again, residuals)
+        replace_missed_points(free, state, again, residuals)
         residuals, torque, voltage, losses = residual(free, state)
     if problem.region is not None:
         hold_by_data(problem, state, problem.region)

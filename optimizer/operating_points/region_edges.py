@@ -45,6 +45,13 @@ its value and slope there."""
 def region_that_holds(machine: Machine, i_max: float) -> CurrentRegion | None:
     """Where the data of a machine are, None where they cover its current
     limit in A or may be left.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    i_max:
+        Current limit in A (peak).
     """
     region = machine.region
     return None if region is None or region.covers(min(i_max, machine.i_max)) else region
@@ -89,7 +96,17 @@ class Intervals:
 
 
 def intervals_of(machine: Machine, region: CurrentRegion, i_max: float) -> Intervals:
-    """Intervals of a region's edges within a current limit in A, split where the torque turns."""
+    """Intervals of a region's edges within a current limit in A, split where the torque turns.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    region:
+        Where the data of its flux map are.
+    i_max:
+        Current limit in A (peak).
+    """
     parts = []
     ends_d, ends_q = np.roll(region.corner_d, -1), np.roll(region.corner_q, -1)
     around = float(np.sum(np.hypot(ends_d - region.corner_d, ends_q - region.corner_q)))
@@ -136,7 +153,7 @@ def _split_where_torque_turns(whole: Intervals) -> Intervals:
         _, first, second = whole.torque(turning[places], share)
         return first, second
 
-    share = roots(
+    share = bracketed_roots(
         slope, np.zeros(turning.size), np.ones(turning.size), rising=before[turning] < 0.0
     )
     at_d, at_q = whole.point(turning, share)
@@ -155,7 +172,7 @@ def _split_where_torque_turns(whole: Intervals) -> Intervals:
     )
 
 
-def roots(
+def bracketed_roots(
     follow: Follow,
     low: FloatArray,
     high: FloatArray,
@@ -166,6 +183,15 @@ def roots(
     Newton's method, bracketed.
 
     ``rising`` says that a function is negative at its lower share.
+
+    Parameters
+    ----------
+    follow:
+        Function values and slopes at shares, shape (N,).
+    low, high:
+        Shares on both sides of each root, shape (N,).
+    rising:
+        Whether the function is negative at ``low``, shape (N,).
     """
     low, high = low.copy(), high.copy()
     share = 0.5 * (low + high)

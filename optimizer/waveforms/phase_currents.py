@@ -19,6 +19,7 @@ from dqforge.machines.devices.inverter import Topology
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.transforms import DOUBLES, park_inverse
 
 CurrentRule = Literal["dq", "dqx", "dqy"]
 
@@ -95,7 +96,7 @@ def bus_demand(voltages: FloatArray, topology: Topology) -> FloatArray:
 def dq_waveform(i_d: float, i_q: float, angles: int) -> FloatArray:
     """Phase currents in A, shape (3, N), of constant dq currents in A."""
     turns = 2.0 * np.pi * (np.arange(angles) / angles - np.arange(3)[:, np.newaxis] / 3.0)
-    return np.asarray(i_d * np.cos(turns) - i_q * np.sin(turns))
+    return park_inverse(DOUBLES, (np.array(i_d), np.array(i_q)), (np.cos(turns), np.sin(turns))).x
 
 
 def figures(

@@ -1,8 +1,9 @@
-"""The C functions of ``control_types.j2`` on numpy arrays of float32: same operations, same order,
-same bits.
+"""The angle functions of ``control_types.j2`` on numpy arrays of float32: same operations,
+same order, same bits.
 
-Every function takes and returns float32 arrays of one shape; the C code equals it bit for bit
-without contraction of products and sums (-ffp-contract=off).
+The transforms are those of `dqforge.machines.transforms` in `SINGLE`. Every function takes and
+returns float32 arrays of one shape; the C code equals it bit for bit without contraction of
+products and sums (-ffp-contract=off).
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.observers.parts import Arithmetic
 
 PI = np.float32(3.1415927)
 
@@ -74,31 +76,6 @@ def rotation(theta: SingleArray) -> tuple[SingleArray, SingleArray]:
     )
 
 
-def clarke(a: SingleArray, b: SingleArray, c: SingleArray) -> tuple[SingleArray, SingleArray]:
-    """Phases to (alpha, beta), amplitude-invariant; the zero sequence falls out."""
-    return (
-        np.float32(0.6666667) * (a - np.float32(0.5) * (b + c)),
-        np.float32(0.57735026) * (b - c),
-    )
+SINGLE = Arithmetic(np.float32, wrap, rotation)
 
-
-def clarke_inverse(
-    alpha: SingleArray, beta: SingleArray
-) -> tuple[SingleArray, SingleArray, SingleArray]:
-    """(alpha, beta) to phases whose sum is zero."""
-    half, side = np.float32(-0.5) * alpha, np.float32(0.8660254) * beta
-    return alpha, half + side, half - side
-
-
-def park(
-    alpha: SingleArray, beta: SingleArray, cosine: SingleArray, sine: SingleArray
-) -> tuple[SingleArray, SingleArray]:
-    """(alpha, beta) to coordinates (d, q) turned by an angle of which cosine and sine are given."""
-    return cosine * alpha + sine * beta, cosine * beta - sine * alpha
-
-
-def park_inverse(
-    d: SingleArray, q: SingleArray, cosine: SingleArray, sine: SingleArray
-) -> tuple[SingleArray, SingleArray]:
-    """Coordinates (d, q) turned by an angle to (alpha, beta)."""
-    return cosine * d - sine * q, sine * d + cosine * q
+"""Single precision, in which transforms and observers equal their C functions."""

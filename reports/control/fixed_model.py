@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers, Pair, Triple
+from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
+from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_control.step import (
     FixedControl,
     FixedPi,
@@ -22,14 +23,7 @@ from dqforge.optimizer.fixed_control.step import (
     pi_step,
     pi_velocity,
 )
-from dqforge.optimizer.fixed_control.transforms import (
-    clarke,
-    clarke_inverse,
-    full_scale,
-    park,
-    park_inverse,
-    rotation,
-)
+from dqforge.optimizer.fixed_control.transforms import Codes, full_scale, rotation
 
 _LOOP_INPUTS = ("integral", "output", "proportional")
 
@@ -157,15 +151,15 @@ def row_results(
 
 
 def _results(o: Integers, control: FixedControl, x: dict[str, CodeArray]) -> Iterator[CodeArray]:
-    width = control.width
+    width, codes = control.width, Codes(o, control.width)
     phases, vector = Triple(x["i_a"], x["i_b"], x["i_c"]), Pair(x["x"], x["y"])
     turn = rotation(o, width, x["theta"])
-    back = clarke_inverse(o, width, vector)
-    pairs: list[Pair[Any]] = [turn, clarke(o, width, phases)]
+    back = clarke_inverse(codes, vector)
+    pairs: list[Pair[Any]] = [turn, clarke(codes, phases)]
     for pair in pairs:
         yield from (pair.x, pair.y)
     yield from (back.a, back.b, back.c)
-    pairs = [park(o, width, vector, turn), park_inverse(o, width, vector, turn)]
+    pairs = [park(codes, vector, turn), park_inverse(codes, vector, turn)]
     pairs.append(decouple(o, width, control.decoupling, x["omega"], vector))
     for pair in pairs:
         yield from (pair.x, pair.y)

@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.modulation.zero_sequence import (
+    DELAY,
+    THIRD_HARMONIC,
+    load_turn,
+    zero_sequence_of,
+)
 from dqforge.machines.names import ModulationName
+from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.current_reference.forms import FloatReference
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.field_weakening.drop_reference import DropReference
-from dqforge.reports.c_code.float32_functions import (
-    clarke,
-    clarke_inverse,
-    park,
-    park_inverse,
-    rotation,
-    wrap,
-)
+from dqforge.reports.c_code.float32_functions import SINGLE, rotation, wrap
 
 Singles = tuple[SingleArray, ...]
 
@@ -34,12 +34,6 @@ _UNKNOWN = np.float32(1.0e15)  # beyond, and not-a-number
 
 
 _HALF, _ZERO, _ONE = np.float32(0.5), np.float32(0.0), np.float32(1.0)
-
-
-_THIRD_HARMONIC = {"thipwm6": 1.0 / 6.0, "thipwm4": 1.0 / 4.0}
-
-
-_SEEN = {"dpwm0": -0.5, "dpwm2": 0.5}
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +83,8 @@ def modulator_of(name: ModulationName) -> Modulator:
     """The modulator as the template writes it, rules as in
     `dqforge.machines.modulation.modulators.zero_sequence`.
     """
-    if name in _THIRD_HARMONIC:
-        share = _THIRD_HARMONIC[name]
+    if name in THIRD_HARMONIC:
+        share = THIRD_HARMONIC[name]
         return Modulator(
             name, share=share, lines=(f"a third harmonic of 1/{round(1.0 / share)} is added",)
         )
@@ -117,7 +111,7 @@ def modulator_of(name: ModulationName) -> Modulator:
     return Modulator(
         name,
         priority=priority,
-        sine=_SEEN.get(name, 0.0),
+        sine=DELAY[name].y if name in DELAY else 0.0,
         sign="-" if name == "dpwm3" else "",
         lines=(f"of the phases with the highest and lowest reference that with {text} rests",),
     )
@@ -177,70 +171,25 @@ class ControlModel:
         object.__setattr__(self, "modulator", modulator_of(self.modulation))
 
     def duties(
-        self, v_alpha: SingleArray, v_beta: SingleArray, v_dc: SingleArray, current: Singles
+        self, voltage: Pair[SingleArray], v_dc: SingleArray, current: Pair[SingleArray]
     ) -> Singles:
-        """Duty cycles of a voltage in V and currents (alpha, beta) in A."""
-        v = clarke_inverse(v_alpha, v_beta)
-        zero = self._zero_sequence(v_alpha, v_beta, v, v_dc, current)
+        """Duty cycles of a voltage in V and currents in A, both alpha and beta."""
+        v = clarke_inverse(SINGLE, voltage)
+        i = clarke_inverse(SINGLE, current) if self.modulator.priority == "currents" else v
+        turn = self._turn(voltage, current)
+        zero = zero_sequence_of(SINGLE, self.modulation, v, i, v_dc, voltage, turn)
         powered = v_dc > _ZERO
         scale = np.where(powered, _ONE / np.where(powered, v_dc, _ONE), _ZERO)
         duty = (np.where(powered, (phase + zero) * scale, _HALF) for phase in v)
         return tuple(np.where(one > _ONE, _ONE, np.where(one > _ZERO, one, _ZERO)) for one in duty)
 
-    def _zero_sequence(
-        self,
-        v_alpha: SingleArray,
-        v_beta: SingleArray,
-        v: Singles,
-        v_dc: SingleArray,
-        current: Singles,
-    ) -> SingleArray:
-        rule = self.modulator
-        if rule.share > 0.0:
-            square = (v_alpha * v_alpha) + (v_beta * v_beta)
-            some = square > _ZERO
-            third = np.float32(4.0 * rule.share) * (
-                ((v[0] * v[1]) * v[2]) / np.where(some, square, _ONE)
-            )
-            return np.where(some, (_HALF * v_dc) - third, _HALF * v_dc)
-        if rule.name == "spwm":
-            return _HALF * v_dc
-        high, low = v[0], v[2]
-        ahead, behind = v[1] > high, v[1] < low
-        high, low = np.where(ahead, v[1], high), np.where(behind, v[1], low)
-        last, first = v[2] > high, v[0] < low
-        high, low = np.where(last, v[2], high), np.where(first, v[0], low)
-        if rule.name == "svpwm":
-            return _HALF * ((v_dc - high) - low)
-        if rule.name == "dpwmmax":
-            return v_dc - high
-        if rule.name == "dpwmmin":
-            return -low
-        rank = self._priority(v_alpha, v_beta, v, current)
-        of_high = np.where(last, rank[2], np.where(ahead, rank[1], rank[0]))
-        of_low = np.where(first, rank[0], np.where(behind, rank[1], rank[2]))
-        return np.where(of_high >= of_low, v_dc - high, -low)
-
-    def _priority(
-        self, v_alpha: SingleArray, v_beta: SingleArray, v: Singles, current: Singles
-    ) -> Singles:
-        rule = self.modulator
-        if rule.priority == "currents":
-            values: Singles = clarke_inverse(*current)
-        elif rule.priority == "voltages":
-            values = v
-        else:
-            cosine, sine = (
-                np.full_like(v_alpha, np.float32(0.8660254)),
-                np.full_like(v_alpha, np.float32(rule.sine)),
-            )
-            if rule.priority == "load angle":
-                cosine, sine = _load_turn(v_alpha, v_beta, *current)
-            values = clarke_inverse(
-                cosine * v_alpha + sine * v_beta, cosine * v_beta - sine * v_alpha
-            )
-        sign = np.float32(-1.0 if rule.sign else 1.0)
-        return tuple(sign * np.abs(value) for value in values)
+    def _turn(
+        self, voltage: Pair[SingleArray], current: Pair[SingleArray]
+    ) -> Pair[SingleArray] | None:
+        """Delay at which the references are compared, None where they are compared as they are."""
+        if self.modulation in DELAY:
+            return Pair(*(np.full_like(voltage.x, value) for value in DELAY[self.modulation]))
+        return load_turn(voltage, current) if self.modulator.priority == "load angle" else None
 
     def current_control(
         self, state: ControlState, measured: SingleArray, reference: Singles
@@ -254,8 +203,8 @@ class ControlModel:
         )
         omega_e = gains["pole_pairs"] * omega_m
         v_max = gains["voltage_share"] * v_dc
-        current = clarke(i_a, i_b, i_c)
-        i_d, i_q = park(*current, *rotation(wrap(theta)))
+        current = clarke(SINGLE, Triple(i_a, i_b, i_c))
+        i_d, i_q = park(SINGLE, current, rotation(wrap(theta)))
         error_d, error_q = reference[0] - i_d, reference[1] - i_q
         wanted_d = _pi_output(gains["d"], state.d, error_d) - (omega_e * (gains["l_q"] * i_q))
         wanted_q = _pi_output(gains["q"], state.q, error_q) + (
@@ -273,8 +222,9 @@ class ControlModel:
         next_q = state.q + ((gains["q"][1] * error_q) + (gains["q"][2] * (v_q - wanted_q)))
         state.d, state.q = np.where(known, next_d, state.d), np.where(known, next_q, state.q)
         state.reference = reference
-        state.v = park_inverse(v_d, v_q, *rotation(wrap(theta + (omega_e * gains["advance"]))))
-        return self.duties(*state.v, v_dc, current)
+        turn = rotation(wrap(theta + (omega_e * gains["advance"])))
+        state.v = voltage = park_inverse(SINGLE, (v_d, v_q), turn)
+        return self.duties(voltage, v_dc, current)
 
     def torque_control(
         self, state: ControlState, measured: SingleArray, torque: SingleArray
@@ -319,19 +269,3 @@ class ControlModel:
 
 def _pi_output(gains: Singles, integral: SingleArray, error: SingleArray) -> SingleArray:
     return gains[0] * error + (integral + gains[1] * error)
-
-
-def _load_turn(
-    v_alpha: SingleArray, v_beta: SingleArray, i_alpha: SingleArray, i_beta: SingleArray
-) -> Singles:
-    """Cosine and sine of the load angle, held within 30 degrees; 0 without current."""
-    along = (v_alpha * i_alpha) + (v_beta * i_beta)
-    across = (v_beta * i_alpha) - (v_alpha * i_beta)
-    across, along = np.where(along < _ZERO, -across, across), np.abs(along)
-    length = np.sqrt((along * along) + (across * across))
-    known, wide = length > _ZERO, np.abs(across) > np.float32(0.57735026) * along
-    divisor = np.where(known, length, _ONE)
-    edge = np.where(across < _ZERO, -_HALF, _HALF)
-    cosine = np.where(wide, np.float32(0.8660254), along / divisor)
-    sine = np.where(wide, edge, across / divisor)
-    return np.where(known, cosine, _ONE), np.where(known, sine, _ZERO)

@@ -13,14 +13,9 @@ import numpy as np
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.observers.method import ObserverMethod
-from dqforge.optimizer.observers.parts import Arithmetic, cast
-from dqforge.reports.c_code.float32_functions import rotation, wrap
+from dqforge.optimizer.observers.parts import cast
+from dqforge.reports.c_code.float32_functions import SINGLE, wrap
 from dqforge.reports.plain_data import shortest
-
-SINGLE = Arithmetic(np.float32, wrap, rotation)
-
-"""Single precision with the polynomials of ``control_types.j2``."""
-
 
 _LENGTH = 100
 

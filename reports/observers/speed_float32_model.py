@@ -10,11 +10,12 @@ import numpy as np
 
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
+from dqforge.machines.transforms import park
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.observers.parts import cast
 from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
-from dqforge.reports.c_code.float32_functions import park, rotation, wrap
-from dqforge.reports.observers.float32_model import SINGLE, gains_from, plain_gains_of
+from dqforge.reports.c_code.float32_functions import SINGLE, rotation, wrap
+from dqforge.reports.observers.float32_model import gains_from, plain_gains_of
 from dqforge.reports.plain_data import PlainData
 
 _LENGTH = 100
@@ -105,12 +106,12 @@ def observed_speeds(
     i_q: SingleArray = zeta
     for k in range(theta_e.shape[1]):
         theta = wrap(theta_e[:, k].copy())
-        now_d, now_q = park(i[0][:, k], i[1][:, k], *rotation(theta))
+        now_d, now_q = park(SINGLE, (i[0][:, k], i[1][:, k]), rotation(theta))
         if k == 0:
             zeta = np.asarray(omega_e / own.pole_pairs + own.c * now_q, dtype=np.float32)
         else:
             middle = wrap(last + own.half_t_s * omega_e)
-            v_q = park(v[0][:, k], v[1][:, k], *rotation(middle))[1]
+            v_q = park(SINGLE, (v[0][:, k], v[1][:, k]), rotation(middle)).y
             u_q = v_q - omega_e * (own.l_d * i_d)
             zeta = np.asarray((own.a * zeta + own.b_u * u_q) + own.b_i * i_q, dtype=np.float32)
         i_d, i_q, last = now_d, now_q, theta

@@ -16,7 +16,9 @@ from pathlib import Path
 
 from dqforge import __version__
 from dqforge.machines.design.design import Design, DesignFiles
+from dqforge.machines.design.reading import MAX_FILE_BYTES
 from dqforge.machines.errors import InputError
+from dqforge.machines.files.input_files import read_regular_file
 from dqforge.reports.output import folder_swap
 from dqforge.reports.output.manifest import (
     MANIFEST,
@@ -120,8 +122,8 @@ def refuse_other_design(folder: Path, digest: str, prefix: str) -> None:
 
 def _unchanged(path: Path, digest: str) -> bool:
     try:
-        return path.is_file() and not path.is_symlink() and sha256(path.read_bytes()) == digest
-    except OSError:
+        return not path.is_symlink() and sha256(read_regular_file(path, MAX_FILE_BYTES)) == digest
+    except InputError:
         return False
 
 

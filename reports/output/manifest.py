@@ -17,6 +17,7 @@ from typing import Any
 
 from dqforge import __version__
 from dqforge.machines.errors import InputError
+from dqforge.machines.files.input_files import read_regular_file
 from dqforge.reports.pages.files import LARGEST_JSON, read_output
 
 MANIFEST = "dqforge-manifest.json"
@@ -188,8 +189,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 def find_manifest(folder: Path) -> Manifest | None:
     """The list of a folder, None where there is none that can be trusted."""
-    path = folder / MANIFEST
     try:
-        return from_bytes(path.read_bytes()) if path.is_file() else None
-    except (OSError, ValueError):
+        return from_bytes(read_regular_file(folder / MANIFEST, LARGEST_JSON))
+    except (InputError, ValueError):
         return None

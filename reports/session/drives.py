@@ -16,12 +16,14 @@ from numpy.typing import ArrayLike
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
+from dqforge.machines.design.from_machine import python_values
 from dqforge.machines.design.loader import load_design as load_file
 from dqforge.machines.design.numerical import located
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
+from dqforge.machines.files.yaml_edit import written
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.operating_points.characteristics import voltage_limit
 from dqforge.optimizer.operating_points.drive_points import LimitedDrive, limited_drive
@@ -41,13 +43,16 @@ _MOST_MARGIN = 0.9
 _FINITE = ("r_s", "l_d", "l_q", "psi_pm", "i_max")
 
 
-def load_design(source: str | Path) -> Design:
+def load_design(source: str | Path, changes: Mapping[str, Any] | None = None) -> Design:
     """The design in a file, or that of a library drive by its name.
 
     Parameters
     ----------
     source:
         Path of a design file, or one of `library`; a file of that name comes first.
+    changes:
+        Keys that are set instead of what the file says, as by ``--set``: dotted keys with numbers
+        in SI units, names, lists or mappings, such as ``{"fit.degree": 3, "inverter.v_dc": 48.0}``.
 
     Raises
     ------
@@ -55,9 +60,11 @@ def load_design(source: str | Path) -> Design:
         There is neither, or the content is wrong, with file, line and column.
     """
     name = str(source)
+    given = {} if changes is None else changes
+    settings = [f"{key}={written(python_values(value))}" for key, value in given.items()]
     if not Path(source).exists() and name in catalogue.names():
-        return catalogue.load(name)
-    return load_file(source)
+        return catalogue.load(name, settings)
+    return load_file(source, settings)
 
 
 def library() -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import ControlMode, Profile, Scenario
+from dqforge.machines.transforms import clarke_matrix
 
 STATES = (
     "i_x",
@@ -210,8 +211,7 @@ def emf_table(phases: PhaseMachine, scale: float = 1.0) -> FloatArray:
     They are those of the interpolating trigonometric polynomial of the machine's table,
     without what is rounding.
     """
-    a, b, c = phases.flux * scale
-    stator = np.stack([(2.0 * a - b - c) / 3.0, (b - c) / math.sqrt(3.0), (a + b + c) / 3.0])
+    stator = clarke_matrix() @ (phases.flux * scale)
     spectrum = np.fft.rfft(stator, axis=1) * (2.0 / phases.angles)
     spectrum[:, 0] *= 0.5
     orders = np.arange(

@@ -11,10 +11,6 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
 from dqforge.optimizer.current_reference.forms import Emitted
@@ -130,12 +126,13 @@ def _compile(compiler: Compiler, program: str, folder: Path) -> Path:
     return target
 
 
-def _run(program: Path, inputs: NDArray[Any], model: NDArray[Any], standard: str) -> NDArray[Any]:
-    """Results of the compiled evaluator for inputs of shape (N,) or (N, M),
-    of the shape and type of the model.
-    """
-    done = _execute([str(program)], f"the compiled {standard} program", content=inputs.tobytes())
-    if done.returncode not in (0, 1) or len(done.stdout) != model.nbytes:
+def _run(program: Path, part: Programme, standard: str) -> None:
+    """Run a compiled harness on its inputs and compare what it gives with the model."""
+    done = _execute(
+        [str(program)], f"the compiled {standard} program", content=part.inputs.tobytes()
+    )
+    found = part.results(done.stdout)
+    if done.returncode not in (0, 1) or found is None:
         raise VerificationError(
             f"the compiled {standard} program stopped with exit code {done.returncode}"
         )
@@ -143,20 +140,9 @@ def _run(program: Path, inputs: NDArray[Any], model: NDArray[Any], standard: str
         raise VerificationError(
             f"compiled as {standard}, the header does not give the results of its test vectors"
         )
-    return np.frombuffer(done.stdout, dtype=model.dtype).reshape(model.shape)
-
-
-def _compare(compiled: NDArray[Any], part: Programme, standard: str) -> None:
-    inputs, model = part.inputs, part.model
-    bits = np.dtype(f"u{model.dtype.itemsize}")
-    differing = np.any(compiled.view(bits) != np.ascontiguousarray(model).view(bits), axis=1)
-    if differing.any():
-        first = int(np.argmax(differing))
-        raise VerificationError(
-            f"compiled as {standard}, {int(differing.sum())} of {inputs.shape[0]} results of the "
-            f"{part.name} differ from the {model.dtype} model; first at {inputs[first]!s}: C gives "
-            f"{compiled[first].tolist()}, model {model[first].tolist()}"
-        )
+    part.require_model(
+        found, f"compiled as {standard},", "C", f"{part.model.dtype} ", any_nan=False
+    )
 
 
 def verify_files(
@@ -204,9 +190,7 @@ def verify_files(
                     part.template, {"prefix": prefix, "macro": prefix.upper()} | part.context
                 )
                 (folder / "harness.c").write_text(harness, encoding="ascii")
-                built = _compile(compiler, program, folder)
-                compiled = _run(built, part.inputs, part.model, compiler.standard)
-                _compare(compiled, part, compiler.standard)
+                _run(_compile(compiler, program, folder), part, compiler.standard)
             checks.append(Check(compiler.standard, sum(part.inputs.shape[0] for part in parts)))
     if checks[0].missing:
         raise VerificationError(

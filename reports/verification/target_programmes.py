@@ -10,9 +10,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dqforge.machines.errors import VerificationError
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.pages.templating import render
@@ -68,17 +65,6 @@ def reached(files: Mapping[str, bytes], sources: Iterable[bytes]) -> set[str]:
     return found
 
 
-def _differing(made: NDArray[np.generic], part: Programme) -> NDArray[np.bool_]:
-    """Rows that are not bit for bit those of the model; one not-a-number is as good as another."""
-    bits = np.dtype(f"u{part.model.dtype.itemsize}")
-    model = np.ascontiguousarray(part.model)
-    differs = made.view(bits) != model.view(bits)
-    if model.dtype.kind == "f":
-        differs &= ~(np.isnan(made) & np.isnan(model))
-    found: NDArray[np.bool_] = np.any(differs, axis=1)
-    return found
-
-
 def _run(
     files: Mapping[str, bytes], prefix: str, part: Programme, target: str, folder: Path
 ) -> TargetRun:
@@ -94,19 +80,12 @@ def _run(
             f"on {target} the {part.name} do not give the results of their test vectors"
         )
     content = (folder / "target.out").read_bytes() if (folder / "target.out").is_file() else b""
-    if code != 0 or len(content) != part.model.nbytes:
+    results = part.results(content)
+    if code != 0 or results is None:
         raise VerificationError(
             f"on {target} the harness of the {part.name} stopped with exit code {code}"
         )
-    results = np.frombuffer(content, dtype=part.model.dtype).reshape(part.model.shape)
-    differing = _differing(results, part)
-    if differing.any():
-        first = int(np.argmax(differing))
-        raise VerificationError(
-            f"on {target} {int(differing.sum())} of {len(results)} results of the {part.name} "
-            f"differ from the model; first at {part.inputs[first]!s}: the core gives "
-            f"{results[first].tolist()}, model {part.model[first].tolist()}"
-        )
+    part.require_model(results, f"on {target}", "the core", any_nan=True)
     return TargetRun(part.name, len(results))
 
 

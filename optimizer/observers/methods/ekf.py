@@ -10,16 +10,17 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.transforms import Reals, park
 from dqforge.optimizer.observers.methods.ekf_tuning import tuned_ekf, usual_noise
 from dqforge.optimizer.observers.methods.kalman_model import Ekf
-from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair, Reals, park
+from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,
-    entries_at,
     limited,
+    matrix_entries,
+    matrix_slopes,
     next_currents,
     sampled_gains,
-    slopes_at,
 )
 from dqforge.optimizer.observers.tuning_numbers import (
     USUAL_SHARE_OF_SPEED,
@@ -140,10 +141,10 @@ def _ekf_predicted(
     gains: EkfGains, state: ObserverState, v: Pair, maths: Arithmetic
 ) -> tuple[Pair, list[list[Reals]], Reals]:
     model, p, i = gains.model, _full(state.scalars[2:]), (state.scalars[0], state.scalars[1])
-    u = park(v, maths.rotation(state.theta_e))
+    u = park(maths, v, maths.rotation(state.theta_e))
     x = limited(model.t_s * state.omega_e, model.x_max)
-    e = entries_at(model, x)
-    slope = next_currents(slopes_at(model, x), i, u)
+    e = matrix_entries(model, x)
+    slope = next_currents(matrix_slopes(model, x), i, u)
     f = (
         (e[0], e[5], slope[0], e[2] * u[1] - e[7] * u[0]),
         (e[6], e[1], slope[1], e[8] * u[1] - e[3] * u[0]),
@@ -178,7 +179,7 @@ def _ekf_begun(
     gains: EkfGains, theta: Reals, omega: Reals, i: Pair, maths: Arithmetic
 ) -> ObserverState:
     """The measured current at a given angle and speed, with the covariance of the start."""
-    first = park(i, maths.rotation(theta))
+    first = park(maths, i, maths.rotation(theta))
     zero = np.zeros_like(theta)
     diagonal = [zero + value for value in (gains.r, gains.r, gains.p_omega, gains.p_theta)]
     rows = tuple(diagonal[n] if n == m else zero for n, m in _UPPER)
@@ -216,7 +217,7 @@ def ekf_step(
     if not state.started:
         return _ekf_begun(gains, state.theta_e, state.omega_e, i, maths)
     (i_d, i_q), p, theta = _ekf_predicted(gains, state, v, maths)
-    seen = park(i, maths.rotation(theta))
+    seen = park(maths, i, maths.rotation(theta))
     nu_d, nu_q = seen[0] - i_d, seen[1] - i_q
     b_d, b_q = -i_q, i_d
     h = [(p[n][0] + b_d * p[n][3], p[n][1] + b_q * p[n][3]) for n in range(4)]

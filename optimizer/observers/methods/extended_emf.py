@@ -39,16 +39,8 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.observers.parts import (
-    EXACT,
-    Arithmetic,
-    ObserverState,
-    Pair,
-    Reals,
-    at_least,
-    park,
-    park_inverse,
-)
+from dqforge.machines.transforms import Reals, park, park_inverse
+from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, at_least
 from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
@@ -207,7 +199,7 @@ def step(
     x = np.where(
         advance > gains.x_max, gains.x_max, np.where(advance < -gains.x_max, -gains.x_max, advance)
     )
-    turned = park_inverse(before, maths.rotation(x))
+    turned = park_inverse(maths, before, maths.rotation(x))
     parts = (
         _times(_polynomial(gains.now_r, gains.now_m, x), i),
         _times(_polynomial(gains.last_r, gains.last_m, x), last),
@@ -218,7 +210,7 @@ def step(
         gains.rho * turned[1] + (parts[0][1] + (parts[1][1] + parts[2][1])),
     )
     theta_p = predicted(state.theta_e, advance, maths)
-    along = park(e, maths.rotation(theta_p))[0]
+    along = park(maths, e, maths.rotation(theta_p))[0]
     error = -along / at_least(np.sqrt(e[0] * e[0] + e[1] * e[1]), gains.floor)
     error = np.where(state.omega_e < 0.0, -error, error)
     theta, omega = corrected(gains.pll, theta_p, state.omega_e, error, maths)

@@ -36,16 +36,8 @@ import numpy as np
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.observers.parts import (
-    EXACT,
-    Arithmetic,
-    ObserverState,
-    Pair,
-    Reals,
-    at_least,
-    park,
-    park_inverse,
-)
+from dqforge.machines.transforms import Reals, park, park_inverse
+from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, at_least
 from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
@@ -122,10 +114,12 @@ def start(theta_e: Reals, omega_e: Reals) -> ObserverState:
     return ObserverState(((zero, zero), (zero, zero)), theta_e, omega_e, started=False)
 
 
-def model_flux(l_d: float, l_q: float, psi_pm: float, i: Pair, turn: Pair) -> Pair:
+def model_flux(
+    l_d: float, l_q: float, psi_pm: float, i: Pair, turn: Pair, maths: Arithmetic
+) -> Pair:
     """Stator flux linkage (alpha, beta) in Wb of the current model."""
-    d, q = park(i, turn)
-    return park_inverse((l_d * d + psi_pm, l_q * q), turn)
+    d, q = park(maths, i, turn)
+    return park_inverse(maths, (l_d * d + psi_pm, l_q * q), turn)
 
 
 def integrated(path: FluxPath, psi: Pair, v: Pair, last: Pair, i: Pair, x: Reals) -> Pair:
@@ -139,10 +133,12 @@ def integrated(path: FluxPath, psi: Pair, v: Pair, last: Pair, i: Pair, x: Reals
     )
 
 
-def angle_error(psi: Pair, l_q: float, i: Pair, turn: Pair, floor: float) -> Reals:
+def angle_error(
+    psi: Pair, l_q: float, i: Pair, turn: Pair, floor: float, maths: Arithmetic
+) -> Reals:
     """Sine of the angle from the direction ``turn`` to the active flux psi - l_q i."""
     active = (psi[0] - l_q * i[0], psi[1] - l_q * i[1])
-    across = park(active, turn)[1]
+    across = park(maths, active, turn)[1]
     return across / at_least(np.sqrt(active[0] * active[0] + active[1] * active[1]), floor)
 
 
@@ -157,18 +153,18 @@ def step(
     """
     if not state.started:
         turn = maths.rotation(state.theta_e)
-        psi = model_flux(gains.l_d, gains.l_q, gains.psi_pm, i, turn)
+        psi = model_flux(gains.l_d, gains.l_q, gains.psi_pm, i, turn, maths)
         return ObserverState((psi, i), state.theta_e, state.omega_e)
     before, last = state.vectors
     x = gains.pll.t_s * state.omega_e
     theta_p = predicted(state.theta_e, x, maths)
     turn = maths.rotation(theta_p)
     psi = integrated(gains.path, before, v, last, i, x)
-    model = model_flux(gains.l_d, gains.l_q, gains.psi_pm, i, turn)
+    model = model_flux(gains.l_d, gains.l_q, gains.psi_pm, i, turn, maths)
     alpha = gains.alpha_1 * np.where(x < 0.0, -x, x) + gains.alpha_0
     alpha = np.where(alpha < 1.0, alpha, maths.number(1.0))
     psi = (psi[0] + alpha * (model[0] - psi[0]), psi[1] + alpha * (model[1] - psi[1]))
-    error = angle_error(psi, gains.l_q, i, turn, gains.floor)
+    error = angle_error(psi, gains.l_q, i, turn, gains.floor, maths)
     theta, omega = corrected(gains.pll, theta_p, state.omega_e, error, maths)
     return ObserverState((psi, i), theta, omega)
 

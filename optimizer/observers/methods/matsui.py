@@ -10,12 +10,13 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.observers.methods.matsui_model import Matsui, matsui
-from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair, Reals, park
+from dqforge.machines.transforms import Reals, park
+from dqforge.optimizer.observers.methods.matsui_model import Matsui, MatsuiModel, matsui
+from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,
-    entries_at,
     limited,
+    matrix_entries,
     next_currents,
     sampled_gains,
 )
@@ -41,24 +42,35 @@ def usual_matsui_current(machine: LinearMachine, t_s: float, omega_max: float) -
     return ObserverTuning(usual.bandwidth, min(1000.0, 0.2 / t_s), omega_floor=usual.omega_floor)
 
 
+def _matsui(
+    machine: LinearMachine,
+    tuning: ObserverTuning,
+    t_s: float,
+    omega_max: float,
+    kind: MatsuiModel,
+    damping: float = 1.0,
+) -> MatsuiVoltageGains | MatsuiCurrentGains:
+    return matsui_gains(
+        matsui(
+            machine,
+            t_s,
+            kind,
+            tuning.pll_bandwidth,
+            damping=damping,
+            speed_bandwidth=tuning.bandwidth,
+            omega_min=tuning.omega_floor,
+            omega_max=omega_max,
+        )
+    )
+
+
 def design_matsui_voltage(
     machine: LinearMachine, tuning: ObserverTuning, t_s: float, omega_max: float
 ) -> MatsuiVoltageGains:
     """Angle poles by ``pll_bandwidth`` and ``damping``, that of the speed by
     ``bandwidth`` (both rad/s).
     """
-    found = matsui_gains(
-        matsui(
-            machine,
-            t_s,
-            "voltage",
-            tuning.pll_bandwidth,
-            damping=tuning.damping,
-            speed_bandwidth=tuning.bandwidth,
-            omega_min=tuning.omega_floor,
-            omega_max=omega_max,
-        )
-    )
+    found = _matsui(machine, tuning, t_s, omega_max, "voltage", damping=tuning.damping)
     assert isinstance(found, MatsuiVoltageGains)
     return found
 
@@ -67,17 +79,7 @@ def design_matsui_current(
     machine: LinearMachine, tuning: ObserverTuning, t_s: float, omega_max: float
 ) -> MatsuiCurrentGains:
     """Angle pole by ``pll_bandwidth``, that of the speed by ``bandwidth`` (both rad/s)."""
-    found = matsui_gains(
-        matsui(
-            machine,
-            t_s,
-            "current",
-            tuning.pll_bandwidth,
-            speed_bandwidth=tuning.bandwidth,
-            omega_min=tuning.omega_floor,
-            omega_max=omega_max,
-        )
-    )
+    found = _matsui(machine, tuning, t_s, omega_max, "current", damping=1.0)
     assert isinstance(found, MatsuiCurrentGains)
     return found
 
@@ -197,11 +199,11 @@ class _Gap:
 def _gap(model: SampledGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic) -> _Gap:
     turn = maths.rotation(state.theta_e)
     theta = maths.wrap(state.theta_e + model.t_s * state.omega_e)
-    now = park(i, maths.rotation(theta))
+    now = park(maths, i, maths.rotation(theta))
     x = limited(model.t_s * state.omega_e, model.x_max)
     half = 0.5 * x
-    e = entries_at(model, x)
-    foretold = next_currents(e, park(state.vectors[0], turn), park(v, turn))
+    e = matrix_entries(model, x)
+    foretold = next_currents(e, park(maths, state.vectors[0], turn), park(maths, v, turn))
     return _Gap(
         theta, now, e, 1.0 - 0.5 * (half * half), half, (now[0] - foretold[0], now[1] - foretold[1])
     )

@@ -34,6 +34,7 @@ import numpy as np
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.methods.flux import (
     FluxPath,
     angle_error,
@@ -41,14 +42,7 @@ from dqforge.optimizer.observers.methods.flux import (
     integrated,
     model_flux,
 )
-from dqforge.optimizer.observers.parts import (
-    EXACT,
-    Arithmetic,
-    ObserverState,
-    Pair,
-    Reals,
-    at_least,
-)
+from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, at_least
 from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
@@ -101,12 +95,6 @@ def design(
     )
 
 
-def start(theta_e: Reals, omega_e: Reals) -> ObserverState:
-    """State before the first step; shapes (N,)."""
-    zero = np.zeros_like(theta_e)
-    return ObserverState(((zero, zero), (zero, zero)), theta_e, omega_e, started=False)
-
-
 def _corner(gains: OpenLoopGains, x: Reals) -> Reals:
     """Relative corner kappa of the filter."""
     return at_least(gains.kappa_1 * np.where(x < 0.0, -x, x), gains.kappa_0)
@@ -136,7 +124,9 @@ def step(
     kappa = _corner(gains, x)
     c = _compensation(gains, kappa, x, maths)
     if not state.started:
-        psi = model_flux(gains.l_d, gains.l_q, gains.psi_pm, i, maths.rotation(state.theta_e))
+        psi = model_flux(
+            gains.l_d, gains.l_q, gains.psi_pm, i, maths.rotation(state.theta_e), maths
+        )
         share = maths.number(1.0) / (c[0] * c[0] + c[1] * c[1])
         filtered = (
             share * (c[0] * psi[0] + c[1] * psi[1]),
@@ -150,7 +140,7 @@ def step(
     keep = maths.number(1.0) / (maths.number(1.0) + kappa)
     filtered = (keep * psi[0], keep * psi[1])
     psi = (c[0] * filtered[0] - c[1] * filtered[1], c[0] * filtered[1] + c[1] * filtered[0])
-    error = angle_error(psi, gains.l_q, i, turn, gains.floor)
+    error = angle_error(psi, gains.l_q, i, turn, gains.floor, maths)
     theta, omega = corrected(gains.pll, theta_p, state.omega_e, error, maths)
     return ObserverState((filtered, i), theta, omega)
 

@@ -59,7 +59,7 @@ METHODS: dict[str, ObserverMethod] = {
             "open_loop_flux",
             "open-loop flux estimator with phase-locked loop on the active flux",
             open_loop_flux.design,
-            open_loop_flux.start,
+            flux_observer.start,
             open_loop_flux.step,
             usual_open_loop,
             ("bandwidth", "speed_gain"),

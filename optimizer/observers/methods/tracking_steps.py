@@ -11,16 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dqforge.machines.transforms import Reals, park, park_inverse
 from dqforge.optimizer.observers.methods.injection import Injection
 from dqforge.optimizer.observers.methods.third_harmonic import ThirdHarmonic
-from dqforge.optimizer.observers.parts import (
-    Arithmetic,
-    ObserverState,
-    Pair,
-    Reals,
-    park,
-    park_inverse,
-)
+from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 from dqforge.optimizer.observers.sampled_gains import limited
 
 
@@ -78,7 +72,7 @@ def injection_step(
     products = list(state.products) or [np.zeros_like(theta)] * count
     if state.started:
         ahead = maths.wrap(theta + gains.t_s * omega)
-        products[state.n] = park(i, maths.rotation(ahead))[1] * gains.reference[state.n]
+        products[state.n] = park(maths, i, maths.rotation(ahead))[1] * gains.reference[state.n]
         total = np.zeros_like(theta)
         for product in products:
             total = total + product
@@ -87,7 +81,7 @@ def injection_step(
         theta = maths.wrap(ahead + gains.k_p * error)
     turn = maths.rotation(maths.wrap(theta + (1.5 * gains.t_s) * omega))
     zero = np.zeros_like(theta)
-    asked = park_inverse((zero + gains.carrier[state.n], zero), turn)
+    asked = park_inverse(maths, (zero + gains.carrier[state.n], zero), turn)
     return InjectionState((asked,), theta, omega, products=tuple(products), n=(state.n + 1) % count)
 
 

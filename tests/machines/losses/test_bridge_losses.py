@@ -22,9 +22,10 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.losses.bridge_heat import junction_balance
 from dqforge.machines.losses.bridge_losses import BridgeAverages, bridge_averages
 from dqforge.machines.losses.bridge_tables import BridgeTables, bridge_tables
-from dqforge.machines.modulation.modulators import MODULATORS, inverse_park, modulate
+from dqforge.machines.modulation.modulators import MODULATORS, modulate
 from dqforge.machines.names import ModulationName
 from dqforge.machines.plants.switched_drive import simulate_period
+from dqforge.machines.transforms import dq_to_phases
 
 V_DC = 600.0
 IGBT = SwitchDevice(
@@ -80,8 +81,8 @@ def brute_force(
     From the model's own look-ups.
     """
     theta: FloatArray = np.linspace(0.0, 2.0 * math.pi, 72_000, endpoint=False) + math.pi / 72_000
-    voltage = inverse_park(np.full(theta.size, v), np.zeros(theta.size), theta)
-    current = inverse_park(
+    voltage = dq_to_phases(np.full(theta.size, v), np.zeros(theta.size), theta)
+    current = dq_to_phases(
         np.full(theta.size, i * math.cos(lag)), np.full(theta.size, -i * math.sin(lag)), theta
     )
     made = modulate(name, voltage, current, V_DC)

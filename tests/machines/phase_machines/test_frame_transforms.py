@@ -14,7 +14,6 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines import frames as dq_frames
 from dqforge.machines.phase_machines.frame_transforms import (
     amplitude_factor,
-    clarke_amplitude_invariant,
     frame_rates,
     from_frame,
     spectral_derivative,
@@ -25,12 +24,12 @@ from dqforge.machines.phase_machines.frame_transforms import (
 from dqforge.machines.phase_machines.frames import (
     Frame,
     FrameAngles,
-    clarke,
     frame_rms,
     loss_ratio_x_over_y,
     thesis_shapes,
     transform,
 )
+from dqforge.machines.transforms import clarke_matrix
 
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 ORDERS = np.array([1, 2, 3, 5, 6, 7, 9])[:, np.newaxis]
@@ -73,12 +72,12 @@ def test_spectral_derivative_of_what_alternates_is_zero() -> None:
 
 def test_amplitude_invariant_matrix_gives_peak_and_mean_of_the_phases() -> None:
     turns = np.linspace(0.0, 6.0, 50) - 2.0 * np.pi / 3.0 * np.arange(3)[:, np.newaxis]
-    alpha, beta, zero = clarke_amplitude_invariant() @ (3.7 * np.cos(turns) + 0.6)
+    alpha, beta, zero = clarke_matrix() @ (3.7 * np.cos(turns) + 0.6)
     np.testing.assert_allclose(alpha, 3.7 * np.cos(turns[0]), atol=1e-12)
     np.testing.assert_allclose(beta, 3.7 * np.sin(turns[0]), atol=1e-12)
     np.testing.assert_allclose(zero, 0.6, atol=1e-12)
     np.testing.assert_allclose(
-        clarke_amplitude_invariant()[:2], dq_frames.AMPLITUDE_INVARIANT * clarke()[:2]
+        clarke_matrix()[:2], dq_frames.AMPLITUDE_INVARIANT * dq_frames.CLARKE[:2]
     )
 
 
@@ -107,7 +106,7 @@ def test_components_are_those_of_the_definitions() -> None:
     shape, _ = unbalanced(3, theta)
     phases = np.random.default_rng(4).normal(size=(3, 120))
     angles = spectral_frame_angles(shape)
-    alpha, beta, zero = clarke() @ phases
+    alpha, beta, zero = dq_frames.CLARKE @ phases
     stationary = alpha + 1j * beta
     dq, dqx = stationary * np.exp(-1j * theta), stationary * np.exp(-1j * (theta + angles.theta_x))
     sine, cosine = np.sin(angles.theta_y), np.cos(angles.theta_y)

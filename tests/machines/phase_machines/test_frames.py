@@ -15,8 +15,8 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.frames import (
     AMPLITUDE_INVARIANT,
+    CLARKE,
     Frame,
-    clarke,
     coupling_entries,
     dynamic_model,
     frame_angles,
@@ -66,7 +66,7 @@ def spectral_derivative(values: FloatArray) -> FloatArray:
 
 
 def symbolic_clarke() -> Any:
-    return ca.DM(clarke())
+    return ca.DM(CLARKE)
 
 
 def symbolic_transform(frame: Frame, theta: Any, theta_x: Any, theta_y: Any) -> Any:
@@ -135,7 +135,7 @@ def test_model_is_that_of_the_phases_seen_from_the_frame(
     )
     coupling = matrix @ PHASES @ spectral_derivative(back) / scale
     np.testing.assert_allclose(model.coupling, coupling, rtol=0, atol=tolerance)
-    alpha, beta, zero = clarke() @ shape / scale[:, 0, 0]
+    alpha, beta, zero = CLARKE @ shape / scale[:, 0, 0]
     size, c, s, none = np.hypot(alpha, beta), np.cos(theta), np.sin(theta), 0.0 * zero
     emf = {
         "alphabeta0": (alpha, beta, zero),
@@ -165,7 +165,7 @@ def test_dqy_bears_all_torque_on_one_axis_with_constant_current(seed: int) -> No
 def test_angles_are_those_of_the_matrices_and_rates_their_derivatives(seed: int) -> None:
     shape = unbalanced(seed)
     theta, angles = grid(shape.shape[1]), frame_angles(shape)
-    alpha, beta, _ = clarke() @ shape
+    alpha, beta, _ = CLARKE @ shape
     difference = angles.theta_x - (np.arctan2(-alpha, beta) - theta)
     np.testing.assert_allclose(np.exp(1j * difference), 1.0, atol=1e-12)
     from_x = transform("dqy", theta, shape) @ np.linalg.inv(transform("dqx", theta, shape))
@@ -191,11 +191,11 @@ def test_balanced_sine_makes_dqx_and_dqy_the_dq_frame() -> None:
 def test_factor_makes_the_peak_of_a_phase() -> None:
     amplitude, angle = 3.7, 0.4
     phases = amplitude * np.cos(angle - 2.0 * np.pi / 3.0 * np.arange(3))
-    alpha, beta, _ = AMPLITUDE_INVARIANT * (clarke() @ phases)
+    alpha, beta, _ = AMPLITUDE_INVARIANT * (CLARKE @ phases)
     assert (alpha, beta) == pytest.approx(
         (amplitude * np.cos(angle), amplitude * np.sin(angle)), rel=1e-12
     )
-    np.testing.assert_allclose(clarke() @ clarke().T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(CLARKE @ CLARKE.T, np.eye(3), atol=1e-15)
 
 
 # Paper 002, Table 3.1, as corrected: d, q, qx, qy, 0 and the copper loss of dqx over that of dqy.

@@ -21,7 +21,7 @@ from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import FluxJet, LinearMachine
 from dqforge.optimizer.certificates.ball import ORDER, Expansion, as_ball, hull, upper
 from dqforge.optimizer.certificates.enclosures import jets
-from dqforge.optimizer.certificates.exact_conditions import Condition, Task, over_box
+from dqforge.optimizer.certificates.exact_conditions import Condition, Task, conditions_over_box
 from dqforge.optimizer.current_reference.forms import CurrentReference, Proportional
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice, SpeedPoint
 
@@ -224,7 +224,7 @@ def test_conditions_and_their_derivatives(
         return t_q * i_d - t_d * i_q
 
     for i_d, i_q in (generator.uniform(0.1, 0.7, (10, 2)) * machine.i_max * [-1.0, 1.0]).tolist():
-        at = over_box(task, (arb(i_d), arb(i_q)), condition)
+        at = conditions_over_box(task, (arb(i_d), arb(i_q)), condition)
         scale = torque(i_d, i_q)
         assert float(at.torque) == pytest.approx(scale, rel=1e-9)
         assert (float(at.t_d), float(at.t_q)) == pytest.approx(

@@ -21,10 +21,10 @@ from dqforge.optimizer.certificates.interval_newton import (
     UNKNOWN,
     Bounds,
     Interval,
+    errors_without_currents,
     newton,
-    without_currents,
 )
-from dqforge.optimizer.certificates.near_zero_torque import beside
+from dqforge.optimizer.certificates.near_zero_torque import bounds_near_zero_torque
 from dqforge.optimizer.certificates.rounding import pieces
 from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.forms import CurrentReference
@@ -122,7 +122,7 @@ def test_bounds_beside_exact_currents_hold_as_well(name: str) -> None:
     proven = 0
     for interval, torque in random_intervals(task, 40):
         try:
-            bounds = beside(task, interval)
+            bounds = bounds_near_zero_torque(task, interval)
         except ZeroDivisionError:
             continue
         proven += 1
@@ -136,7 +136,7 @@ def test_interval_from_rest_on(name: str) -> None:
     piece = pieces(task.reference)[0]
     for share in (1e-12, 1e-6, 1e-3, 0.02):
         high = float(np.float32(share * piece.high))
-        bounds = beside(task, Interval(piece, 0.0, high, 0, UNKNOWN.values()))
+        bounds = bounds_near_zero_torque(task, Interval(piece, 0.0, high, 0, UNKNOWN.values()))
         holds(task, bounds, np.linspace(0.0, high, 200).astype(np.float32))
         assert bounds.i_d < 3.0 * task.choice.i_max * np.sqrt(share)
 
@@ -144,7 +144,7 @@ def test_interval_from_rest_on(name: str) -> None:
 def test_torque_and_voltage_need_no_exact_currents() -> None:
     task = TASKS["fast"]()
     for interval, torque in random_intervals(task, 30):
-        values = without_currents(task, interval)
+        values = errors_without_currents(task, interval)
         assert np.isinf(values[[0, 1, 3, 4]]).all()
         assert isinstance(task.reference, CurrentReference)
         found = found_errors(task.choice, task.reference, torque)

@@ -109,7 +109,7 @@ class Stage:
 
         patch.setattr(interval_newton, "jets", some_jets)
         patch.setattr(interval_newton, "_series", series)
-        patch.setattr(interval_newton, "over_box", over_box)
+        patch.setattr(interval_newton, "conditions_over_box", over_box)
         patch.setattr(interval_newton, "_penalty", penalty)
         patch.setattr(interval_newton, "_voltage_excess", excess)
 

@@ -75,7 +75,7 @@ def fixed(
         return local(**derivatives)
 
     patch.setattr(near_rest, "_exact_near_rest", exact_between)
-    patch.setattr(near_rest, "over_box", over_box)
+    patch.setattr(near_rest, "conditions_over_box", over_box)
     return asked, boxes
 
 
@@ -224,7 +224,7 @@ def test_distance_from_currents_enclosed_for_themselves(monkeypatch: pytest.Monk
     monkeypatch.setattr(near_rest, "torque_and_voltage", lambda *_: (arb(-0.25, 0.125), 0.0625))
     here = interval(task, 4.0, 4.5)
     rounding = [float(part.abs_upper()) for part in here.piece.rounding(arb(4.25, 0.25))]
-    found = near_rest.beside(task, here)
+    found = near_rest.bounds_near_zero_torque(task, here)
     close(found.i_d, abs(-1.0625 - 0.0625 + 2.0) + 0.0625 * 2 + 0.125, 1e-6)
     close(found.i_q, abs(5.3125 - 3.0) + 0.3125 + 0.25, 1e-6)
     close(found.torque, 0.375, 1e-6)
@@ -235,8 +235,12 @@ def test_distance_from_currents_enclosed_for_themselves(monkeypatch: pytest.Monk
         assert float(ball.mid()) == pytest.approx(middle, rel=1e-9)
         assert float(ball.rad()) == pytest.approx(width + room, rel=1e-7)
         assert float(ball.rad()) > width + 0.5 * room
-    assert near_rest.beside(task, interval(task, 0.29, 0.2999)).loss_relative == 0.0
-    assert near_rest.beside(task, interval(task, 0.29, 0.3001)).loss_relative == 0.5
+    assert (
+        near_rest.bounds_near_zero_torque(task, interval(task, 0.29, 0.2999)).loss_relative == 0.0
+    )
+    assert (
+        near_rest.bounds_near_zero_torque(task, interval(task, 0.29, 0.3001)).loss_relative == 0.5
+    )
 
 
 def test_currents_from_rest_must_make_the_torque(monkeypatch: pytest.MonkeyPatch) -> None:

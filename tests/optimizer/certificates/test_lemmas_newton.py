@@ -157,7 +157,7 @@ def test_torque_and_voltage_at_a_point() -> None:
         *MACHINE.voltage(np.array([i_d]), np.array([i_q]), np.array([MACHINE.pole_pairs * 20.0]))
     )
     assert excess == pytest.approx(float(volts[0]) / 8.0 - 1.0, rel=1e-5)
-    values = interval_newton.without_currents(task, here)
+    values = interval_newton.errors_without_currents(task, here)
     close(values[2], abs(at["torque"] - torque) + room, 1e-6)
     assert values[5] == excess
     assert np.all(np.isinf(values[[0, 1, 3, 4]]))
@@ -332,7 +332,9 @@ def test_worst_of_all_conditions_counts(monkeypatch: pytest.MonkeyPatch) -> None
 def test_second_way_can_only_lower(monkeypatch: pytest.MonkeyPatch) -> None:
     task = task_of()
     fake_newton(monkeypatch, {"loss": (1, 20, 0.3, 40, 5, 60)})
-    monkeypatch.setattr(certificate, "beside", lambda *_: Bounds(10, 2, 3, 4, 50, 6))
+    monkeypatch.setattr(
+        certificate, "bounds_near_zero_torque", lambda *_: Bounds(10, 2, 3, 4, 50, 6)
+    )
     best, may_fall = certificate._bounds(task, interval(task, 2.0, 2.1), np.full(6, 1e-3))
     np.testing.assert_array_equal(best, [1, 2, 0.3, 4, 5, 6])
     assert may_fall  # 0.1 is more than 2 % of 2.1

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.transforms import Pair
 from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.curves.single_precision import (
     SinglePolynomial,
@@ -22,7 +23,7 @@ from dqforge.optimizer.curves.single_precision import (
 )
 from dqforge.optimizer.fixed_control import arithmetic as fixed
 from dqforge.optimizer.fixed_control import ranges as fixed_ranges
-from dqforge.optimizer.fixed_control.arithmetic import Integers, Pair, Range, Ranges, Reach
+from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges, Reach
 from dqforge.optimizer.fixed_control.gains import scaled
 from dqforge.optimizer.fixed_control.ranges import (
     DeadBand,

@@ -20,9 +20,17 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.modulation.clamping import DISCONTINUOUS
 from dqforge.machines.modulation.modulators import LINEAR_LIMITS, modulate
 from dqforge.machines.names import ModulationName
-from dqforge.machines.phase_machines.frame_transforms import clarke_amplitude_invariant
+from dqforge.machines.transforms import (
+    Pair,
+    Triple,
+    clarke,
+    clarke_inverse,
+    clarke_matrix,
+    park,
+    park_inverse,
+)
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers, Pair, Triple
+from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_control.step import (
     FixedPi,
@@ -35,15 +43,7 @@ from dqforge.optimizer.fixed_control.step import (
     pi_step,
     pi_velocity,
 )
-from dqforge.optimizer.fixed_control.transforms import (
-    FIXED_MODULATORS,
-    clarke,
-    clarke_inverse,
-    duties,
-    park,
-    park_inverse,
-    rotation,
-)
+from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS, Codes, duties, rotation
 from dqforge.optimizer.loops.integer_gains import given, quantise
 from dqforge.optimizer.observers.reduced_order import estimate_speed, simulate_observer
 
@@ -87,13 +87,13 @@ def test_sine_and_cosine_of_every_angle(width: int) -> None:
 def test_clarke_and_park_within_their_quanta(width: int) -> None:
     generator = np.random.default_rng(2)
     phases = generator.integers(-int(one(width)), int(one(width)), (3, 100_000))
-    found = clarke(EXACT, width, Triple(*phases))
-    exact = clarke_amplitude_invariant() @ phases
+    found = clarke(Codes(EXACT, width), Triple(*phases))
+    exact = clarke_matrix() @ phases
     # half a code by the shift, and the rounding of the constant times four full scales
     for values, real in ((found.x, exact[0]), (found.y, exact[1])):
         assert np.max(np.abs(values - np.clip(real, -one(width) + 1, one(width) - 1))) < 0.5 + 2.0
     vector = generator.integers(-int(one(width)) + 1, int(one(width)), (2, 100_000))
-    back = clarke_inverse(EXACT, width, Pair(*vector))
+    back = clarke_inverse(Codes(EXACT, width), Pair(*vector))
     real_b = -0.5 * vector[0] + math.sqrt(0.75) * vector[1]
     assert np.array_equal(back.a, vector[0])
     assert np.max(np.abs(back.b - np.clip(real_b, -one(width) + 1, one(width) - 1))) <= 1.1
@@ -101,7 +101,7 @@ def test_clarke_and_park_within_their_quanta(width: int) -> None:
     turn = rotation(EXACT, width, angle)
     theta = angle * (2.0 * np.pi / 2.0**width)
     small = np.rint(vector * 0.7).astype(np.int64)
-    moved = park(EXACT, width, Pair(*small), turn)
+    moved = park(Codes(EXACT, width), Pair(*small), turn)
     real = (
         small[0] * np.cos(theta) + small[1] * np.sin(theta),
         small[1] * np.cos(theta) - small[0] * np.sin(theta),
@@ -109,7 +109,7 @@ def test_clarke_and_park_within_their_quanta(width: int) -> None:
     error = 0.5 + 0.7 * 2.0 * (1.4 if width == 16 else 2.4)
     assert np.max(np.abs(moved.x - real[0])) <= error
     assert np.max(np.abs(moved.y - real[1])) <= error
-    again = park_inverse(EXACT, width, moved, turn)
+    again = park_inverse(Codes(EXACT, width), moved, turn)
     assert np.max(np.abs(again.x - small[0])) <= 2.0 * error
     assert np.max(np.abs(again.y - small[1])) <= 2.0 * error
 
@@ -119,7 +119,7 @@ def test_clarke_is_exact_within_one_code_for_balanced_currents() -> None:
     phases = [
         np.rint(20_000.0 * np.cos(angle - k * 2.0 * np.pi / 3.0)).astype(np.int64) for k in range(3)
     ]
-    found = clarke(EXACT, 16, Triple(*phases))
+    found = clarke(Codes(EXACT, 16), Triple(*phases))
     assert np.max(np.abs(found.x - 20_000.0 * np.cos(angle))) < 1.5
     assert np.max(np.abs(found.y - 20_000.0 * np.sin(angle))) < 1.5
 

@@ -182,7 +182,7 @@ def test_newton_step_solves_both_equations() -> None:
 def test_cross_of_gradients_with_its_own() -> None:
     machine = LinearMachine(4, 0.7, 1.0, 1.0, 1.0, 1.0)
     other = squared_voltage(machine, 1.7)
-    found = local_terms.cross(
+    found = local_terms.cross_of_gradients(
         local_terms.torque_terms(IPM, jet(), AT_D, AT_Q),
         local_terms.voltage_terms(machine, jet(), AT_D, AT_Q, np.full(AT_D.size, 1.7)),
     )
@@ -246,7 +246,7 @@ def test_box_holds_every_cell() -> None:
     corner = machine.flux_map.cell(5, 5)[1:]
     box = arb(corner[0], 0.01), arb(corner[1], 0.01)
     assert len(enclosures.jets(machine, *box)) == 4
-    found = exact_conditions.over_box(here, box, "loss")
+    found = exact_conditions.conditions_over_box(here, box, "loss")
     for shift_d in (-0.01, 0.01):
         for shift_q in (-0.01, 0.01):
             at = arb(corner[0] + shift_d), arb(corner[1] + shift_q)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dqforge.machines.transforms import Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.reports.c_code import float32_functions as model
 from dqforge.reports.pages.templating import render
@@ -74,12 +75,12 @@ def _model(x: SingleArray) -> SingleArray:
         invalid="ignore"
     ):  # angles beside the range are not-a-number or infinite on purpose
         angle = model.wrap(a)
-        cosine, sine = model.rotation(angle)
-        alpha, beta = model.clarke(a, b, c)
-        d, q = model.park(alpha, beta, cosine, sine)
-        back = model.park_inverse(d, q, cosine, sine)
+        turn = model.rotation(angle)
+        vector = clarke(model.SINGLE, Triple(a, b, c))
+        turned = park(model.SINGLE, vector, turn)
+        back = park_inverse(model.SINGLE, turned, turn)
         return np.stack(
-            [angle, cosine, sine, alpha, beta, d, q, *back, *model.clarke_inverse(*back)], axis=1
+            [angle, *turn, *vector, *turned, *back, *clarke_inverse(model.SINGLE, back)], axis=1
         )
 
 
@@ -137,13 +138,12 @@ def test_transformations_are_those_of_the_definition() -> None:
     a, b, c = (
         7.0 * np.cos(theta - k * 2.0 * np.pi / 3.0) + 2.0 for k in range(3)
     )  # with a zero sequence
-    alpha, beta = model.clarke(*(x.astype(np.float32) for x in (a, b, c)))
+    alpha, beta = clarke(model.SINGLE, Triple(*(x.astype(np.float32) for x in (a, b, c))))
     np.testing.assert_allclose(alpha, 7.0 * np.cos(theta), atol=3e-6)
     np.testing.assert_allclose(beta, 7.0 * np.sin(theta), atol=3e-6)
-    d, q = model.park(alpha, beta, *model.rotation(theta.astype(np.float32)))
+    turn = model.rotation(theta.astype(np.float32))
+    d, q = park(model.SINGLE, (alpha, beta), turn)
     np.testing.assert_allclose(d, 7.0, atol=5e-6)
     np.testing.assert_allclose(q, 0.0, atol=5e-6)
-    again = model.clarke_inverse(
-        *model.park_inverse(d, q, *model.rotation(theta.astype(np.float32)))
-    )
+    again = clarke_inverse(model.SINGLE, park_inverse(model.SINGLE, (d, q), turn))
     np.testing.assert_allclose(np.stack(again), np.stack([a, b, c]) - 2.0, atol=1e-5)

@@ -20,6 +20,7 @@ from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.modulation.clamping import DISCONTINUOUS
 from dqforge.machines.modulation.modulators import LINEAR_LIMITS, MODULATORS, modulate
 from dqforge.machines.names import ModulationName
+from dqforge.machines.transforms import Pair
 from dqforge.optimizer.loops.plants import current_loop, current_step
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.float32_model import ControlModel, ControlState
@@ -109,7 +110,9 @@ def test_duties_are_those_of_the_modulators(name: ModulationName, solution: Solu
         np.asarray(x, dtype=np.float32)
         for x in (alpha, beta, np.full(count, v_dc), i_alpha, i_beta)
     ]
-    found = np.stack(model.duties(single[0], single[1], single[2], (single[3], single[4])), axis=-1)
+    found = np.stack(
+        model.duties(Pair(single[0], single[1]), single[2], Pair(single[3], single[4])), axis=-1
+    )
     away = np.abs(found - expected.duty).max(axis=1)
     # where two phases are as good as equal the floats may let the other one rest
     assert np.mean(away > 1e-5) < 1e-3

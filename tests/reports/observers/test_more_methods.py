@@ -44,7 +44,7 @@ from dqforge.optimizer.observers.methods.tracking_steps import (
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, cast
 from dqforge.optimizer.observers.sampled_machine import wrapped
 from dqforge.optimizer.observers.trials import CurrentSensor, Trial, simulate
-from dqforge.reports.observers.float32_model import SINGLE
+from dqforge.reports.c_code.float32_functions import SINGLE
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.host import COMPILERS, WARNINGS, Compiler
 
@@ -183,7 +183,7 @@ def modelled(item: Emitted, sequences: FloatArray, maths: Arithmetic) -> Any:
 def compiled(item: Emitted, sequences: FloatArray, compiler: Compiler, folder: Path) -> SingleArray:
     """Results of the emitted C, shape (drives, LENGTH, 4)."""
     names = {"prefix": "drive", "macro": "DRIVE"}
-    observer = render(f"observer_{item.code}.j2", names | {"gains": item.gains})
+    observer = render(f"observers/{item.code}.j2", names | {"gains": item.gains})
     source = HARNESS.format(
         types=render("c_code/control_types.j2", names), observer=observer, code=item.code,
         upper=item.code.upper(),

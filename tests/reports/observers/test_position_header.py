@@ -27,7 +27,8 @@ from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import EXACT, cast
 from dqforge.optimizer.observers.proof import prove
 from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.reports.observers.float32_model import SINGLE, observer_inputs, observer_outputs
+from dqforge.reports.c_code.float32_functions import SINGLE
+from dqforge.reports.observers.float32_model import observer_inputs, observer_outputs
 from dqforge.reports.observers.position_header import (
     emitted,
     observer_files,

@@ -34,12 +34,12 @@ from dqforge.machines.plants.scenario import (
     Sensorless,
     constant,
 )
+from dqforge.machines.transforms import Triple, clarke
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import cast
 from dqforge.optimizer.observers.steady_states import steady_observer
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.c_code.float32_functions import clarke, wrap
-from dqforge.reports.observers.float32_model import SINGLE
+from dqforge.reports.c_code.float32_functions import SINGLE, wrap
 from dqforge.reports.observers.speed_float32_model import observed_speeds, speed_observer_gains
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.simulation.compiled_plant import Simulation, Simulator, simulate, simulator
@@ -103,7 +103,7 @@ def _model(solved: Solution, found: Simulation) -> tuple[FloatArray, FloatArray]
     position = solved.gains.position
     assert position is not None
     phases = found.i_measured.astype(np.float32)
-    i = clarke(phases[:, 0], phases[:, 1], phases[:, 2])
+    i = clarke(SINGLE, Triple(*phases.T))
     v = (found.v_alpha.astype(np.float32), found.v_beta.astype(np.float32))
     first = [
         np.array([value], dtype=np.float32) for value in (found.theta_e[0], 3.0 * found.omega_m[0])
@@ -270,7 +270,7 @@ def test_the_speed_observer_in_the_loop_equals_its_model() -> None:
     assert solved.gains.observer is not None
     gains = speed_observer_gains(MACHINE, solved.gains.observer)
     phases = found.i_measured.astype(np.float32)
-    i = clarke(phases[:, 0], phases[:, 1], phases[:, 2])
+    i = clarke(SINGLE, Triple(*phases.T))
     theta = found.theta_e_measured.astype(np.float32)
     v = (found.v_alpha.astype(np.float32)[None], found.v_beta.astype(np.float32)[None])
     model = observed_speeds(

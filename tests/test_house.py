@@ -1,0 +1,156 @@
+"""The house: floors and rooms without circles, rooms of a size that can be surveyed, names with
+one meaning, and tests that mirror the rooms.
+
+Imports are read from the source, wherever they stand in it: inside functions and for the type
+checker alone too.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import Counter
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+FLOORS = ("machines", "optimizer", "reports")
+LARGEST_ROOM = 16
+# What several rooms may call a part of theirs: the room says of what.
+# fmt: off
+PARTS = {
+    "capability", "catalogue", "checks", "design", "enclosures", "figures", "files", "fit",
+    "fixed_header", "float32_model", "gains", "header", "html", "inputs", "map_figures",
+    "map_tables", "names", "plain", "question", "registry", "sections", "settings", "solve",
+    "tables", "text", "units",
+}
+# fmt: on
+# Rooms with a file for each thing that other rooms are about, by its name.
+FACES = (
+    "machines.design.plausibility",
+    "machines.design.sections",
+    "optimizer.certificates",
+    "reports.answers",
+    "reports.session",
+)
+
+Imports = dict[str, set[str]]
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Every module of the three floors by its dotted name without the package's."""
+    found = {}
+    for floor in FLOORS:
+        for path in sorted((ROOT / floor).rglob("*.py")):
+            name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            found[name.removesuffix(".__init__")] = path
+    return found
+
+
+def imported(path: Path) -> set[str]:
+    """Modules of the package that a file imports."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("dqforge."):
+            where = str(node.module).removeprefix("dqforge.")
+            for name in node.names:
+                whole = f"{where}.{name.name}"
+                found.add(whole if whole in modules() else where)
+    return found & set(modules())
+
+
+@cache
+def imports() -> Imports:
+    return {name: imported(path) - {name} for name, path in modules().items()}
+
+
+def room(module: str) -> str:
+    """Floor and room; a room and the rooms inside it count as one, a file of the ground as its own.
+
+    The file that only says what a room is for is the room.
+    """
+    return ".".join(module.split(".")[:2])
+
+
+def circles(graph: Imports) -> list[list[str]]:
+    """What is left of a graph when everything that leads nowhere, or comes from nowhere, goes."""
+    left = {node: set(others) for node, others in graph.items()}
+    while True:
+        reached = set().union(*left.values())
+        kept = {node: others & set(left) for node, others in left.items() if others & set(left)}
+        kept = {node: others for node, others in kept.items() if node in reached}
+        if kept == left:
+            return [[node, *sorted(others)] for node, others in sorted(kept.items())]
+        left = kept
+
+
+def test_circles_are_found() -> None:
+    assert circles({"a": {"b"}, "b": {"c"}, "c": set()}) == []
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == [["b", "c"], ["c", "b"]]
+
+
+def test_modules_import_each_other_in_no_circle() -> None:
+    assert len(imports()) > 200
+    assert circles(imports()) == []
+
+
+def test_rooms_import_each_other_in_no_circle() -> None:
+    rooms: Imports = {}
+    for module, others in imports().items():
+        rooms.setdefault(room(module), set()).update(
+            room(other) for other in others if room(other) != room(module)
+        )
+    assert circles(rooms) == []
+
+
+def test_no_import_climbs() -> None:
+    height = {floor: index for index, floor in enumerate(FLOORS)}
+    assert [
+        (module, other)
+        for module, others in imports().items()
+        for other in others
+        if height[other.split(".")[0]] > height[module.split(".")[0]]
+    ] == []
+
+
+def test_no_room_is_too_large() -> None:
+    sizes = Counter(
+        path.parent.relative_to(ROOT).as_posix()
+        for path in modules().values()
+        if path.name != "__init__.py"
+    )
+    # The sections of a design file lie in one room, a file per section, however many there are.
+    sizes.pop("machines/design/sections")
+    assert {name: size for name, size in sizes.items() if size > LARGEST_ROOM} == {}
+
+
+def test_one_name_means_one_thing_on_a_floor() -> None:
+    """Two modules of one name on a floor are the same part of two rooms."""
+    homes = [
+        name
+        for name in modules()
+        if not name.startswith(tuple(f"{room_of_faces}." for room_of_faces in FACES))
+    ]
+    count = Counter((name.split(".")[0], name.split(".")[-1]) for name in homes)
+    assert sorted(name for name, often in count.items() if often > 1 and name[1] not in PARTS) == []
+
+
+TESTED = re.compile(r"\btests/[\w/]+\.py\b")
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.stem)
+def test_the_pages_name_tests_that_are_there(page: Path) -> None:
+    named = set(TESTED.findall(page.read_text(encoding="utf-8")))
+    assert {name for name in named if not (ROOT / name).is_file()} == set()
+
+
+def test_tests_lie_in_rooms_of_the_package() -> None:
+    folders = {
+        path.parent.relative_to(ROOT / "tests")
+        for floor in FLOORS
+        for path in (ROOT / "tests" / floor).rglob("test_*.py")
+    }
+    assert {folder.as_posix() for folder in folders if not (ROOT / folder).is_dir()} == set()
