@@ -120,7 +120,7 @@ def run_design(
     if verify and design.simulation is not None:
         stage("simulating")
         simulation = simulate_design(design, solution=output.solution, progress=shares())
-    outcome = Outcome(output.solution, output.verification, simulation)
+    outcome = Outcome(output.solution, output.verification is not None, simulation)
     if simulation is not None:
         plain = output.plain | plain_outcome(outcome, capabilities)
         output.files["result.json"] = _result(design, plain)
