@@ -14,7 +14,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Capability, Outcome, Tile, asked_for
 from dqforge.reports.main_header.dialect import Dialect
-from dqforge.reports.main_header.dialects.neutral.dialect import NEUTRAL
+from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 from dqforge.reports.main_header.header import header_context
 from dqforge.reports.pages.chapters import CHAPTERS
 from dqforge.reports.pages.figures_style import to_svg

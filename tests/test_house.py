@@ -21,8 +21,8 @@ LARGEST_ROOM = 16
 # What several rooms may call a part of theirs: the room says of what.
 # fmt: off
 PARTS = {
-    "capability", "catalogue", "checks", "design", "enclosures", "figures", "files", "fit",
-    "fixed_header", "float32_model", "gains", "header", "html", "inputs", "map_figures",
+    "capability", "catalogue", "checks", "constants", "design", "enclosures", "figures", "files",
+    "fit", "fixed_header", "float32_model", "gains", "header", "html", "inputs", "map_figures",
     "map_tables", "names", "plain", "question", "registry", "sections", "settings", "solve",
     "tables", "text", "units",
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_code.constants import ConstantGroup
+from dqforge.reports.c_code.header_constant import ConstantGroup
 from dqforge.reports.loops.constants import loop_constants
 from dqforge.reports.main_header.drive_constants import (
     base_constants,
