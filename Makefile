@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO_DESIGN ?= paper000-ipmsm-100kw
 
-.PHONY: demo test campaign check lint types contracts format figures wheel lock clean
+.PHONY: demo test campaign coverage check lint types contracts format figures wheel lock clean
 
 demo: $(VENV)/runtime.stamp
 	@mkdir -p out
@@ -19,6 +19,13 @@ test: $(VENV)/dev.stamp
 # Long sweeps, searches over many machines, benchmarks: what CI runs besides.
 campaign: $(VENV)/dev.stamp
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "slow or benchmark"
+
+# Lines and branches that the default tests run. The proofs may leave none: their certificates would
+# hold for what nobody tried.
+PROOFS := optimizer/certificates/*,optimizer/field_weakening/certificate.py,optimizer/field_weakening/enclosures.py,optimizer/fixed_control/ranges.py,optimizer/observers/lpv_certificate.py
+coverage: $(VENV)/dev.stamp
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "not slow and not benchmark" --cov --cov-report=term
+	$(BIN)/coverage report --include='$(PROOFS)' --fail-under=100
 
 check: lint types contracts
 

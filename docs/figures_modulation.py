@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 
 from dqforge.machines.modulation.clamping import DISCONTINUOUS, switching_loss_factor
 from dqforge.machines.modulation.modulators import (
-    LINEAR_LIMITS,
     MODULATORS,
     SIX_STEP_AMPLITUDE,
     linear_limit,
@@ -138,7 +137,7 @@ def _draw_distortion(axes: Axes, *, equal_commutations: bool) -> None:
         "dpwm3": "dpwm3",
     }
     for name, label in shown.items():
-        index = np.linspace(0.0, LINEAR_LIMITS[name] / SIX_STEP_AMPLITUDE, 200)
+        index = np.linspace(0.0, MODULATORS[name].linear_limit / SIX_STEP_AMPLITUDE, 200)
         factor = harmonic_distortion_factor(name, index)
         if equal_commutations and name in DISCONTINUOUS:
             factor = factor / 1.5**2

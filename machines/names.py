@@ -70,6 +70,24 @@ ObserverMethodName = Literal[
 ]
 
 
+SPEED_OBSERVER: ObserverMethodName = "reduced-order"
+
+"""The one that observes the speed behind an encoder; all others observe the position."""
+
+
+OBSERVER_KEYS: dict[str, tuple[str, ...]] = {
+    "reduced-order": ("pole",),
+    "extended-emf": ("bandwidth", "pll_bandwidth", "damping"),
+    "flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
+    "open-loop-flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
+    "matsui-voltage": ("bandwidth", "pll_bandwidth", "damping"),
+    "matsui-current": ("bandwidth", "pll_bandwidth"),
+    "ekf": (),
+}
+
+"""The keys of ``control.observer`` that a method takes beside ``method`` and ``tuning``."""
+
+
 ObserverTuningName = Literal["named", "optimised"]
 
 

@@ -742,6 +742,7 @@ def test_simulation_that_cannot_be_had(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_phase_currents_of_a_salient_machine(run: Run, tmp_path: Path) -> None:
     """Torque from the printed currents by p (f'i + i' dL/dtheta i / 2) with the
     inductances of the file; the header.

@@ -73,6 +73,7 @@ def test_wheel_holds_exactly_the_package(wheel: zipfile.ZipFile) -> None:
     assert names == expected_files()
 
 
+@pytest.mark.slow
 def test_wheel_installs_the_command_and_the_licence(wheel: zipfile.ZipFile) -> None:
     entry = next(name for name in wheel.namelist() if name.endswith("entry_points.txt"))
     assert "dqforge = dqforge.cli:main" in wheel.read(entry).decode()

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 from dqforge.machines.losses.mission import Mission
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import (
+    SPEED_OBSERVER,
     BreakpointMode,
     Core,
     CurrentLoopMethod,
@@ -199,7 +201,7 @@ class ObserverSettings:
     """
 
     pole: float | None = None
-    method: ObserverMethodName = "reduced-order"
+    method: ObserverMethodName = SPEED_OBSERVER
     bandwidth: float | None = None
     pll_bandwidth: float | None = None
     damping: float | None = None
@@ -295,7 +297,7 @@ class ChoiceSettings:
     f_max: float
     omega_m: float
     strategy: Strategy = "mtpa"
-    modulations: tuple[ModulationName, ...] = get_args(ModulationName)
+    modulations: tuple[ModulationName, ...] = tuple(MODULATORS)
     bands: tuple[tuple[float, float], ...] = ()
     ripple_max: float | None = None
     junction_max: float | None = None

@@ -19,8 +19,8 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.losses.bridge_tables import BridgeTables
-from dqforge.machines.modulation.clamping import ONE_RAIL
 from dqforge.machines.modulation.modulators import PhaseWaveforms, sector_waveforms
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.ripple import ripple_squares
 from dqforge.machines.names import ModulationName
 
@@ -165,7 +165,7 @@ def bridge_averages(
     -------
     BridgeAverages
     """
-    one_rail, count = modulation in ONE_RAIL, voltage.shape[1]
+    one_rail, count = MODULATORS[modulation].one_rail, voltage.shape[1]
     junctions = 2 if tables.separate_diode else 1
     losses = np.empty((3, 2, junctions, tables.temperatures.size, count))
     link, ripple = np.empty((3, count)), np.zeros(count)

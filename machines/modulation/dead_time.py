@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.modulation.clamping import DISCONTINUOUS
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 
 
@@ -45,5 +45,5 @@ def dead_time_factor(name: ModulationName, dead_time: float, f_sw: ArrayLike) ->
     FloatArray, shape (...)
         0 where the dead time takes the whole period.
     """
-    gaps = 1.0 if name in DISCONTINUOUS else 2.0
+    gaps = 1.0 if MODULATORS[name].rests else 2.0
     return np.asarray(np.maximum(1.0 - gaps * dead_time * np.asarray(f_sw, dtype=np.float64), 0.0))

@@ -19,24 +19,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.modulation.clamping import (
-    DISCONTINUOUS,
     compared_at,
     resting_phase,
     sector_rule,
 )
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.zero_sequence import zero_sequence_of
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import DOUBLES, dq_to_phases
 
 __all__ = [
-    "LINEAR_LIMITS",
     "MODULATORS",
     "SIX_STEP_AMPLITUDE",
     "BoolArray",
@@ -51,24 +49,6 @@ __all__ = [
     "sector_waveforms",
     "zero_sequence",
 ]
-
-
-MODULATORS: tuple[ModulationName, ...] = get_args(ModulationName)
-
-"""Names of all modulators, continuous ones first."""
-
-
-LINEAR_LIMITS: dict[ModulationName, float] = {
-    **dict.fromkeys(MODULATORS, 1.0 / math.sqrt(3.0)),
-    "spwm": 0.5,
-    "thipwm4": 6.0 * math.sqrt(3.0 / 343.0),
-}
-
-"""Largest phase-voltage amplitude (peak) without overmodulation, as a fraction of v_dc (Hava 1999).
-
-With a quarter of third harmonic the phase peaks where cos^2 = 7/12, at 7/6 sqrt(7/12) = 0.891 of
-the amplitude, so that 0.5 / 0.891 = 6 sqrt(3/343) = 0.561 is left; with a sixth at sqrt 3 / 2.
-"""
 
 
 SIX_STEP_AMPLITUDE = 2.0 / math.pi
@@ -139,7 +119,7 @@ def linear_limit(name: ModulationName, v_dc: float, margin: float = 0.0) -> floa
     Half of v_dc for SPWM, 0.561 v_dc for THIPWM4, v_dc / sqrt 3 for all others (Hava 1999); less
     ``margin``, a share of 0 to 1 that is kept for control.
     """
-    return LINEAR_LIMITS[name] * v_dc * (1.0 - margin)
+    return MODULATORS[name].linear_limit * v_dc * (1.0 - margin)
 
 
 def modulation_index(amplitude: FloatArray, v_dc: float) -> FloatArray:
@@ -209,7 +189,7 @@ def clamped_phases(name: ModulationName, voltage: FloatArray, current: FloatArra
         Phase currents in A, shape (..., 3).
     """
     voltage, current = np.broadcast_arrays(voltage, current)
-    if name not in DISCONTINUOUS:
+    if not MODULATORS[name].rests:
         return np.zeros(voltage.shape, dtype=np.bool_)
     phase, _ = resting_phase(name, voltage, current)
     return np.asarray(phase[..., None] == np.arange(3))

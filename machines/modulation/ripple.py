@@ -31,8 +31,9 @@ from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
-from dqforge.machines.modulation.clamping import ONE_RAIL, clamping_angle, hand_over
+from dqforge.machines.modulation.clamping import hand_over
 from dqforge.machines.modulation.modulators import (
+    MODULATORS,
     SIX_STEP_AMPLITUDE,
     PhaseWaveforms,
     in_linear_range,
@@ -61,39 +62,6 @@ _PLACES = 0.5 - 0.5 * np.cos(np.linspace(1e-5, math.pi - 1e-5, 25))
 
 # Operating points at once: some arrays of 512 x 100 angles x 8 segments x 2 axes are 7 MB each.
 _CHUNK = 512
-
-
-HDF_COEFFICIENTS: dict[ModulationName, tuple[float, float, float]] = {
-    "spwm": (1.5, -4.0 * _ROOT3 / math.pi, 9.0 / 8.0),
-    "thipwm6": (1.5, -4.0 * _ROOT3 / math.pi, 1.0),
-    "thipwm4": (1.5, -4.0 * _ROOT3 / math.pi, 63.0 / 64.0),
-    "svpwm": (1.5, -4.0 * _ROOT3 / math.pi, 27.0 / 16.0 - 81.0 * _ROOT3 / (64.0 * math.pi)),
-    "dpwm0": (6.0, -35.0 * _ROOT3 / (2.0 * math.pi), 27.0 / 8.0 + 81.0 * _ROOT3 / (64.0 * math.pi)),
-    "dpwm1": (
-        6.0,
-        -(45.0 + 8.0 * _ROOT3) / (2.0 * math.pi),
-        27.0 / 8.0 + 27.0 * _ROOT3 / (32.0 * math.pi),
-    ),
-    "dpwm2": (6.0, -35.0 * _ROOT3 / (2.0 * math.pi), 27.0 / 8.0 + 81.0 * _ROOT3 / (64.0 * math.pi)),
-    "dpwm3": (
-        6.0,
-        (45.0 - 62.0 * _ROOT3) / (2.0 * math.pi),
-        27.0 / 8.0 + 27.0 * _ROOT3 / (16.0 * math.pi),
-    ),
-    "dpwmmin": (
-        6.0,
-        -35.0 * _ROOT3 / (2.0 * math.pi),
-        27.0 / 8.0 + 81.0 * _ROOT3 / (64.0 * math.pi),
-    ),
-    "dpwmmax": (
-        6.0,
-        -35.0 * _ROOT3 / (2.0 * math.pi),
-        27.0 / 8.0 + 81.0 * _ROOT3 / (64.0 * math.pi),
-    ),
-}
-
-"""Harmonic distortion factor as c2 m^2 + c3 m^3 + c4 m^4 with m = V / (v_dc / 2), where the load
-angle does not matter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,34 +115,6 @@ def flux_moments(duty: FloatArray) -> FloatArray:
     return np.asarray(a * (1.0 - b) * (1.0 - a**2 - (1.0 - b) ** 2) / 24.0)
 
 
-def _gdpwm_coefficients(psi: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """c2, c3, c4 of GDPWM for clamping angles in rad, any shape."""
-    delta = psi - _THIRTY
-    third = (9.0 * np.cos(3.0 * delta) - 54.0 * np.cos(delta) - 8.0 * _ROOT3) / (2.0 * math.pi)
-    wave = 4.0 * np.cos(2.0 * delta) - 2.0 * np.cos(4.0 * delta)
-    return np.full_like(psi, 6.0), third, 27.0 / 8.0 + 27.0 * _ROOT3 / (64.0 * math.pi) * wave
-
-
-def _coefficients(
-    name: ModulationName, phi: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    if name in HDF_COEFFICIENTS:
-        c2, c3, c4 = (np.full_like(phi, c) for c in HDF_COEFFICIENTS[name])
-        return c2, c3, c4
-    if name == "gdpwm":
-        return _gdpwm_coefficients(clamping_angle(phi))
-    # Beyond 60 degrees DDT-GDPWM clamps what GDPWM with the clamping angle |phi| - 60 degrees would
-    # not; both together clamp highest and lowest throughout, as DPWM0 and DPWM2 together do.
-    lag = np.arccos(np.clip(np.abs(np.cos(phi)), 0.0, 1.0))
-    following = _gdpwm_coefficients(clamping_angle(phi))
-    opposite = _gdpwm_coefficients(np.maximum(lag - _SIXTY, 0.0))
-    c2, c3, c4 = (
-        np.where(lag <= _SIXTY, near, 2.0 * even - far)
-        for near, even, far in zip(following, HDF_COEFFICIENTS["dpwm0"], opposite, strict=True)
-    )
-    return c2, c3, c4
-
-
 def harmonic_distortion_factor(
     name: ModulationName, index: ArrayLike, load_angle: ArrayLike = 0.0
 ) -> FloatArray:
@@ -186,8 +126,8 @@ def harmonic_distortion_factor(
         HDF = 288 < |lambda|^2 > / (v_dc / f_sw)^2
 
     so that a machine with the inductance L has a phase-current ripple of v_dc / (24 L f_sw)
-    sqrt(HDF) r.m.s. The coefficients are in `HDF_COEFFICIENTS`; those of GDPWM depend on the
-    clamping angle, delta = psi - 30 degrees:
+    sqrt(HDF) r.m.s. The coefficients are in the records of the modulators; those of GDPWM depend
+    on the clamping angle, delta = psi - 30 degrees:
 
         c2 = 6,   c3 = (9 cos 3 delta - 54 cos delta - 8 sqrt 3) / (2 pi)
         c4 = 27/8 + 27 sqrt 3 / (64 pi) (4 cos 2 delta - 2 cos 4 delta)
@@ -210,7 +150,7 @@ def harmonic_distortion_factor(
         2.0 * SIX_STEP_AMPLITUDE * np.asarray(index, dtype=np.float64),
         np.asarray(load_angle, dtype=np.float64),
     )
-    c2, c3, c4 = _coefficients(name, phi)
+    c2, c3, c4 = MODULATORS[name].distortion(phi)
     return np.asarray(m**2 * (c2 + m * (c3 + m * c4)))
 
 
@@ -293,7 +233,9 @@ def _peak_angles(name: ModulationName, lag: FloatArray) -> FloatArray:
     """
     change = np.clip(hand_over(name, lag), 0.0, _SIXTY)[:, None]
     angles = np.concatenate([change * _PLACES, change + (_SIXTY - change) * _PLACES], axis=-1)
-    return np.concatenate([angles, angles + _SIXTY], axis=-1) if name in ONE_RAIL else angles
+    return (
+        np.concatenate([angles, angles + _SIXTY], axis=-1) if MODULATORS[name].one_rail else angles
+    )
 
 
 def _largest_torque_ripple(

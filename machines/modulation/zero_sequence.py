@@ -27,24 +27,13 @@ the same phase; where both might rest equally well it is the highest.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import N, Numbers, Pair, Reals, Triple, clarke_inverse, park
-
-THIRD_HARMONIC: Mapping[ModulationName, float] = MappingProxyType(
-    {"thipwm6": 1.0 / 6.0, "thipwm4": 1.0 / 4.0}
-)
-"""Share of the third harmonic in the amplitude, of the modulators that add one."""
-
-DELAY: Mapping[ModulationName, Pair[float]] = MappingProxyType(
-    {"dpwm0": Pair(math.sqrt(0.75), -0.5), "dpwm2": Pair(math.sqrt(0.75), 0.5)}
-)
-"""Cosine and sine of the angle by which references are delayed before they are compared."""
 
 
 def zero_sequence_of(
@@ -72,18 +61,19 @@ def zero_sequence_of(
     vector, turn:
         As of `compared`; with ``vector`` the third harmonic takes its square from there too.
     """
-    if name == "spwm":
+    rule = MODULATORS[name]
+    if rule.kind == "sine":
         return o.halved(v_dc)
-    if name in THIRD_HARMONIC:
-        third = third_harmonic(o, v, THIRD_HARMONIC[name], vector)
+    if rule.kind == "third-harmonic":
+        third = third_harmonic(o, v, rule.share, vector)
         return o.total(f"{name}: zero sequence", o.halved(v_dc), o.negative(third))
-    if name in ("svpwm", "dpwmmax", "dpwmmin"):
+    if rule.kind != "compared":
         (high,), (low,) = extremes(o, v)
         upper = o.total(f"{name}: zero sequence", v_dc, o.negative(high))
         lower = o.negative(low)
-        if name == "svpwm":
-            return o.halved(o.total("svpwm: zero sequence", upper, lower))
-        return upper if name == "dpwmmax" else lower
+        if rule.kind == "centred":
+            return o.halved(o.total(f"{name}: zero sequence", upper, lower))
+        return upper if rule.kind == "highest" else lower
     (high, of_high), (low, of_low) = extremes(o, v, compared(o, name, v, i, vector, turn))
     upper = o.total(f"{name}: zero sequence", v_dc, o.negative(high))
     return o.choose(highest_rests(o, name, of_high, of_low), upper, o.negative(low))
@@ -172,17 +162,20 @@ def compared(
     v, i:
         References and currents of the phases.
     vector, turn:
-        Alpha and beta of the references and the delay at which they are compared, `DELAY` or
-        `load_turn`, as cosine and sine; GDPWM needs both, DPWM0 and DPWM2 take them where they are
+        Alpha and beta of the references and the delay at which they are compared, that of
+        the modulator or `load_turn`, as cosine and sine; GDPWM needs both, DPWM0 and DPWM2 take
+        them where they are
         given, the others have no use for them.
     """
-    if name == "ddt-gdpwm":
+    rule = MODULATORS[name]
+    if rule.compared == "currents":
         return i
-    if name not in DELAY and name != "gdpwm":
+    if rule.compared == "voltages":
         return v
     if vector is not None and turn is not None:
         return clarke_inverse(o, park(o, vector, turn))
-    other = Triple(v.b, v.c, v.a) if DELAY[name].y < 0.0 else Triple(v.c, v.a, v.b)
+    assert rule.delay is not None, f"{name} needs the vectors of voltage and current"
+    other = Triple(v.b, v.c, v.a) if rule.delay.y < 0.0 else Triple(v.c, v.a, v.b)
     return Triple(
         *(o.total(f"{name}: difference", x, o.negative(y)) for x, y in zip(v, other, strict=True))
     )
@@ -201,7 +194,9 @@ def highest_rests(o: Numbers[N, Any], name: ModulationName, of_high: N, of_low: 
         What `compared` has of the two phases.
     """
     of_high, of_low = o.magnitude(of_high), o.magnitude(of_low)
-    return o.at_least(of_low, of_high) if name == "dpwm3" else o.at_least(of_high, of_low)
+    if MODULATORS[name].smaller:
+        return o.at_least(of_low, of_high)
+    return o.at_least(of_high, of_low)
 
 
 def load_turn(voltage: Pair[Reals], current: Pair[Reals], reactive: float = 0.0) -> Pair[Reals]:

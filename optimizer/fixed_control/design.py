@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.modulation.modulators import LINEAR_LIMITS
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.optimizer.fixed_control.arithmetic import Reach
@@ -31,7 +31,7 @@ from dqforge.optimizer.fixed_control.step import (
     FixedPi,
     PiForm,
 )
-from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS, sine_error
+from dqforge.optimizer.fixed_control.transforms import sine_error
 from dqforge.optimizer.loops.gains import LoopGains, decoupling
 from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
 from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
@@ -177,7 +177,7 @@ def _require_bases(design: Design) -> None:
 
 def _modulation(design: Design) -> ModulationName:
     name = design.operation.modulation
-    if name not in FIXED_MODULATORS:
+    if not MODULATORS[name].in_integers:
         raise InputError(
             f"export.control: {name} is not there in fixed point, it needs the angle of the "
             "current; write operation.modulation: ddt-gdpwm, or export.control: float32"
@@ -195,7 +195,7 @@ def _dc_base(design: Design) -> float:
 
 
 def _limit(design: Design) -> float:
-    return LINEAR_LIMITS[design.operation.modulation] * 2.0 ** _dc_scale(design)
+    return MODULATORS[design.operation.modulation].linear_limit * 2.0 ** _dc_scale(design)
 
 
 def _advance(design: Design) -> float:

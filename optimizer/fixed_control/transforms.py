@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar, Generic, get_args
+from typing import Any, ClassVar, Generic
 
 import numpy as np
 
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.zero_sequence import zero_sequence_of
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import N, Pair, Triple, clarke_inverse
@@ -27,10 +28,10 @@ from dqforge.optimizer.fixed_control.arithmetic import (
 )
 
 FIXED_MODULATORS: tuple[ModulationName, ...] = tuple(
-    name for name in get_args(ModulationName) if name != "gdpwm"
+    name for name, modulator in MODULATORS.items() if modulator.in_integers
 )
 
-"""Modulators that there are in integers; GDPWM needs the angle of the
+"""Those of the package's modulators that there are in integers; GDPWM needs the angle of the
 current and is not among them."""
 
 

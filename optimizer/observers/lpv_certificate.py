@@ -48,7 +48,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.observers.methods.flux import FluxGains
+from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 
 _PIECES = 16
 

@@ -16,6 +16,45 @@ from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, 
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
 
+def loop_in_words(tuning: ObserverTuning, _gains: Any, _t_s: float) -> str:
+    """``in_words`` of a filter before a phase-locked loop.
+
+    Parameters
+    ----------
+    tuning:
+        Its numbers.
+    """
+    return (
+        f"bandwidth {tuning.bandwidth:.5g} rad/s; loop {tuning.pll_bandwidth:.5g} rad/s, "
+        f"damping {tuning.damping:.3g}"
+    )
+
+
+def flux_in_words(tuning: ObserverTuning, _gains: Any, _t_s: float) -> str:
+    """``in_words`` of a flux linkage that is corrected before a phase-locked loop.
+
+    Parameters
+    ----------
+    tuning:
+        Its numbers.
+    """
+    return (
+        f"bandwidth {tuning.bandwidth:.5g} rad/s, speed_gain {tuning.speed_gain:.4g}; loop "
+        f"{tuning.pll_bandwidth:.5g} rad/s, damping {tuning.damping:.3g}"
+    )
+
+
+def loop_scale(gains: Any) -> tuple[float, float]:
+    """``scale`` of gains that hold those of a phase-locked loop and the magnet flux linkage.
+
+    Parameters
+    ----------
+    gains:
+        With members ``pll`` and ``psi_pm``.
+    """
+    return float(gains.pll.t_s), float(gains.psi_pm)
+
+
 @dataclass(frozen=True, slots=True)
 class ObserverMethod:
     """One method of observing the position.
@@ -32,10 +71,14 @@ class ObserverMethod:
     usual:
         (machine, t_s, largest electrical speed in rad/s) -> the tuning where
         the design leaves it open.
-    keys:
-        The tuning entries that the method uses, of bandwidth, speed_gain.
+    searched:
+        The tuning entries that ``tuning: optimised`` searches; none of a method that tunes itself.
     gains:
         The dataclass that ``design`` returns.
+    scale:
+        gains -> (sampling period in s, magnet flux linkage in Wb): the scale of what it sees.
+    in_words:
+        (tuning, gains, sampling period in s) -> by what numbers it is tuned.
     settle:
         Steps from the start after which Newton's method finds the steady state that is reached,
         and no other.
@@ -43,6 +86,10 @@ class ObserverMethod:
         (scalars of M states, shape (M, n), electrical speeds in rad/s, shape (M,)) -> how large a
         change of each scalar is noticeable, shape (M, n), positive. In a steady state many are nil,
         so that their own size tells nothing. None without scalars.
+    certify:
+        (gains, least and largest electrical speed in rad/s, largest |i_q| in A) -> factor by which
+        a norm of a small error shrinks at least in every sample, however the speed changes in
+        between; `NoSolutionError` where none is found. None for a method without such a proof.
     """
 
     name: str
@@ -52,10 +99,13 @@ class ObserverMethod:
     start: Callable[[Reals, Reals], ObserverState]
     step: Callable[[Any, ObserverState, Pair, Pair, Arithmetic], ObserverState]
     usual: Callable[[LinearMachine, float, float], ObserverTuning]
-    keys: tuple[str, ...]
+    searched: tuple[str, ...]
     gains: type[Any]
+    scale: Callable[[Any], tuple[float, float]]
+    in_words: Callable[[ObserverTuning, Any, float], str] = loop_in_words
     settle: int = 0
     sizes: Callable[[FloatArray, FloatArray], FloatArray] | None = None
+    certify: Callable[[Any, float, float, float], float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""What is proven of a design's flux observer over its speed range."""
+"""What is proven of a design's observer over its speed range."""
 
 from __future__ import annotations
 
@@ -8,15 +8,7 @@ from importlib.util import find_spec
 import numpy as np
 
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.observers.lpv_certificate import certify_flux_observer
-from dqforge.optimizer.observers.methods.flux import FluxGains
 from dqforge.optimizer.observers.tuning import PositionObserver
-
-_PIECES = 6
-
-
-_BISECTIONS = 3
-
 
 _LEAST_SHARE = 0.05
 
@@ -54,7 +46,7 @@ def prove(observer: PositionObserver | None) -> ObserverProof | None:
 
     None for other methods, which have none. Where cvxpy or Clarabel is missing, the result says so.
     """
-    if observer is None or not isinstance(observer.gains, FluxGains):
+    if observer is None or observer.method.certify is None:
         return None
     low, high = observer.judgement.steady_low, observer.omega_max
     if not (np.isfinite(low) and low < high):
@@ -68,9 +60,7 @@ def prove(observer: PositionObserver | None) -> ObserverProof | None:
         )
         return ObserverProof(None, low, high, i_q, reason, searched=False)
     try:
-        found = certify_flux_observer(
-            observer.gains, low, high, (1j * i_q, -1j * i_q), pieces=_PIECES, bisections=_BISECTIONS
-        )
+        contraction = observer.method.certify(observer.gains, low, high, i_q)
     except NoSolutionError as error:
         return ObserverProof(None, low, high, i_q, error.message.removeprefix("no certificate: "))
-    return ObserverProof(found.contraction, low, high, i_q)
+    return ObserverProof(contraction, low, high, i_q)

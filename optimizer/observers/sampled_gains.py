@@ -86,3 +86,17 @@ def next_currents(e: list[Reals], i: Pair, v: Pair) -> Pair:
         (((e[0] * i[0] + e[5] * i[1]) + e[2] * v[0]) + e[7] * v[1]) + e[4],
         (((e[6] * i[0] + e[1] * i[1]) + e[8] * v[0]) + e[3] * v[1]) + e[9],
     )
+
+
+def model_scale(gains: Any) -> tuple[float, float]:
+    """``scale`` of gains that hold a sampled machine: its period in s and magnet flux linkage in
+    Wb.
+
+    Parameters
+    ----------
+    gains:
+        With the member ``model``.
+    """
+    t_s = float(gains.model.t_s)
+    # h_q over gamma_qq, to first order in the speed: the back-EMF over the speed.
+    return t_s, abs(float(gains.model.table[36])) * t_s / float(gains.model.table[12])

@@ -111,10 +111,10 @@ def optimise(
     """
     import nlopt
 
-    if method.name == "ekf":  # its innovations have tuned it already
+    if not method.searched:
         return first
     omega = np.geomspace(0.05 * omega_max, omega_max, _SPEEDS)
-    names = ("pll_bandwidth", *method.keys)
+    names = method.searched
     centre = np.log([getattr(first, name) for name in names])
     ceiling = {"pll_bandwidth": FASTEST / t_s, "bandwidth": 1.0 / t_s, "speed_gain": 2.0}
     upper = np.minimum(centre + np.log(_WIDEST), np.log([ceiling[name] for name in names]))

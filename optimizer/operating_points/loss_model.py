@@ -26,8 +26,8 @@ from dqforge.machines.losses.constant_device import (
     thermal_balance,
 )
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
-from dqforge.machines.modulation.clamping import MEAN_SWITCHED_SHARE
 from dqforge.machines.modulation.modulators import in_linear_range
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
 
@@ -137,7 +137,7 @@ def _switching(inverter: Inverter, modulation: ModulationName) -> float:
         * inverter.f_sw
         * energy
         * _MEAN_OF_RECTIFIED_SINE
-        * MEAN_SWITCHED_SHARE.get(modulation, 1.0)
+        * MODULATORS[modulation].mean_loss_factor
     )
 
 

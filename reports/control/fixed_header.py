@@ -8,6 +8,7 @@ from dataclasses import asdict
 import numpy as np
 
 from dqforge.machines.design.design import Design
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.optimizer.fixed_control.design import FixedControlFit
 from dqforge.optimizer.fixed_control.step import FixedControl
 from dqforge.reports.c_code.harness import Programme
@@ -124,7 +125,8 @@ def control_fixed_context(design: Design, fit: FixedControlFit) -> PlainData:
         "inverse_root": round(2**bits / math.sqrt(3.0)),
         "half_root": round(2**bits * math.sqrt(0.75)),
         "two_thirds": round(2**bits * 2 / 3),
-        "modulation": control.modulation,
+        "modulator": MODULATORS[control.modulation],
+        "third_share": round(2**bits * 4 * MODULATORS[control.modulation].share),
         "dc_scale": control.dc_scale,
         "dc_least": control.dc_least,
         "limit": asdict(control.limit),

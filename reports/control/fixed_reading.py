@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any, get_args
 
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.optimizer.fixed_control.ranges import control_ranges
 from dqforge.optimizer.fixed_control.step import (
     FixedControl,
@@ -17,7 +18,7 @@ from dqforge.optimizer.fixed_control.step import (
     FixedPi,
     PiForm,
 )
-from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS, full_scale
+from dqforge.optimizer.fixed_control.transforms import full_scale
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
 _FAULT = InputError(
@@ -38,7 +39,10 @@ def fixed_control_from(plain: Mapping[str, Any], width: int) -> FixedControl:
         found = FixedControl(
             width=_one_of(plain["width"], (width,)),
             bases=_bases(plain["bases"]),
-            modulation=_one_of(plain["modulation"], FIXED_MODULATORS),
+            modulation=_one_of(
+                plain["modulation"],
+                tuple(name for name in MODULATORS if MODULATORS[name].in_integers),
+            ),
             dc_scale=_whole(plain["dc_scale"], 0, 8),
             dc_least=_whole(plain["dc_least"], 1, full_scale(width)),
             limit=_gain(plain["limit"], width),

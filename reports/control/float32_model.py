@@ -8,18 +8,14 @@ sums (-ffp-contract=off).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.modulation.zero_sequence import (
-    DELAY,
-    THIRD_HARMONIC,
-    load_turn,
-    zero_sequence_of,
-)
+from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.machines.modulation.zero_sequence import load_turn, zero_sequence_of
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.current_reference.forms import FloatReference
@@ -34,87 +30,6 @@ _UNKNOWN = np.float32(1.0e15)  # beyond, and not-a-number
 
 
 _HALF, _ZERO, _ONE = np.float32(0.5), np.float32(0.0), np.float32(1.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Modulator:
-    """How the template writes a modulator.
-
-    Parameters
-    ----------
-    name:
-        The modulator.
-    share:
-        Share of third harmonic in the zero sequence, 0 where it has another rule.
-    priority:
-        What decides which phase rests, the highest or the lowest: ``voltages``, ``seen later`` (the
-        references seen 30 degrees earlier or later, ``sine``), ``load angle``, ``currents``; empty
-        for modulators without that question.
-    sign:
-        ``-`` where the smaller magnitude rests.
-    lines:
-        What the comment says.
-    """
-
-    name: ModulationName
-    share: float = 0.0
-    priority: str = ""
-    sine: float = 0.0
-    sign: str = ""
-    lines: tuple[str, ...] = ()
-
-    @property
-    def currents(self) -> bool:
-        """Whether it looks at the currents."""
-        return self.priority in {"load angle", "currents"}
-
-    @property
-    def extremes(self) -> bool:
-        """Whether it looks for the highest and the lowest reference."""
-        return self.name == "svpwm" or self.name.startswith(("dpwm", "gdpwm", "ddt"))
-
-    @property
-    def compares(self) -> bool:
-        """Whether it compares magnitudes."""
-        return self.priority != ""
-
-
-def modulator_of(name: ModulationName) -> Modulator:
-    """The modulator as the template writes it, rules as in
-    `dqforge.machines.modulation.modulators.zero_sequence`.
-    """
-    if name in THIRD_HARMONIC:
-        share = THIRD_HARMONIC[name]
-        return Modulator(
-            name, share=share, lines=(f"a third harmonic of 1/{round(1.0 / share)} is added",)
-        )
-    if name == "spwm":
-        return Modulator(name, lines=("sine against triangle, nothing is added",))
-    if name == "svpwm":
-        return Modulator(
-            name, lines=("highest and lowest reference at the same distance from the rails",)
-        )
-    if name in {"dpwmmin", "dpwmmax"}:
-        rail = (
-            "lowest rests at the negative" if name == "dpwmmin" else "highest rests at the positive"
-        )
-        return Modulator(name, lines=(f"the phase with the {rail} rail",))
-    rules = {
-        "dpwm0": ("seen later", "the larger reference 30 degrees ahead"),
-        "dpwm1": ("voltages", "the larger reference"),
-        "dpwm2": ("seen later", "the larger reference 30 degrees behind"),
-        "dpwm3": ("voltages", "the smaller reference"),
-        "gdpwm": ("load angle", "the larger reference at the load angle, up to 30 degrees"),
-        "ddt-gdpwm": ("currents", "the larger current"),
-    }
-    priority, text = rules[name]
-    return Modulator(
-        name,
-        priority=priority,
-        sine=DELAY[name].y if name in DELAY else 0.0,
-        sign="-" if name == "dpwm3" else "",
-        lines=(f"of the phases with the highest and lowest reference that with {text} rests",),
-    )
 
 
 @dataclass(slots=True)
@@ -165,17 +80,17 @@ class ControlModel:
     modulation: ModulationName
     reference: FloatReference
     weakening: DropReference | None = None
-    modulator: Modulator = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "modulator", modulator_of(self.modulation))
 
     def duties(
         self, voltage: Pair[SingleArray], v_dc: SingleArray, current: Pair[SingleArray]
     ) -> Singles:
         """Duty cycles of a voltage in V and currents in A, both alpha and beta."""
         v = clarke_inverse(SINGLE, voltage)
-        i = clarke_inverse(SINGLE, current) if self.modulator.priority == "currents" else v
+        i = (
+            clarke_inverse(SINGLE, current)
+            if MODULATORS[self.modulation].compared == "currents"
+            else v
+        )
         turn = self._turn(voltage, current)
         zero = zero_sequence_of(SINGLE, self.modulation, v, i, v_dc, voltage, turn)
         powered = v_dc > _ZERO
@@ -187,9 +102,10 @@ class ControlModel:
         self, voltage: Pair[SingleArray], current: Pair[SingleArray]
     ) -> Pair[SingleArray] | None:
         """Delay at which the references are compared, None where they are compared as they are."""
-        if self.modulation in DELAY:
-            return Pair(*(np.full_like(voltage.x, value) for value in DELAY[self.modulation]))
-        return load_turn(voltage, current) if self.modulator.priority == "load angle" else None
+        rule = MODULATORS[self.modulation]
+        if rule.delay is not None:
+            return Pair(*(np.full_like(voltage.x, value) for value in rule.delay))
+        return load_turn(voltage, current) if rule.compared == "load angle" else None
 
     def current_control(
         self, state: ControlState, measured: SingleArray, reference: Singles

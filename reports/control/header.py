@@ -7,13 +7,12 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.modulation.modulators import LINEAR_LIMITS
-from dqforge.machines.names import ModulationName
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.loops.gains import LoopGains
@@ -22,7 +21,7 @@ from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.c_code.read_back import single_from
 from dqforge.reports.c_code.title import title
-from dqforge.reports.control.float32_model import ControlModel, ControlState, modulator_of
+from dqforge.reports.control.float32_model import ControlModel, ControlState
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.field_weakening.header import weakening_from
 from dqforge.reports.pages.templating import render
@@ -92,7 +91,8 @@ def plain_control(solution: Solution) -> PlainData:
         "l_d": machine.l_d,
         "l_q": machine.l_q,
         "psi_pm": machine.psi_pm,
-        "voltage_share": LINEAR_LIMITS[operation.modulation] * (1.0 - operation.voltage_margin),
+        "voltage_share": MODULATORS[operation.modulation].linear_limit
+        * (1.0 - operation.voltage_margin),
         "advance": 1.5 * control.t_s,
         "torque_max": float(solution.reference.torque_max),
         "speed_filter": speed_filter(
@@ -137,7 +137,7 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
         raise _FAULT from error
     whole_ratio = isinstance(ratio, int) and not isinstance(ratio, bool) and ratio >= 1
     triples = all(len(gains[name]) == 3 for name in _PIS)
-    if modulation not in get_args(ModulationName) or not whole_ratio or not triples:
+    if modulation not in tuple(MODULATORS) or not whole_ratio or not triples:
         raise _FAULT
     if isinstance(reference, FixedReference):
         raise _FAULT
@@ -249,7 +249,7 @@ def control_files(solution: Solution) -> dict[str, bytes]:
     context = {
         **title(design),
         "weakening": plain["weakening"],
-        "modulator": modulator_of(plain["modulation"]),
+        "modulator": MODULATORS[plain["modulation"]],
         "gains": _gain_lines(plain),
         "preamble": [
             (

@@ -13,8 +13,8 @@ from dqforge.machines.design.design import Design
 from dqforge.optimizer.losses.point_comparison import LossComparison
 from dqforge.reports.pages.figures_style import FAINT, INK, MUTED, PART_COLOURS, new_figure, style
 from dqforge.reports.pages.labels import (
-    MODULATION_LABELS,
     STRATEGY_LABELS,
+    modulation_label,
     obstacle,
     part_label,
     point_text,
@@ -115,7 +115,7 @@ def _draw_point(
                 fontweight="bold" if best == (s, m) else "normal",
                 color=INK if comparison.usable[s, m, point] else MUTED,
             )
-            ticks.append((y, f"{STRATEGY_LABELS[strategy]}, {MODULATION_LABELS[modulation]}"))
+            ticks.append((y, f"{STRATEGY_LABELS[strategy]}, {modulation_label(modulation)}"))
     return ticks
 
 

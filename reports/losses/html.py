@@ -20,10 +20,10 @@ from dqforge.reports.pages.html_text import (
     symbols,
 )
 from dqforge.reports.pages.labels import (
-    MODULATION_LABELS,
     STRATEGY_TEXT,
     WITHOUT_BRIDGE,
     friction_text,
+    modulation_label,
     obstacle,
     part_label,
     point_text,
@@ -69,7 +69,7 @@ def _table(found: MissionComparison) -> HtmlTable:
 
 
 def _cells(run: MissionRun, kinds: list[str], mark: str) -> tuple[str, ...]:
-    label = f"{STRATEGY_TEXT[run.strategy]}, {MODULATION_LABELS[run.modulation]}"
+    label = f"{STRATEGY_TEXT[run.strategy]}, {modulation_label(run.modulation)}"
     name = symbols(f"{label}: {mark}" if mark not in {"", "best"} else label)
     if not (run.steady and math.isfinite(run.total)):
         return (name, *("\u2013" for _ in range(len(kinds) + 3)))
@@ -88,10 +88,10 @@ def best_loss(comparison: LossComparison) -> tuple[str, str, str] | None:
         if best is None:
             continue
         index = (int(comparison.best_strategy[p]), int(comparison.best_modulation[p]), p)
-        alternative = f"{STRATEGY_TEXT[best[0]]} with {MODULATION_LABELS[best[1]]}"
+        alternative = f"{STRATEGY_TEXT[best[0]]} with {modulation_label(best[1])}"
         first = (
             f"{STRATEGY_TEXT[comparison.strategies[0]]} with "
-            f"{MODULATION_LABELS[comparison.modulations[0]]}"
+            f"{modulation_label(comparison.modulations[0])}"
         )
         saving = float(comparison.saving[index]) / 100.0
         against = (
@@ -130,7 +130,7 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
             for m, modulation in enumerate(comparison.modulations):
                 index = (s, m, p)
                 best = (comparison.best_strategy[p], comparison.best_modulation[p]) == (s, m)
-                label = f"{STRATEGY_TEXT[strategy]}, {MODULATION_LABELS[modulation]}"
+                label = f"{STRATEGY_TEXT[strategy]}, {modulation_label(modulation)}"
                 reason = obstacle(comparison, index)
                 parts = (*(getattr(budget, kind) for kind in kinds), budget.total)
                 cells = (

@@ -16,6 +16,7 @@ from dqforge.machines.design.settings import LossStrategy
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.losses.mission import MOST_BYTES, Mission, read_mission
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.units.quantities import parse_quantity
 from dqforge.optimizer.losses.drive_comparison import (
@@ -72,7 +73,7 @@ def _frequencies(text: str) -> tuple[float, ...]:
 
 def requested_alternatives(design: Design, request: LossRequest) -> Alternatives:
     """What the options and the design's section ``losses`` ask to compare."""
-    known_strategies, known_names = get_args(LossStrategy), get_args(ModulationName)
+    known_strategies, known_names = get_args(LossStrategy), tuple(MODULATORS)
     settings = design.losses
     strategies: tuple[LossStrategy, ...] = ("mtpa",) if settings is None else settings.strategies
     names = _DEFAULT_MODULATIONS if settings is None else settings.modulations

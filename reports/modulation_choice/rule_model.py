@@ -7,12 +7,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.modulation_choice.rule import Leaf, Question, Rule, decide
@@ -142,12 +143,10 @@ def emitted_from(plain: Mapping[str, Any]) -> EmittedRule:
 
 
 def _name(value: Any) -> ModulationName:
-    found: ModulationName = next(
-        name for name in (*get_args(ModulationName), None) if name in (value, None)
-    )
-    if found is None:
-        raise ValueError
-    return found
+    for name in MODULATORS:
+        if name == value:
+            return name
+    raise ValueError
 
 
 def _positive(value: Any) -> float:

@@ -20,7 +20,7 @@ from dqforge.reports.plain_data import shortest
 _LENGTH = 100
 
 
-def observer_inputs(gains: Any, count: int, seed: int) -> SingleArray:
+def observer_inputs(method: ObserverMethod, gains: Any, count: int, seed: int) -> SingleArray:
     """Rows (start flag, angle, speed, v_alpha, v_beta, i_alpha, i_beta), shape (rows, 7), in
     sequences of 100 samples.
 
@@ -29,7 +29,7 @@ def observer_inputs(gains: Any, count: int, seed: int) -> SingleArray:
     """
     generator = np.random.default_rng(seed)
     sequences = max(1, count // _LENGTH)
-    t_s = float(gains.pll.t_s if hasattr(gains, "pll") else gains.model.t_s)
+    t_s, flux = method.scale(gains)
     speed = (
         generator.uniform(-0.9, 0.9, sequences)
         / t_s
@@ -44,7 +44,7 @@ def observer_inputs(gains: Any, count: int, seed: int) -> SingleArray:
         np.arange(sequences) % 2 == 0, 0.0, generator.uniform(-4.0, 4.0, sequences)
     )
     rows[:, 0, 2] = speed * generator.choice([0.0, 0.5, 1.0, 1.2, -1.0], sequences)
-    voltage = np.abs(speed)[:, None] * _flux(gains) + 0.1 * scale
+    voltage = np.abs(speed)[:, None] * flux + 0.1 * scale
     for column, size, shift in (
         (3, voltage, 1.6),
         (4, voltage, 0.03),
@@ -54,16 +54,6 @@ def observer_inputs(gains: Any, count: int, seed: int) -> SingleArray:
         noise = 0.05 * size * generator.standard_normal(angles.shape)
         rows[:, :, column] = size * np.cos(angles + shift) + noise
     return np.ascontiguousarray(rows.reshape(-1, 7).astype(np.float32))
-
-
-def _flux(gains: Any) -> float:
-    """Magnet flux linkage in Wb that sets the size of the voltages: the gains',
-    or what a sampled machine holds.
-    """
-    if hasattr(gains, "psi_pm"):
-        return float(gains.psi_pm)
-    # h_q over gamma_qq, to first order in the speed: the back-EMF over the speed.
-    return abs(float(gains.model.table[36])) * float(gains.model.t_s) / float(gains.model.table[12])
 
 
 def observer_outputs(method: ObserverMethod, gains: Any, inputs: SingleArray) -> SingleArray:

@@ -123,25 +123,7 @@ def included_text(observer: PositionObserver) -> str:
 
 def tuning_text(observer: PositionObserver) -> str:
     """By what numbers the observer was tuned, in words."""
-    tuning, method = observer.tuning, observer.method
-    if method.name == "ekf":
-        gains = observer.gains
-        density = gains.q_22 / observer.t_s
-        return (
-            f"tuned by its innovations: variance of the currents {gains.q_i:.3g} A^2 per sample, "
-            f"of what is measured {gains.r:.3g} A^2, density of the acceleration {density:.3g} "
-            "rad^2/s^3"
-        )
-    if method.name == "matsui-current":
-        return (
-            f"pole of the speed {tuning.bandwidth:.5g} rad/s, of the angle "
-            f"{tuning.pll_bandwidth:.5g} rad/s"
-        )
-    gain = f", speed_gain {tuning.speed_gain:.4g}" if "speed_gain" in method.keys else ""
-    return (
-        f"bandwidth {tuning.bandwidth:.5g} rad/s{gain}; loop {tuning.pll_bandwidth:.5g} rad/s, "
-        f"damping {tuning.damping:.3g}"
-    )
+    return observer.method.in_words(observer.tuning, observer.gains, observer.t_s)
 
 
 def _preamble(design: Design, observer: PositionObserver) -> list[str]:
@@ -179,7 +161,10 @@ def observer_files(design: Design, observer: PositionObserver) -> dict[str, byte
 
 def observer_programme(observer: EmittedObserver) -> Programme:
     """The harness of a position observer, with what its model answers."""
-    method, inputs = observer.method, observer_inputs(observer.gains, SWEEP_POINTS, SWEEP_SEED)
+    method, inputs = (
+        observer.method,
+        observer_inputs(observer.method, observer.gains, SWEEP_POINTS, SWEEP_SEED),
+    )
     outputs = observer_outputs(method, observer.gains, inputs)
     return Programme(
         "observers/harness.c.j2", inputs, outputs, {"code": method.code}, name="position observer"

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.modulation.dead_time import dead_time_factor
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.units.quantities import parse_option
 from dqforge.optimizer.operating_points.characteristics import VoltageLimit, voltage_limit
@@ -56,7 +57,7 @@ class Request:
 
 
 def _limit(design: Design, request: Request) -> VoltageLimit:
-    names = get_args(ModulationName)
+    names = tuple(MODULATORS)
     if request.modulation not in names:
         raise InputError(
             f"--modulation: expected one of {', '.join(names)}, got '{request.modulation}'"

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.machines.design.settings import LoadPoint
-from dqforge.machines.modulation.modulators import MODULATORS
 from dqforge.machines.names import Core, NumberFormat
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.losses.drive_budget import PARTS, DriveBudget
@@ -27,7 +26,9 @@ _SPACE = "\u00a0"  # does not break
 STRATEGY_LABELS = {"mtpa": "MTPA", "id0": "$i_d$ = 0", "least-loss": "least loss"}
 
 
-MODULATION_LABELS = {name: name.upper() for name in MODULATORS}
+def modulation_label(name: str) -> str:
+    """A modulator as titles and tables write it."""
+    return name.upper()
 
 
 def point_text(point: LoadPoint) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +24,7 @@ from dqforge.machines.dq_machines.flux_map import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.yaml_edit import written
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.operating_points.characteristics import voltage_limit
 from dqforge.optimizer.operating_points.drive_points import LimitedDrive, limited_drive
@@ -89,7 +90,7 @@ def limited(
     InputError
         A limit is missing, or is no number that can be one.
     """
-    names = get_args(ModulationName)
+    names = tuple(MODULATORS)
     if modulation not in names:
         raise InputError(f"modulation: expected one of {', '.join(names)}, got {modulation!r}")
     name: ModulationName = next(name for name in names if name == modulation)

@@ -13,6 +13,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import LoadPoint, LossSettings, LossStrategy
 from dqforge.machines.errors import InputError
+from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import LossMap as FoundMap
@@ -181,7 +182,7 @@ def _strategies(
 def _modulations(
     names: Sequence[str] | None, default: tuple[ModulationName, ...]
 ) -> tuple[ModulationName, ...]:
-    known: tuple[ModulationName, ...] = get_args(ModulationName)
+    known: tuple[ModulationName, ...] = tuple(MODULATORS)
     wanted = _chosen(names, known, "modulations")
     return default if wanted is None else tuple(name for name in known if name in wanted)
 

@@ -34,7 +34,7 @@ def test_a_hundred_thousand_budgets_in_one_call() -> None:
 
     The same budgets one by one take the ratio's multiple.
     """
-    inverter, modulations = igbt(), MODULATORS[:8]
+    inverter, modulations = igbt(), tuple(MODULATORS)[:8]
     i_q, omega = (
         grid.ravel()
         for grid in np.meshgrid(np.linspace(1.0, 150.0, 50), np.linspace(5.0, 500.0, 50))

@@ -14,7 +14,7 @@ import pytest
 import dqforge
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.modulation.modulators import MODULATORS, modulate
-from dqforge.machines.modulation.zero_sequence import DELAY, load_turn, zero_sequence_of
+from dqforge.machines.modulation.zero_sequence import load_turn, zero_sequence_of
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import (
     DOUBLES,
@@ -99,8 +99,9 @@ def test_every_arithmetic_finds_the_same_zero_sequence(name: ModulationName) -> 
     single_v, single_i = (Triple(*(x.astype(np.float32) for x in values)) for values in (v, i))
     vector = clarke(SINGLES, single_v)
     turn = load_turn(vector, clarke(SINGLES, single_i))
-    if name in DELAY:
-        turn = Pair(*(np.full(ANGLE.size, x, dtype=np.float32) for x in DELAY[name]))
+    delay = MODULATORS[name].delay
+    if delay is not None:
+        turn = Pair(*(np.full(ANGLE.size, x, dtype=np.float32) for x in delay))
     found = zero_sequence_of(
         SINGLES, name, single_v, single_i, np.array(1.0, dtype=np.float32), vector, turn
     )

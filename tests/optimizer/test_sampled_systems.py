@@ -166,6 +166,7 @@ def test_current_loop_is_the_transfer_function_written_by_hand(drive: dict[str, 
     np.testing.assert_allclose(np.poly(loop.closed.a), characteristic, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings(
     "ignore:(divide by zero|invalid value)"
 )  # python-control may meet the pole at z = 1
@@ -210,6 +211,7 @@ def test_margins_are_where_the_loop_becomes_unstable(drive: dict[str, float]) ->
         assert largest(1.0, whole + 1) > 1.0 - 1e-9
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(
     drive=drives,

@@ -134,6 +134,7 @@ def test_figures_ignore_and_keep_the_users_settings(solution: Solution) -> None:
         assert dict(mpl.rcParams) == before
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("suffix", [".svg", ".png", ".pdf"])
 def test_saved_files_are_the_same_bytes_twice(
     solution: Solution, tmp_path: Path, suffix: str

@@ -5,9 +5,9 @@ what is checked across it.
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
 
 from dqforge.machines.design.from_section import settings_from
 from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
@@ -37,6 +37,8 @@ from dqforge.machines.entries.kinds import (
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import (
+    OBSERVER_KEYS,
+    SPEED_OBSERVER,
     CurrentLoopMethod,
     ObserverMethodName,
     ObserverTuningName,
@@ -135,11 +137,21 @@ class SpeedLoopSection(Section):
     )
 
 
+def _known(value: Any, words: ValidatorFunctionWrapHandler) -> Any:
+    """Let a registered method pass; all else is judged by the words of the package."""
+    return value if isinstance(value, str) and value in OBSERVER_KEYS else words(value)
+
+
+def _users(key: str) -> str:
+    """The methods that take a key, in words."""
+    return " and ".join(name for name, keys in OBSERVER_KEYS.items() if key in keys)
+
+
 class ObserverSection(Section):
     """Speed or position observer."""
 
-    method: ObserverMethodName = Field(
-        default="reduced-order", description="how speed or position is observed"
+    method: Annotated[ObserverMethodName, WrapValidator(_known)] = Field(
+        default=SPEED_OBSERVER, description="how speed or position is observed"
     )
     pole: Bandwidth | None = Field(
         default=None,
@@ -158,7 +170,7 @@ class ObserverSection(Section):
     )
     speed_gain: Annotated[float, Field(ge=0.0, le=10.0)] | None = Field(
         default=None,
-        description="for flux and open-loop-flux: share of the speed in the correction of the flux",
+        description=f"for {_users('speed_gain')}: share of the speed in the correction of the flux",
     )
     tuning: ObserverTuningName = Field(
         default="named",
@@ -217,7 +229,7 @@ def check_loops(control: ControlSection, machine: Machine, document: YamlDocumen
         wants_inertia.append("speed_loop")
     if control.observer is not None:
         _check_observer(control.observer, document)
-        if control.observer.method == "reduced-order":
+        if control.observer.method == SPEED_OBSERVER:
             wants_inertia.append("observer")
         if machine.psi_pm == 0.0:
             message = (
@@ -233,20 +245,9 @@ def check_loops(control: ControlSection, machine: Machine, document: YamlDocumen
         raise document.error(message, ("control", wants_inertia[0]), key=True)
 
 
-_OBSERVER_KEYS = {
-    "reduced-order": ("pole",),
-    "extended-emf": ("bandwidth", "pll_bandwidth", "damping"),
-    "flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
-    "open-loop-flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
-    "matsui-voltage": ("bandwidth", "pll_bandwidth", "damping"),
-    "matsui-current": ("bandwidth", "pll_bandwidth"),
-    "ekf": (),
-}
-
-
 def _check_observer(observer: ObserverSection, document: YamlDocument) -> None:
-    path, used = ("control", "observer"), _OBSERVER_KEYS[observer.method]
-    if observer.method == "reduced-order" and observer.pole is None:
+    path, used = ("control", "observer"), OBSERVER_KEYS[observer.method]
+    if observer.method == SPEED_OBSERVER and observer.pole is None:
         message = (
             "control.observer: the method 'reduced-order' needs the key 'pole'; write pole: 400 "
             "rad/s"

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from dqforge.machines.design.modulator_key import ModulatorList
 from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
 from dqforge.machines.design.sections.machine import MachineSection
 from dqforge.machines.design.settings import (
@@ -29,9 +30,6 @@ from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.losses.machine_budget import COPPER_COEFFICIENT, WindingHeat
 from dqforge.machines.losses.machine_loss import MachineLoss
 from dqforge.machines.losses.mission import MOST_BYTES, Mission, read_mission
-from dqforge.machines.names import (
-    ModulationName,
-)
 from dqforge.machines.units.quantities import format_quantity
 
 _LOSSES = LossSettings(points=())
@@ -59,7 +57,7 @@ class LossSection(Section):
     strategies: Annotated[Listing[LossStrategy], Field(min_length=1, max_length=10)] = Field(
         default=_LOSSES.strategies, description="strategies to compare: mtpa, id0, least-loss"
     )
-    modulations: Annotated[Listing[ModulationName], Field(min_length=1, max_length=12)] = Field(
+    modulations: ModulatorList = Field(
         default=_LOSSES.modulations, description="modulations to compare"
     )
 

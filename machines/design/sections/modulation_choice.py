@@ -8,6 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from dqforge.machines.design.from_section import settings_from
+from dqforge.machines.design.modulator_key import ModulatorList
 from dqforge.machines.design.reading import Reading
 from dqforge.machines.design.settings import (
     ChoiceSettings,
@@ -28,7 +29,6 @@ from dqforge.machines.entries.kinds import (
 )
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.names import (
-    ModulationName,
     Strategy,
 )
 from dqforge.machines.units.quantities import format_quantity
@@ -56,7 +56,7 @@ class ChoiceSection(Section):
             "bands of switching frequencies that are not used, a list of {min: ..., max: ...}"
         ),
     )
-    modulations: Annotated[Listing[ModulationName], Field(min_length=1, max_length=12)] = Field(
+    modulations: ModulatorList = Field(
         default=_CHOICE.modulations, description="modulators to choose from; default all"
     )
     strategy: Strategy | None = Field(

@@ -7,6 +7,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from dqforge.machines.design.from_section import settings_from
+from dqforge.machines.design.modulator_key import ModulatorKey
 from dqforge.machines.design.reading import ROUNDING_OF_DATA
 from dqforge.machines.design.settings import (
     OperationSettings,
@@ -21,7 +22,6 @@ from dqforge.machines.entries.kinds import (
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import (
-    ModulationName,
     Strategy,
 )
 from dqforge.machines.units.quantities import format_quantity
@@ -41,7 +41,7 @@ class OperationSection(Section):
             "mechanical speed for which the field is weakened (rad/s; write rpm); default: none"
         ),
     )
-    modulation: ModulationName = Field(
+    modulation: ModulatorKey = Field(
         default=_OPERATION.modulation,
         description="whose linear range limits the voltage at the speed",
     )

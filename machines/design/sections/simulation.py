@@ -23,6 +23,7 @@ from dqforge.machines.entries.kinds import (
 )
 from dqforge.machines.entries.rules import Quantity, QuantityRule, not_truth, si_of
 from dqforge.machines.errors import InputError
+from dqforge.machines.names import SPEED_OBSERVER
 from dqforge.machines.places import KeyPath
 from dqforge.machines.plants.scenario import (
     ControlMode,
@@ -399,7 +400,7 @@ def _sensorless(
     if section is None:
         return None
     path: KeyPath = (*_PATH, "sensorless")
-    if control.observer is None or control.observer.method == "reduced-order":
+    if control.observer is None or control.observer.method == SPEED_OBSERVER:
         message = (
             "simulation.sensorless needs an observer of the position; write control.observer: "
             "{method: flux}"

@@ -11,6 +11,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.transforms import Reals, park
+from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.methods.ekf_tuning import tuned_ekf, usual_noise
 from dqforge.optimizer.observers.methods.kalman_model import Ekf
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
@@ -19,6 +20,7 @@ from dqforge.optimizer.observers.sampled_gains import (
     limited,
     matrix_entries,
     matrix_slopes,
+    model_scale,
     next_currents,
     sampled_gains,
 )
@@ -242,3 +244,37 @@ def ekf_step(
         parts = zip(values, (anew.theta_e, anew.omega_e, *anew.scalars), strict=True)
         values = tuple(np.where(sound, own, other) for own, other in parts)
     return ObserverState((), values[0], values[1], True, values[2:])
+
+
+def ekf_in_words(_tuning: ObserverTuning, gains: EkfGains, t_s: float) -> str:
+    """What the innovations have tuned.
+
+    Parameters
+    ----------
+    gains:
+        Of `design_ekf`.
+    t_s:
+        Sampling period in s.
+    """
+    return (
+        f"tuned by its innovations: variance of the currents {gains.q_i:.3g} A^2 per sample, "
+        f"of what is measured {gains.r:.3g} A^2, density of the acceleration "
+        f"{gains.q_22 / t_s:.3g} rad^2/s^3"
+    )
+
+
+METHOD = ObserverMethod(
+    name="ekf",
+    code="ekf",
+    title="extended Kalman filter",
+    design=design_ekf,
+    start=ekf_start,
+    step=ekf_step,
+    usual=usual_ekf,
+    searched=(),
+    gains=EkfGains,
+    scale=model_scale,
+    in_words=ekf_in_words,
+    settle=300,
+    sizes=ekf_sizes,
+)

@@ -40,6 +40,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.transforms import Reals, park, park_inverse
+from dqforge.optimizer.observers.method import ObserverMethod, loop_scale
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, at_least
 from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
@@ -221,3 +222,17 @@ def usual_eemf(_: LinearMachine, t_s: float, omega_max: float) -> ObserverTuning
     """EMF filter four times faster than the loop, so that it costs the loop little phase."""
     width = pll_bandwidth(t_s)
     return ObserverTuning(4.0 * width, width, omega_floor=0.02 * omega_max)
+
+
+METHOD = ObserverMethod(
+    name="extended-emf",
+    code="eemf",
+    title="extended EMF with phase-locked loop",
+    design=design,
+    start=start,
+    step=step,
+    usual=usual_eemf,
+    searched=("pll_bandwidth", "bandwidth"),
+    gains=EemfGains,
+    scale=loop_scale,
+)

@@ -30,29 +30,19 @@ drives", IEEE Trans. Power Electronics 23 (5), 2008; M. Hinkkanen et al., the ga
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.transforms import Reals, park, park_inverse
+from dqforge.optimizer.observers.lpv_certificate import certify_flux_observer
+from dqforge.optimizer.observers.method import ObserverMethod, flux_in_words, loop_scale
+from dqforge.optimizer.observers.methods.flux_gains import FluxGains, FluxPath
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, at_least
-from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
+from dqforge.optimizer.observers.pll import corrected, pll_bandwidth, pll_gains, predicted
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
-
-@dataclass(frozen=True, slots=True)
-class FluxPath:
-    """The voltage model over a period: ``drop`` = R t_s in Ohm s and its half,
-    ``end`` = R t_s/(12 L_q), L_q in H.
-    """
-
-    t_s: float
-    drop: float
-    half_drop: float
-    end: float
-    l_q: float
+_PIECES, _BISECTIONS = 6, 3
 
 
 def flux_path(machine: LinearMachine, t_s: float) -> FluxPath:
@@ -61,22 +51,6 @@ def flux_path(machine: LinearMachine, t_s: float) -> FluxPath:
     return FluxPath(
         t_s=t_s, drop=drop, half_drop=0.5 * drop, end=drop / (12.0 * machine.l_q), l_q=machine.l_q
     )
-
-
-@dataclass(frozen=True, slots=True)
-class FluxGains:
-    """Voltage model; H and Wb; correction ``alpha_0 + alpha_1 |x|``; ``floor`` in Wb:
-    least flux linkage in full.
-    """
-
-    path: FluxPath
-    l_d: float
-    l_q: float
-    psi_pm: float
-    alpha_0: float
-    alpha_1: float
-    floor: float
-    pll: PllGains
 
 
 def design(
@@ -180,3 +154,37 @@ def usual_flux(machine: LinearMachine, t_s: float, omega_max: float) -> Observer
     return ObserverTuning(
         bandwidth, pll_bandwidth(t_s), speed_gain=0.2, omega_floor=0.02 * omega_max
     )
+
+
+def certified(gains: FluxGains, omega_low: float, omega_high: float, i_q: float) -> float:
+    """Contraction that a common Lyapunov function proves, see `ObserverMethod`.
+
+    Parameters
+    ----------
+    gains:
+        Of `design`.
+    omega_low, omega_high:
+        Electrical speeds in rad/s.
+    i_q:
+        Largest |i_q| in A, at i_d = 0.
+    """
+    currents = (1j * i_q, -1j * i_q)
+    return certify_flux_observer(
+        gains, omega_low, omega_high, currents, pieces=_PIECES, bisections=_BISECTIONS
+    ).contraction
+
+
+METHOD = ObserverMethod(
+    name="flux",
+    code="flux",
+    title="flux observer with phase-locked loop on the active flux",
+    design=design,
+    start=start,
+    step=step,
+    usual=usual_flux,
+    searched=("pll_bandwidth", "bandwidth", "speed_gain"),
+    gains=FluxGains,
+    scale=loop_scale,
+    in_words=flux_in_words,
+    certify=certified,
+)

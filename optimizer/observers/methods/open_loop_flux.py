@@ -35,13 +35,15 @@ import numpy as np
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.transforms import Reals
+from dqforge.optimizer.observers.method import ObserverMethod, flux_in_words, loop_scale
 from dqforge.optimizer.observers.methods.flux import (
-    FluxPath,
     angle_error,
     flux_path,
     integrated,
     model_flux,
+    start,
 )
+from dqforge.optimizer.observers.methods.flux_gains import FluxPath
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, at_least
 from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
@@ -150,3 +152,18 @@ def usual_open_loop(_: LinearMachine, t_s: float, omega_max: float) -> ObserverT
     return ObserverTuning(
         0.01 * omega_max, pll_bandwidth(t_s), speed_gain=0.3, omega_floor=0.02 * omega_max
     )
+
+
+METHOD = ObserverMethod(
+    name="open-loop-flux",
+    code="open_loop_flux",
+    title="open-loop flux estimator with phase-locked loop on the active flux",
+    design=design,
+    start=start,
+    step=step,
+    usual=usual_open_loop,
+    searched=("pll_bandwidth", "bandwidth", "speed_gain"),
+    gains=OpenLoopGains,
+    scale=loop_scale,
+    in_words=flux_in_words,
+)

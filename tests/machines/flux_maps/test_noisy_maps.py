@@ -84,6 +84,7 @@ def test_a_map_of_each_library_machine_with_noise_loads_tunes_and_gives_its_mtpa
     assert_mtpa_within_noise(design, true)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("kind", ["half plane", "scattered", "fine", "coarse"])
 def test_noise_is_smoothed_whatever_the_layout_of_the_points(kind: str, tmp_path: Path) -> None:
     points = {

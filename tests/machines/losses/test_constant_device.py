@@ -49,7 +49,7 @@ IGBT = SwitchDevice(
 )
 V_DC = 500.0
 THIRD = 2.0 * math.pi / 3.0
-NAMES = MODULATORS
+NAMES = tuple(MODULATORS)
 
 
 def inverter(device: SwitchDevice, **changes: float) -> Inverter:

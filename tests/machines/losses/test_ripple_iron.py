@@ -20,7 +20,7 @@ from dqforge.machines.losses.ripple_iron import (
     ripple_iron_loss,
     sheet_factor,
 )
-from dqforge.machines.modulation.modulators import LINEAR_LIMITS, MODULATORS
+from dqforge.machines.modulation.modulators import MODULATORS
 from dqforge.machines.modulation.switched_period import switched_period
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, drive_budget
@@ -36,7 +36,7 @@ def test_harmonic_voltage_is_that_of_switched_pulses_of_every_modulator(
     """Of 300 carrier periods, phase by phase in time: the vector's square is 2/3
     of the sum over the phases.
     """
-    amplitude = share * LINEAR_LIMITS[name] * V_DC
+    amplitude = share * MODULATORS[name].linear_limit * V_DC
     period = switched_period(name, amplitude, V_DC, 300, load_angle=0.4)
     starts = np.unique(np.concatenate([[0.0], period.edges.ravel(), [2.0 * math.pi]]))
     middle, length = 0.5 * (starts[1:] + starts[:-1]), np.diff(starts)
@@ -97,7 +97,7 @@ def test_budget_counts_it_and_stays_in_balance() -> None:
         [-10.0, 0.0],
         [20.0, 5.0],
         [200.0, 50.0],
-        MODULATORS,
+        tuple(MODULATORS),
         [5e3, 4e4],
         options=options,
     )

@@ -21,12 +21,11 @@ from dqforge.machines.devices.switch import SwitchDevice
 from dqforge.machines.losses.constant_device import bridge_load
 from dqforge.machines.modulation.clamping import (
     DISCONTINUOUS,
-    MEAN_SWITCHED_SHARE,
-    clamping_angle,
     resting_phase,
     switching_loss_factor,
 )
 from dqforge.machines.modulation.modulators import MODULATORS, modulate, period_waveforms
+from dqforge.machines.modulation.resting_angles import clamping_angle
 from dqforge.machines.names import ModulationName
 
 RESTING = sorted(DISCONTINUOUS)
@@ -120,7 +119,7 @@ def test_switching_loss_against_quadrature_of_waveforms_written_out(
 
 @settings(deadline=None)
 @given(
-    st.sampled_from(MODULATORS),
+    st.sampled_from(tuple(MODULATORS)),
     st.floats(0.01, 0.5),
     st.floats(-math.pi, math.pi),
     st.floats(-math.pi, math.pi),
@@ -244,10 +243,10 @@ def test_mean_shares_are_the_means_over_all_load_angles() -> None:
         factor = switching_loss_factor(name, lags)
         if name in {"gdpwm", "ddt-gdpwm"}:
             assert switching_loss_factor(name, [-0.5, 0.0, 0.5]) == pytest.approx(
-                3 * [MEAN_SWITCHED_SHARE[name]]
+                3 * [MODULATORS[name].mean_loss_factor]
             )
         else:
-            assert factor.mean() == pytest.approx(MEAN_SWITCHED_SHARE[name], rel=1e-6)
+            assert factor.mean() == pytest.approx(MODULATORS[name].mean_loss_factor, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", MODULATORS)

@@ -15,7 +15,7 @@ from dqforge.machines.devices.switch import SwitchDevice
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.modulation.clamping import DISCONTINUOUS
 from dqforge.machines.modulation.dead_time import dead_time_factor
-from dqforge.machines.modulation.modulators import LINEAR_LIMITS, MODULATORS
+from dqforge.machines.modulation.modulators import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_budget import drive_budget
 from dqforge.optimizer.losses.drive_comparison import Alternatives, compare_drives
@@ -60,7 +60,7 @@ def line_error(name: ModulationName, amplitude: float, lag: float) -> float:
 
 @pytest.mark.parametrize("name", ["spwm", "svpwm", "dpwm1", "ddt-gdpwm"])
 def test_compensated_voltage_is_made_up_to_the_limit_and_not_beyond(name: ModulationName) -> None:
-    limit = LINEAR_LIMITS[name] * float(dead_time_factor(name, DELTA, 1.0))
+    limit = MODULATORS[name].linear_limit * float(dead_time_factor(name, DELTA, 1.0))
     assert line_error(name, 0.99 * limit, 0.3) < 2.0 / SAMPLES
     assert line_error(name, 1.02 * limit, 0.3) > 5.0 / SAMPLES
 

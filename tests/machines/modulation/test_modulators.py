@@ -25,7 +25,7 @@ from dqforge.machines.modulation.modulators import (
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import dq_to_phases
 
-NAMES = MODULATORS
+NAMES = tuple(MODULATORS)
 
 names = st.sampled_from(NAMES)
 angles = st.floats(-math.pi, math.pi)

@@ -12,7 +12,7 @@ from modulators import duties
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.modulation.clamping import DISCONTINUOUS
-from dqforge.machines.modulation.modulators import LINEAR_LIMITS, MODULATORS, modulate
+from dqforge.machines.modulation.modulators import MODULATORS, modulate
 from dqforge.machines.modulation.overmodulation import fundamental, reference_for, saturate
 from dqforge.machines.names import ModulationName
 
@@ -72,7 +72,7 @@ def test_linear_range_is_left_alone_and_rests_where_the_modulator_rests(
     same = saturate(name, 0.45 * voltage, current, 1.0)
     np.testing.assert_allclose(same.duty, plain.duty, rtol=0.0, atol=1e-14)
     np.testing.assert_array_equal(same.clamped, plain.clamped)
-    ratios = np.linspace(0.0, LINEAR_LIMITS[name], 50)
+    ratios = np.linspace(0.0, MODULATORS[name].linear_limit, 50)
     np.testing.assert_array_equal(fundamental(name, ratios, 1.0), ratios)
     np.testing.assert_array_equal(reference_for(name, ratios, 1.0), ratios)
 
@@ -89,7 +89,7 @@ def test_gain_rises_steadily_to_six_step(name: ModulationName) -> None:
 
 
 @settings(deadline=None)
-@given(st.sampled_from(MODULATORS), st.floats(0.0, 1.0), st.floats(10.0, 1000.0))
+@given(st.sampled_from(tuple(MODULATORS)), st.floats(0.0, 1.0), st.floats(10.0, 1000.0))
 def test_inverse_is_consistent(name: ModulationName, share: float, v_dc: float) -> None:
     wanted = share * SIX_STEP * v_dc
     assert fundamental(name, reference_for(name, wanted, v_dc), v_dc) == pytest.approx(

@@ -14,7 +14,6 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.modulation.clamping import DISCONTINUOUS
 from dqforge.machines.modulation.modulators import (
-    LINEAR_LIMITS,
     MODULATORS,
     SIX_STEP_AMPLITUDE,
     sector_waveforms,
@@ -84,7 +83,7 @@ def test_closed_form_is_the_average_of_the_carrier_periods(
     ripple of each carrier period.
     """
     lag = math.radians(degrees)
-    amplitude = np.array([0.05, 0.3, 0.85, 1.0]) * LINEAR_LIMITS[name]
+    amplitude = np.array([0.05, 0.3, 0.85, 1.0]) * MODULATORS[name].linear_limit
     wave = sector_waveforms(name, amplitude, 0.0, math.cos(lag), -math.sin(lag), 1.0)
     averaged = 288.0 * np.sum(wave.weight * flux_ripple_square(wave.modulation.duty), axis=-1)
     found = harmonic_distortion_factor(name, amplitude / SIX_STEP_AMPLITUDE, lag)

@@ -282,6 +282,7 @@ def test_points_together_are_as_each_alone_and_runs_repeat() -> None:
             np.testing.assert_allclose(both.instants(k, 0)[0], alone.instants(0, 0)[0], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_machine_without_resistance_or_magnet() -> None:
     bare = LinearMachine(pole_pairs=2, r_s=0.0, l_d=40e-3, l_q=6e-3, psi_pm=0.0, i_max=22.0)
     trace = simulate_currents(BridgeDrive(bare, 540.0), Hysteresis(0.5), 10.0, 10.0, 100.0)

@@ -127,6 +127,7 @@ def test_margins_of_the_flux_observer_are_those_of_the_short_model(spread: float
         assert found.radius[k] == pytest.approx(radius, abs=2e-3)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("spread", [3.0, 8.0])
 def test_margins_of_the_extended_emf_are_those_of_the_short_model(spread: float) -> None:
     design = template("extended-emf", spread)

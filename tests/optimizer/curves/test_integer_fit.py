@@ -50,6 +50,7 @@ def steps_in_exact_integers(segment: FixedSegment, x: int, width: int) -> tuple[
     return value, bits
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("number_format", ["q15", "q31"])
 def test_no_input_overflows_and_the_accumulators_are_used(number_format: NumberFormat) -> None:
     """Stepped in unbounded integers: nothing leaves its word, and the best

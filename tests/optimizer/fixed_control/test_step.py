@@ -18,7 +18,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import CurrentLoopSettings, PerUnitBases
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.modulation.clamping import DISCONTINUOUS
-from dqforge.machines.modulation.modulators import LINEAR_LIMITS, modulate
+from dqforge.machines.modulation.modulators import MODULATORS, modulate
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import (
     Pair,
@@ -135,7 +135,7 @@ def test_duties_are_those_of_the_modulators(name: ModulationName, width: int) ->
     count, v_dc, base = 4000, 300.0, 200.0
     scale = 1  # the dc link on 400 V
     angle, lag = generator.uniform(-np.pi, np.pi, (2, count))
-    amplitude = generator.uniform(0.02, 1.0, count) * LINEAR_LIMITS[name] * v_dc
+    amplitude = generator.uniform(0.02, 1.0, count) * MODULATORS[name].linear_limit * v_dc
     shifts = np.array([0.0, 2.0, -2.0]) * np.pi / 3.0
     voltage = amplitude[:, None] * np.cos(angle[:, None] - shifts)
     current = 7.0 * np.cos((angle - lag)[:, None] - shifts)
@@ -441,6 +441,7 @@ def closed_loop(
     return Course(np.array(seen), reference, code, kick)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_the_loop_settles_within_the_quantum(width: int, seed: int) -> None:

@@ -450,6 +450,7 @@ def number_after(key: str, text: str) -> float:
     return float(found[1])
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("settings_", "reason"),
     [

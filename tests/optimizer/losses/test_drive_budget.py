@@ -67,7 +67,14 @@ def test_every_watt_is_found_again_over_random_machines_and_points() -> None:
         )
         i_d, i_q, omega = random.uniform(-100.0, 100.0, (3, 60))
         budget = drive_budget(
-            machine, inverters[trial % 2], i_d, i_q, omega, MODULATORS, [4e3, 2e4], options=FULL
+            machine,
+            inverters[trial % 2],
+            i_d,
+            i_q,
+            omega,
+            tuple(MODULATORS),
+            [4e3, 2e4],
+            options=FULL,
         )
         usable = budget.linear & budget.steady
         assert np.count_nonzero(usable) > 100
@@ -145,6 +152,7 @@ def test_table_4_of_paper_000() -> None:
             assert found.junction_temperature[m, 0, 0] == pytest.approx(junction, abs=1.5)
 
 
+@pytest.mark.slow
 def test_switched_period_closes_the_balance_of_the_averaged_budget() -> None:
     """Power from the link plus the bridge's losses, all from the switched simulation,
     within 0.5 % of the budget's.

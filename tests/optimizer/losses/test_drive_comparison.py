@@ -35,8 +35,9 @@ def igbt() -> Inverter:
     )
 
 
+@pytest.mark.slow
 def test_the_best_is_found_by_looking_at_all() -> None:
-    alternatives = Alternatives(("mtpa", "id0", "least-loss"), MODULATORS, (8e3, 2e4))
+    alternatives = Alternatives(("mtpa", "id0", "least-loss"), tuple(MODULATORS), (8e3, 2e4))
     torque, omega = np.meshgrid(np.linspace(10.0, 200.0, 6), np.linspace(20.0, 700.0, 7))
     found = compare_drives(
         MACHINE, igbt(), torque.ravel(), omega.ravel(), alternatives, i_max=283.0, options=FULL

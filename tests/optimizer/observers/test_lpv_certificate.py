@@ -20,7 +20,8 @@ from dqforge.optimizer.observers.lpv_certificate import (
     flux_error_matrix,
     holds_exactly,
 )
-from dqforge.optimizer.observers.methods.flux import FluxGains, design
+from dqforge.optimizer.observers.methods.flux import design
+from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.steady_states import steady_observer
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning

@@ -77,6 +77,7 @@ def test_drop_alone_beyond_the_limit_leaves_no_speed() -> None:
     assert limit_speed(machine, np.zeros(1), np.full(1, 50.0), 100.0)[0] == 0.0
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("machine", "v_max"),
     [(IPM, 288.0), (SURFACE, 100.0), (INVERSE_SALIENT, 150.0)],

@@ -126,6 +126,7 @@ def test_mtpa_locus_and_figures_stay_inside(
             assert not np.any(np.hypot(*machine.voltage(i_d, i_q, faster)) <= _V_MAX)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("strategy", ["mtpa", "id0"])
 @pytest.mark.parametrize("kind", ["ends at i_d = 0", "small disc"])
 def test_reference_stays_inside_the_data(kind: str, strategy: str) -> None:

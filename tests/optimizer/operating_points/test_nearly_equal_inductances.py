@@ -148,6 +148,7 @@ def test_every_saturated_library_machine_with_magnets_is_in_the_list() -> None:
             fit_reference(choice, FitSettings(form="polynomial"))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("number_format", [None, "q31"])
 def test_id0_within_a_budget(number_format: NumberFormat | None) -> None:
     machine = one_sided("everywhere", 0.3e-3, 0.8e-3, 1.0)

@@ -136,6 +136,7 @@ CASES: dict[str, tuple[PhaseMachine, float, float, WaveformLimits]] = {
 }
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", CASES)
 def test_conic_solver_finds_the_same_loss(name: str) -> None:
     machine, torque, omega, limits = CASES[name]

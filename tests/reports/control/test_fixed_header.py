@@ -125,6 +125,7 @@ def test_every_modulator_equals_the_model_under_the_sanitizer(
     assert np.array_equal(found, row_results(fit.control, rows))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("width", [16, 32])
 @pytest.mark.parametrize("machine", [SURFACE, RELUCTANCE], ids=["surface", "reluctance"])
 def test_corners_of_all_words_equal_the_model(

@@ -18,7 +18,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import FitSettings, WeakeningSettings
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.modulation.clamping import DISCONTINUOUS
-from dqforge.machines.modulation.modulators import LINEAR_LIMITS, MODULATORS, modulate
+from dqforge.machines.modulation.modulators import MODULATORS, modulate
 from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.loops.plants import current_loop, current_step
@@ -58,7 +58,7 @@ def model_of(solution: Solution) -> ControlModel:
 
 
 def with_modulator(model: ControlModel, name: ModulationName) -> ControlModel:
-    gains = {**model.gains, "voltage_share": np.float32(LINEAR_LIMITS[name])}
+    gains = {**model.gains, "voltage_share": np.float32(MODULATORS[name].linear_limit)}
     return ControlModel(gains, model.ratio, name, model.reference, model.weakening)
 
 
@@ -96,7 +96,7 @@ def test_duties_are_those_of_the_modulators(name: ModulationName, solution: Solu
     generator = np.random.default_rng(3)
     count, v_dc = 4000, 300.0
     angle, lag = generator.uniform(-np.pi, np.pi, (2, count))
-    amplitude = generator.uniform(0.01, 1.0, count) * LINEAR_LIMITS[name] * v_dc
+    amplitude = generator.uniform(0.01, 1.0, count) * MODULATORS[name].linear_limit * v_dc
     alpha, beta = amplitude * np.cos(angle), amplitude * np.sin(angle)
     i_alpha, i_beta = 7.0 * np.cos(angle - lag), 7.0 * np.sin(angle - lag)
 

@@ -70,6 +70,7 @@ def test_every_code_equals_the_model(solution: Solution) -> None:
     assert verification.sweep >= (65_536 if reference.width == 16 else 20_000)
 
 
+@pytest.mark.thinned
 def test_reference_survives_json(solution: Solution) -> None:
     reference = integers(solution)
     assert from_plain(json.loads(json.dumps(to_plain(reference)))) == reference

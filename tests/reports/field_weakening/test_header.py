@@ -163,6 +163,7 @@ def test_compiled_code_keeps_voltage_and_current_at_a_million_torques_and_speeds
     assert f"exceeds its limit by {rounded_up(100.0 * proof.voltage_excess)} % (" in header
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", NAMES)
 def test_compiled_code_makes_what_can_be_had_motoring_and_generating(
     name: str, tmp_path: Path
@@ -213,6 +214,7 @@ def test_with_fused_operations_the_errors_stay_what_they_are(tmp_path: Path) -> 
     )
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("contract", ["off", "fast"])
 @pytest.mark.parametrize("level", ["-O2", "-Os"])

@@ -84,6 +84,7 @@ def test_run_writes_verified_headers_that_verify_reads_back(form: str, tmp_path:
         verify_folder(tmp_path)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("form", DRIVES)
 @pytest.mark.parametrize("language", [("-std=c99",), ("-x", "c++", "-std=c++11")])
 def test_compiled_code_equals_the_model_bit_for_bit(

@@ -65,6 +65,7 @@ def test_every_form_compiles_and_equals_the_model_bit_for_bit(solution: Solution
     )
 
 
+@pytest.mark.thinned
 def test_reference_survives_plain_data(solution: Solution) -> None:
     reference = in_floats(solution.fit)
     again = from_plain(to_plain(reference))
@@ -139,6 +140,7 @@ def test_optimisation_level_changes_no_bit(level: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(compiled.view(np.uint32), model.view(np.uint32))
 
 
+@pytest.mark.thinned
 def test_unused_header_makes_no_warning_and_sanitizers_find_nothing(
     solution: Solution, tmp_path: Path
 ) -> None:

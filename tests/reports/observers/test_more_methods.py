@@ -26,12 +26,15 @@ from dqforge.optimizer.observers.methods import third_harmonic as third
 from dqforge.optimizer.observers.methods.ekf import ekf_gains, ekf_start, ekf_step
 from dqforge.optimizer.observers.methods.injection import injection
 from dqforge.optimizer.observers.methods.injection_run import track
-from dqforge.optimizer.observers.methods.matsui import (
+from dqforge.optimizer.observers.methods.matsui_current import (
+    current_gains,
     matsui_current_start,
     matsui_current_step,
-    matsui_gains,
+)
+from dqforge.optimizer.observers.methods.matsui_voltage import (
     matsui_voltage_start,
     matsui_voltage_step,
+    voltage_gains,
 )
 from dqforge.optimizer.observers.methods.tracking_steps import (
     injection_gains,
@@ -112,8 +115,8 @@ def emitted(code: str) -> Emitted:
             IPM, T_S, "voltage" if "voltage" in code else "current", 200.0, omega_max=2000.0
         )
         if observer.kind == "voltage":
-            return Emitted(code, matsui_gains(observer), matsui_voltage_start, matsui_voltage_step)
-        return Emitted(code, matsui_gains(observer), matsui_current_start, matsui_current_step)
+            return Emitted(code, voltage_gains(observer), matsui_voltage_start, matsui_voltage_step)
+        return Emitted(code, current_gains(observer), matsui_current_start, matsui_current_step)
     if code == "injection":
         extra = "out[2] = observer.v.alpha; out[3] = observer.v.beta;"
         tracker = injection(IPM, T_S, 60.0, 120.0, samples=8, omega_max=2000.0)
@@ -232,6 +235,7 @@ def test_c_is_its_model_bit_for_bit(code: str, compiler: Compiler, tmp_path: Pat
     assert np.all(np.isfinite(found[4:]))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("code", CODES)
 def test_single_precision_follows_double_precision(code: str) -> None:
     item, sequences = emitted(code), rows(8)[2:]

@@ -104,7 +104,7 @@ def test_an_observer_reads_back_as_it_was_written(name: str) -> None:
     assert observer is not None
     plain = json.loads(json.dumps(plain_observer(observer)))
     again = observer_from(plain)
-    inputs = observer_inputs(observer.gains, 2000, 5)
+    inputs = observer_inputs(observer.method, observer.gains, 2000, 5)
     np.testing.assert_array_equal(
         observer_outputs(again.method, again.gains, inputs),
         observer_outputs(observer.method, observer.gains, inputs),
@@ -128,11 +128,12 @@ def test_single_precision_costs_no_angle(name: str) -> None:
     single = observe(method, gains, motion, maths=SINGLE)
     assert single.theta_e.dtype == np.float32
     assert np.max(np.abs(single.angle_error(motion)[-500:])) < 1e-3
-    outputs = observer_outputs(method, gains, observer_inputs(gains, 20_000, 3))
+    outputs = observer_outputs(method, gains, observer_inputs(method, gains, 20_000, 3))
     assert np.isfinite(outputs).all()
     assert np.max(np.abs(outputs[:, 1])) * t_s > 0.9
 
 
+@pytest.mark.thinned
 @EVERY
 def test_what_is_said_agrees_with_what_was_judged(name: str) -> None:
     observer = _observer(name)

@@ -60,6 +60,7 @@ def position(design: Design) -> PositionObserver:
     return found
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     "name", [m if m != "ekf" else pytest.param(m, marks=pytest.mark.slow) for m in METHODS]
 )
@@ -72,9 +73,7 @@ def test_one_range_is_stored_and_printed_everywhere(name: ObserverMethodName) ->
     text = speed_range_text(observer)
     angles, speeds = position_parts(observer)
     assert text in angles[3]
-    header = observer_files(design, observer)[f"{design.export.prefix}read_observer.h"].decode(
-        "ascii"
-    )
+    header = observer_files(design, observer)[f"{design.export.prefix}_observer.h"].decode("ascii")
     assert text in " ".join(line.removeprefix(" *").strip() for line in header.splitlines())
     plain = json.loads(to_text("tune", "test", {"position": plain_position(observer)}))["position"]
     judged = observer.judgement
@@ -209,6 +208,7 @@ def measured(
     return [gap, slip], [float(steady.theta_error[0]), float(steady.omega_error[0])]
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("drive", "method"),
     [case if case in QUICK else pytest.param(*case, marks=pytest.mark.slow) for case in CASES],

@@ -119,6 +119,7 @@ def _model(solved: Solution, found: Simulation) -> tuple[FloatArray, FloatArray]
     return theta, omega / 3.0
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     "method", ["flux", "matsui-voltage", *(pytest.param(m, marks=pytest.mark.slow) for m in METHODS
                                            if m not in ("flux", "matsui-voltage"))],

@@ -97,6 +97,7 @@ def test_parameter_errors_cost_what_the_closed_form_says(
     assert exact.omega == pytest.approx(closed.omega, rel=0.1, abs=0.05)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("kind", BOTH)
 def test_exact_steady_error_is_where_a_simulation_ends(
     bench001: LinearMachine, kind: MatsuiModel

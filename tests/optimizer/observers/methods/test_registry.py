@@ -6,24 +6,29 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 from drives import IPM, SURFACE
 from scipy.linalg import expm
+from worked_examples import module_of
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.names import OBSERVER_KEYS, SPEED_OBSERVER, ObserverMethodName
 from dqforge.machines.plants.drive_motion import DriveMotion, drive_motion, next_flux, plants
 from dqforge.optimizer.observers.judgement import judge_at
 from dqforge.optimizer.observers.method import ObserverMethod, observe
 from dqforge.optimizer.observers.methods.ekf import ekf_gains
 from dqforge.optimizer.observers.methods.ekf_tuning import first_guess, usual_noise
 from dqforge.optimizer.observers.methods.extended_emf import exact_factors, factor_error
-from dqforge.optimizer.observers.methods.flux import FluxGains, flux_path, integrated
-from dqforge.optimizer.observers.methods.registry import METHODS, method_named
+from dqforge.optimizer.observers.methods.flux import flux_path, integrated
+from dqforge.optimizer.observers.methods.flux_gains import FluxGains
+from dqforge.optimizer.observers.methods.registry import METHODS, method_named, registered
 from dqforge.optimizer.observers.pll import pll_gains
 from dqforge.optimizer.observers.steady_states import closed_form_error, steady_observer
 from dqforge.optimizer.observers.tuning import optimise, tune_position_observer
@@ -255,6 +260,7 @@ def test_flux_errors_decay_as_the_continuous_equation_says() -> None:
     assert complex(slow[np.argmax(slow.imag)]) == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.thinned
 @EVERY
 def test_noise_of_the_angle_is_what_a_trial_gives(method: ObserverMethod) -> None:
     omega, noise = np.array([900.0]), (0.5, 2.0)
@@ -385,3 +391,36 @@ def test_refusals_say_what_to_write() -> None:
             replace(IPM, psi_pm=0.0), ObserverSettings(method="flux"), T_S, 500.0, 1e3
         )
     assert isinstance(_gains(METHODS["flux"]), FluxGains)
+
+
+def test_every_word_has_its_file_and_its_keys() -> None:
+    words = get_args(ObserverMethodName)
+    assert [*METHODS] == [word for word in words if word != SPEED_OBSERVER]
+    assert tuple(OBSERVER_KEYS) == words
+    for name, method in METHODS.items():
+        assert method.name == name
+        assert set(method.searched) <= set(OBSERVER_KEYS[name])
+
+
+def test_scales_are_those_of_the_machine() -> None:
+    for method in METHODS.values():
+        t_s, psi = method.scale(_gains(method))
+        assert t_s == T_S
+        assert psi == pytest.approx(IPM.psi_pm, rel=1e-3), method.name
+
+
+def test_a_registered_method_is_one_of_the_package_and_leaves_no_trace(tmp_path: Path) -> None:
+    """The worked example of docs/contributing.md: on a drive without faults its error dies out."""
+    with module_of("optimizer/observers/methods/back_emf.py", tmp_path) as file:
+        method = file.METHOD
+    with registered(method, ("pll_bandwidth", "damping")):
+        settings = ObserverSettings(method=method.name, pll_bandwidth=100.0)
+        tuned = tune_position_observer(IPM, settings, T_S, 500.0, OMEGA_MAX, NO_DISTURBANCE)
+        assert tuned.tuning.pll_bandwidth == 100.0
+        assert np.all(tuned.shown.total < 0.02)
+        with pytest.raises(ValueError, match="back-emf"), registered(method, ()):
+            pass
+    assert "back-emf" not in METHODS
+    assert "back-emf" not in OBSERVER_KEYS
+    with pytest.raises(InputError, match="no position observer"):
+        method_named("back-emf")

@@ -1,0 +1,150 @@
+"""Matsui's current model: gains and step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.observers.method import ObserverMethod
+from dqforge.optimizer.observers.methods.matsui import (
+    ShownGains,
+    shown_errors,
+    shown_gains,
+    shown_gap,
+    usual_matsui,
+)
+from dqforge.optimizer.observers.methods.matsui_model import Matsui, matsui
+from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
+from dqforge.optimizer.observers.sampled_gains import (
+    SampledGains,
+    limited,
+    model_scale,
+    sampled_gains,
+)
+from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
+
+
+@dataclass(frozen=True, slots=True)
+class MatsuiCurrentGains:
+    """`dqforge.optimizer.observers.methods.matsui_model.Matsui` of the kind ``current``.
+
+    ``g_d``, ``g_q`` in V/A.
+    """
+
+    model: SampledGains
+    shown: ShownGains
+    g_d: float
+    g_q: float
+    l_theta: float
+    speed_share: float
+    omega_max: float
+
+
+def current_gains(observer: Matsui) -> MatsuiCurrentGains:
+    """What the firmware needs of an estimator of the kind ``current``.
+
+    Parameters
+    ----------
+    observer:
+        The estimator.
+    """
+    g_d, g_q = (-1.0 / float(observer.model.table[row, 0]) for row in (4, 7))
+    return MatsuiCurrentGains(
+        sampled_gains(observer.model),
+        shown_gains(observer),
+        g_d,
+        g_q,
+        observer.l_theta,
+        observer.speed_share,
+        observer.model.omega_max,
+    )
+
+
+def usual_matsui_current(machine: LinearMachine, t_s: float, omega_max: float) -> ObserverTuning:
+    """The speed as `usual_matsui`.
+
+    The angle at 1000 rad/s or 1/5 of the sampling rate in rad/s, if less.
+
+    What the speed errs by, by R or psi, costs the angle that over its pole (`closed_form_error`).
+    """
+    usual = usual_matsui(machine, t_s, omega_max)
+    return ObserverTuning(usual.bandwidth, min(1000.0, 0.2 / t_s), omega_floor=usual.omega_floor)
+
+
+def design_matsui_current(
+    machine: LinearMachine, tuning: ObserverTuning, t_s: float, omega_max: float
+) -> MatsuiCurrentGains:
+    """Angle pole by ``pll_bandwidth``, that of the speed by ``bandwidth`` (both rad/s)."""
+    return current_gains(
+        matsui(
+            machine,
+            t_s,
+            "current",
+            tuning.pll_bandwidth,
+            speed_bandwidth=tuning.bandwidth,
+            omega_min=tuning.omega_floor,
+            omega_max=omega_max,
+        )
+    )
+
+
+def matsui_current_start(theta_e: Reals, omega_e: Reals) -> ObserverState:
+    """State before the first step: angle in rad (wrapped), speed in rad/s;
+    its vector is the last current.
+    """
+    zero = np.zeros_like(theta_e)
+    return ObserverState(((zero, zero),), theta_e, omega_e, started=False)
+
+
+def matsui_current_step(
+    gains: MatsuiCurrentGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic
+) -> ObserverState:
+    """Next state; ``v`` in V acted over the period that ends at the instant of ``i`` in A (alpha,
+    beta).
+    """
+    if not state.started:
+        return replace(state, vectors=(i,), started=True)
+    found = shown_gap(gains.model, state, v, i, maths)
+    gap, half = found.gap, found.half
+    difference = (
+        gains.g_d * (found.cosine * gap[0] - half * gap[1]),
+        gains.g_q * (found.cosine * gap[1] + half * gap[0]),
+    )
+    angle, slip = shown_errors(gains.shown, state.omega_e, difference, found.now)
+    moved = maths.wrap(found.theta + gains.l_theta * (angle + (0.5 * gains.model.t_s) * slip))
+    return ObserverState(
+        (i,), moved, limited(state.omega_e + gains.speed_share * slip, gains.omega_max)
+    )
+
+
+def current_in_words(tuning: ObserverTuning, _gains: MatsuiCurrentGains, _t_s: float) -> str:
+    """The poles of speed and angle.
+
+    Parameters
+    ----------
+    tuning:
+        Its numbers.
+    """
+    return (
+        f"pole of the speed {tuning.bandwidth:.5g} rad/s, of the angle "
+        f"{tuning.pll_bandwidth:.5g} rad/s"
+    )
+
+
+METHOD = ObserverMethod(
+    name="matsui-current",
+    code="matsui_current",
+    title="Matsui's current model",
+    design=design_matsui_current,
+    start=matsui_current_start,
+    step=matsui_current_step,
+    usual=usual_matsui_current,
+    searched=("pll_bandwidth", "bandwidth"),
+    gains=MatsuiCurrentGains,
+    scale=model_scale,
+    in_words=current_in_words,
+    settle=300,
+)
