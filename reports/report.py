@@ -14,7 +14,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Capability, Outcome, Tile, asked_for
 from dqforge.reports.main_header.dialect import Dialect
-from dqforge.reports.main_header.dialects.neutral.dialect import NEUTRAL
+from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 from dqforge.reports.main_header.header import header_context
 from dqforge.reports.pages.chapters import CHAPTERS
 from dqforge.reports.pages.figures_style import to_svg
@@ -65,12 +65,9 @@ def verification_text(verification: Verification | None) -> tuple[str, str]:
     return "bit-exact", text
 
 
-def tiles(outcome: Outcome, found: Found) -> list[Tile]:
+def tiles(solution: Solution, found: Found, verification: Verification | None) -> list[Tile]:
     """The key numbers."""
-    parts = [
-        tile for capability, result in found for tile in capability.tiles(outcome.solution, result)
-    ]
-    verification = outcome.verification
+    parts = [tile for capability, result in found for tile in capability.tiles(solution, result)]
     last = Tile("Emitted C code", verification_text(verification)[0], compared(verification))
     return [*parts, last]
 
@@ -84,7 +81,7 @@ def summary(outcome: Outcome, found: Found) -> Markup:
     ]
     end = (
         "The emitted C was not verified."
-        if outcome.verification is None
+        if not outcome.verified
         else "The emitted C was compiled and checked."
     )
     return symbols(" ".join([*sentences, end]))
@@ -119,7 +116,10 @@ def _contents(design: Design, written: Sequence[WrittenChapter]) -> list[tuple[s
 
 
 def report_context(
-    outcome: Outcome, capabilities: Capabilities = CAPABILITIES, dialect: Dialect = NEUTRAL
+    outcome: Outcome,
+    verification: Verification | None,
+    capabilities: Capabilities = CAPABILITIES,
+    dialect: Dialect = NEUTRAL,
 ) -> PlainData:
     """Everything that the frame of the report prints."""
     design, found = outcome.design, asked_for(capabilities, outcome)
@@ -131,15 +131,15 @@ def report_context(
         "digest": design.digest,
         "sections": _contents(design, written),
         "summary": summary(outcome, found),
-        "tiles": tiles(outcome, found),
+        "tiles": tiles(outcome.solution, found, verification),
         "facts": fact_rows(design),
         "values": value_rows(design),
         "assumptions": other_assumptions(design),
         "chapters": written,
         "header": header_context(outcome.solution, dialect),
         "verification": {
-            "done": outcome.verification is not None,
-            "text": verification_text(outcome.verification)[1],
+            "done": verification is not None,
+            "text": verification_text(verification)[1],
         },
     }
 
@@ -167,8 +167,9 @@ def render_report(
     dialect:
         Whose names the main header takes.
     """
-    outcome = Outcome(solution, verification, simulation)
-    return render("pages/report.html.j2", report_context(outcome, capabilities, dialect))
+    outcome = Outcome(solution, verification is not None, simulation)
+    context = report_context(outcome, verification, capabilities, dialect)
+    return render("pages/report.html.j2", context)
 
 
 def fact_rows(design: Design) -> list[tuple[Markup, str]]:

@@ -12,7 +12,7 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Outcome, asked_for
 from dqforge.reports.main_header.dialect import Dialect
-from dqforge.reports.main_header.dialects.neutral.dialect import NEUTRAL
+from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.pages.console import shares, stage
 from dqforge.reports.pages.envelope import to_text
@@ -120,7 +120,7 @@ def run_design(
     if verify and design.simulation is not None:
         stage("simulating")
         simulation = simulate_design(design, solution=output.solution, progress=shares())
-    outcome = Outcome(output.solution, output.verification, simulation)
+    outcome = Outcome(output.solution, output.verification is not None, simulation)
     if simulation is not None:
         plain = output.plain | plain_outcome(outcome, capabilities)
         output.files["result.json"] = _result(design, plain)

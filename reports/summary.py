@@ -49,7 +49,7 @@ def run_tables(
         Those of the product, or these and some from outside.
     """
     rows: Rows = []
-    for capability, found in asked_for(capabilities, Outcome(solution, verification)):
+    for capability, found in asked_for(capabilities, Outcome(solution, verification is not None)):
         rows += capability.summary(solution, found)
     rows += [
         ("flux map", f"{evidence.source}: {text}")

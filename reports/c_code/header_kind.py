@@ -28,8 +28,6 @@ class HeaderKind(Generic[R, M]):
     name:
         Part of the file names ``<prefix>_<name>.h`` and of the key
         ``<name>_header`` in ``result.json``.
-    title:
-        What its functions give, in the plural, for messages.
     files:
         Names and bytes of its files for a result.
     plain:
@@ -46,7 +44,6 @@ class HeaderKind(Generic[R, M]):
     """
 
     name: str
-    title: str
     files: Callable[[Solution, R], dict[str, bytes]]
     plain: Callable[[Solution, R], PlainData | None]
     read: Callable[[Mapping[str, Any], Mapping[str, Any]], M]

@@ -40,7 +40,6 @@ FLOAT32_CONTROL = Capability(
     headers=(
         HeaderKind(
             name="control",
-            title="control functions",
             files=lambda solution, _: control_files(solution),
             plain=lambda solution, _: plain_control(solution),
             read=control_from,
@@ -66,7 +65,6 @@ def _fixed_kind(width: Literal[16, 32]) -> HeaderKind[Fits, FixedControl]:
 
     return HeaderKind(
         name=f"control_q{width - 1}",
-        title="control functions in fixed point",
         files=files,
         plain=plain,
         read=lambda own, _: fixed_control_from(own, width),

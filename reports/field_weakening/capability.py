@@ -49,7 +49,6 @@ WEAKENING = Capability(
     headers=(
         HeaderKind(
             name="weakening",
-            title="current reference with field weakening",
             files=lambda solution, fit: weakening_files(solution.design, fit),
             plain=lambda _, fit: plain_weakening(fit.step),
             read=lambda own, _: weakening_from(own),

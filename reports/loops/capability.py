@@ -147,7 +147,6 @@ GAIN_SCHEDULE = Capability(
     headers=(
         HeaderKind(
             name="gains",
-            title="gains over the current",
             files=lambda solution, schedule: gains_files(solution.design, schedule),
             plain=lambda _, schedule: plain_evaluator(schedule.fit.evaluator),
             read=lambda own, _: evaluator_from(own),

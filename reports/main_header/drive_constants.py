@@ -6,7 +6,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.current_reference.forms import Emitted, SignedReference
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.main_header.constants import Constant, ConstantGroup
+from dqforge.reports.c_code.header_constant import Constant, ConstantGroup
 from dqforge.reports.plain_data import shortest
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from dqforge.optimizer.solution import Solution
+from dqforge.reports.c_code.header_constant import ConstantGroup
 from dqforge.reports.loops.constants import loop_constants
-from dqforge.reports.main_header.constants import ConstantGroup
 from dqforge.reports.main_header.drive_constants import (
     base_constants,
     machine_constants,

@@ -16,7 +16,7 @@ from dqforge.reports.current_reference.evaluator import (
 )
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.main_header.dialect import Dialect, entries_of, names_of
-from dqforge.reports.main_header.dialects.neutral.dialect import NEUTRAL
+from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 from dqforge.reports.main_header.groups import constant_groups
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData

@@ -43,7 +43,6 @@ MODULATION_CHOICE = Capability(
     headers=(
         HeaderKind(
             name="modulation",
-            title="choice of modulator",
             files=lambda solution, choice: choice_files(solution.design, choice),
             plain=lambda _, choice: plain_emitted(choice_model(choice)),
             read=lambda own, _: emitted_from(own),

@@ -45,7 +45,6 @@ POSITION_OBSERVER = Capability(
     headers=(
         HeaderKind(
             name="observer",
-            title="position observer",
             files=lambda solution, observer: observer_files(solution.design, observer),
             plain=lambda _, observer: plain_observer(
                 EmittedObserver(observer.method, observer.gains)
@@ -65,7 +64,6 @@ SPEED_OBSERVER = Capability(
     headers=(
         HeaderKind(
             name="speed_observer",
-            title="speed observer",
             files=lambda solution, observer: speed_observer_files(solution.design, observer),
             plain=lambda solution, observer: plain_speed_observer(
                 solution.design.machine, observer

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.main_header.constants import Constant, ConstantGroup
+from dqforge.reports.c_code.header_constant import Constant, ConstantGroup
 
 
 def observer_constants(solution: Solution) -> list[ConstantGroup]:

@@ -24,7 +24,7 @@ def _parts(_: Solution, found: DriveSimulation) -> list[ReportPart]:
 
 
 def _not_simulated(outcome: Outcome) -> tuple[NumberFormat, ...] | None:
-    if outcome.design.simulation is None or outcome.verification is None:
+    if outcome.design.simulation is None or not outcome.verified:
         return None
     return not_simulated(outcome.solution) or None
 
@@ -36,10 +36,16 @@ FORMATS_NOT_SIMULATED = Capability(
     summary=lambda _, formats: [("simulation", format_text(formats))],
 )
 
+
+def _simulation(outcome: Outcome) -> DriveSimulation | None:
+    found: DriveSimulation | None = outcome.simulation
+    return found
+
+
 SIMULATION = Capability(
     name="simulation",
     title="simulation of the drive",
-    of=lambda outcome: outcome.simulation,
+    of=_simulation,
     plain=lambda _, found: plain_simulation(found),
     always=False,
     tables=lambda _, found: simulation_tables(found),

@@ -20,9 +20,6 @@ from numpy.typing import NDArray
 from dqforge.machines.errors import VerificationError
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.reports.c_code.harness import Programme
-from dqforge.reports.c_code.header_kind import HeaderKind
-from dqforge.reports.capabilities import CAPABILITIES
-from dqforge.reports.capability import Capabilities, header_kinds
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.cross_tools import TARGETS, build, emulate, target_of
 from dqforge.reports.verification.cycle_model import Span
@@ -43,6 +40,9 @@ _FIRST_DIFFERS = 101
 """Exit code of the program on the target where the current reference differs, one more for each
 kind of header behind it; the emulator's own failures end with 1.
 """
+
+
+_VECTORS = "_vectors.h"
 
 
 _VECTOR_TORQUE = re.compile(rb"\{ 0x([0-9A-F]{8})U, 0x[0-9A-F]{8}U, 0x[0-9A-F]{8}U \}")
@@ -94,12 +94,14 @@ def _torques(vectors: bytes) -> SingleArray:
 
 
 def _run_vectors(
-    files: Mapping[str, bytes], prefix: str, target: str, kinds: Sequence[HeaderKind[Any, Any]]
+    files: Mapping[str, bytes], prefix: str, target: str, kinds: Sequence[str]
 ) -> bytes:
-    """Run all test vectors on the target; the source of the program that did."""
+    """Run all test vectors on the target, those of the main header and of further kinds; the
+    source of the program that did.
+    """
     context = {
         "prefix": prefix,
-        "kinds": [kind.name for kind in kinds],
+        "kinds": kinds,
         "first": _FIRST_DIFFERS,
     }
     main = render("verification/main.c.j2", context).encode("ascii")
@@ -111,11 +113,11 @@ def _run_vectors(
             Path(name),
         )
         code = emulate(target, Path(name))
-    titles = ["current reference", *(kind.title for kind in kinds)]
-    if _FIRST_DIFFERS <= code < _FIRST_DIFFERS + len(titles):
+    headers = [f"{prefix}.h", *(f"{prefix}_{kind}.h" for kind in kinds)]
+    if _FIRST_DIFFERS <= code < _FIRST_DIFFERS + len(headers):
         raise VerificationError(
-            f"on {target} the {titles[code - _FIRST_DIFFERS]} do not give the results of their "
-            "test vectors"
+            f"on {target} the functions of {headers[code - _FIRST_DIFFERS]} do not give the "
+            "results of their test vectors"
         )
     return main
 
@@ -125,7 +127,6 @@ def verify_on_target(
     prefix: str,
     target: str,
     programmes: Sequence[Programme] = (),
-    capabilities: Capabilities = CAPABILITIES,
 ) -> TargetVerification:
     """Compile the headers for a target, run them on its emulation, and cost the current reference.
 
@@ -141,8 +142,6 @@ def verify_on_target(
         One of `TARGETS`.
     programmes:
         Harnesses of the headers; what has neither these nor test vectors is named in the outcome.
-    capabilities:
-        Those whose headers are looked for.
 
     Raises
     ------
@@ -159,11 +158,11 @@ def verify_on_target(
     torques = _codes(vectors, number_format) if number_format else _torques(vectors)
     if torques.size == 0:
         raise VerificationError(f"{prefix}_vectors.h holds no test vectors; run the design again")
-    kinds = [
-        kind
-        for kind in header_kinds(capabilities)
-        if kind.vectors and f"{prefix}_{kind.name}_vectors.h" in files
-    ]
+    kinds = sorted(
+        name.removeprefix(f"{prefix}_").removesuffix(_VECTORS)
+        for name in files
+        if name.startswith(f"{prefix}_") and name.endswith(_VECTORS) and name != prefix + _VECTORS
+    )
     main = _run_vectors(files, prefix, target, kinds)
     runs = run_on_target(files, prefix, programmes, target)
     seen = reached(files, [main, *(harness_of(part, prefix) for part in programmes)])

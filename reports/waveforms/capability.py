@@ -57,7 +57,6 @@ PHASE_REFERENCE = Capability(
     headers=(
         HeaderKind(
             name="waveform",
-            title="phase currents",
             files=lambda solution, fit: waveform_files(solution.design, fit),
             plain=lambda _, fit: plain_phase_reference(fit.reference),
             read=lambda own, _: phase_reference_from(own),

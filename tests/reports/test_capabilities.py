@@ -282,7 +282,7 @@ def test_a_header_from_outside_runs_on_an_emulated_core() -> None:
     output = with_toy()
     files = {name: text for name, text in output.files.items() if name.endswith(".h")}
     _, parts = programmes(output.plain, (KINETIC_ENERGY,))
-    outcome = verify_on_target(files, "drive", "cortex-m4", parts, WITH_TOY)
+    outcome = verify_on_target(files, "drive", "cortex-m4", parts)
     assert [(run.name, run.compared) for run in outcome.runs] == [("kinetic energy", 4001)]
     assert "drive_kinetic_energy.h" not in outcome.not_run
 

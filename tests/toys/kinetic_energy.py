@@ -142,7 +142,6 @@ KINETIC_ENERGY = Capability(
     headers=(
         HeaderKind(
             name="kinetic_energy",
-            title="kinetic energies",
             files=energy_files,
             plain=plain_model,
             read=read_model,

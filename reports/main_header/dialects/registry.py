@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from dqforge.reports.main_header.dialects.neutral.dialect import NEUTRAL
+from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 
 DIALECTS = {dialect.name: dialect for dialect in (NEUTRAL,)}

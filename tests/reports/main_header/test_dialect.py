@@ -13,8 +13,8 @@ from toys.vendor import NAMES, VENDOR
 from dqforge.machines.design.settings import FitSettings
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.comparison.sources import header_macros
-from dqforge.reports.main_header.dialects.neutral.dialect import NAMES as NEUTRAL_NAMES
-from dqforge.reports.main_header.dialects.neutral.dialect import NEUTRAL
+from dqforge.reports.main_header.dialects.neutral.names import NAMES as NEUTRAL_NAMES
+from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 from dqforge.reports.main_header.dialects.registry import DIALECTS
 from dqforge.reports.main_header.groups import constant_groups
 from dqforge.reports.main_header.header import header_files

@@ -269,5 +269,5 @@ def test_the_rule_holds_on_an_emulated_core_and_a_wrong_one_is_found(output: Run
         count=1,
     )
     assert wrong != files["ipm100_modulation.h"]
-    with pytest.raises(VerificationError, match="choice of modulator"):
+    with pytest.raises(VerificationError, match=r"functions of ipm100_modulation\.h"):
         verify_on_target(files | {"ipm100_modulation.h": wrong}, "ipm100", "cortex-m4")
