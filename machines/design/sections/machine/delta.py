@@ -1,7 +1,7 @@
 """Windings in delta: what can be converted to the equivalent star, and what cannot.
 
 Seen from its terminals a delta without zero sequence is a star
-(`dqforge.machines.design.design.datasheet`). A zero sequence of the back-EMF short-circuits itself
+(`dqforge.machines.design.datasheet`). A zero sequence of the back-EMF short-circuits itself
 in the delta, and its current is in no terminal: the star knows nothing of it.
 """
 
