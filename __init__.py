@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
     from dqforge.machines.design.from_machine import make_design
-    from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
+    from dqforge.machines.dq_machines.flux_map import FluxMap
+    from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
     from dqforge.machines.dq_machines.synchronous import LinearMachine
     from dqforge.machines.errors import DqforgeError, InputError, NoSolutionError, VerificationError
     from dqforge.machines.flux_map_files.inputs import make_flux_map, read_flux_map

@@ -14,9 +14,8 @@ from dqforge.optimizer.operating_points.characteristics import (
     characteristics,
     envelope,
     envelope_speeds,
-    operating_map,
-    voltage_limit,
 )
+from dqforge.optimizer.operating_points.operating_map import operating_map, voltage_limit
 from dqforge.optimizer.operating_points.points import optimal_points
 from dqforge.reports.operating_points.figures import plot_operating_map
 from dqforge.reports.pages.figures_style import BLUE, FAINT, MUTED, ORANGE, new_figure, save, style

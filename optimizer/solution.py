@@ -36,7 +36,7 @@ from dqforge.optimizer.waveforms.comparison import (
     WaveformComparison,
     compare_waveforms,
 )
-from dqforge.optimizer.waveforms.firmware_form import PhaseFit
+from dqforge.optimizer.waveforms.firmware_fit import PhaseFit
 from dqforge.optimizer.waveforms.solve import solve_phases
 
 

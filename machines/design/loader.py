@@ -36,14 +36,11 @@ from dqforge.machines.design.sections.losses import (
     read_machine_loss,
     read_winding_heat,
 )
-from dqforge.machines.design.sections.machine_model import (
-    check_halves,
-    check_machine,
-    read_machine,
-)
+from dqforge.machines.design.sections.machine.cross_checks import check_halves, check_machine
+from dqforge.machines.design.sections.machine.model import read_machine
 from dqforge.machines.design.sections.modulation_choice import read_choice
 from dqforge.machines.design.sections.operation import check_operation, read_operation
-from dqforge.machines.design.sections.simulation import read_scenario
+from dqforge.machines.design.sections.simulation.reading import read_scenario
 from dqforge.machines.design.sections.waveform import check_waveform, read_waveform
 from dqforge.machines.design.settings import ControlSettings
 from dqforge.machines.design.speed_remarks import bare_speed_remarks

@@ -20,6 +20,7 @@ import yaml
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
+from dqforge.machines.files.yaml_messages import position_of, translated
 from dqforge.machines.places import KeyPath, Position, behind_option, dotted, nearest, option_at
 from dqforge.machines.wording import close_matches, shown
 
@@ -60,55 +61,6 @@ _WORDS = {
 
 
 _NOT_TEXT = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-
-
-_LINE_END = re.compile(r"\r\n|\r|\n")
-
-
-# What the YAML library says, and what it means to somebody who edits a design file.
-_PLAIN_ENGLISH = (
-    ("found character '\\t'", "a tab is used for indentation; write spaces"),
-    (
-        "mapping values are not allowed",
-        (
-            "a ':' where none can stand; check the indentation, the space behind each ':', or use "
-            "quotes"
-        ),
-    ),
-    (
-        "could not find expected ':'",
-        "this line has no 'key: value'; write a colon and a space behind the key",
-    ),
-    (
-        "expected '<document start>'",
-        "this line does not continue the mapping above; line up the keys",
-    ),
-    (
-        "expected <block end>",
-        "this line does not line up with its neighbours; indent the keys of a section equally",
-    ),
-    ("expected ',' or '}'", "a '{' is not closed; separate the entries by commas and end with '}'"),
-    ("expected ',' or ']'", "a '[' is not closed; separate the entries by commas and end with ']'"),
-    ("found unexpected end of stream", "a quoted text is not closed; write the missing quote"),
-    ("found unexpected document separator", "a quoted text is not closed; write the missing quote"),
-    (
-        "expected the node content",
-        "a bracket, comma or mark stands where a value must; write the value, or use quotes",
-    ),
-    (
-        "expected alphabetic or numeric",
-        "'&' and '*' start references, which are not read; put the text in quotes",
-    ),
-    ("cannot start any token", "this character must stand in quotes at the start of a value"),
-    (
-        "unknown escape character",
-        "a backslash in double quotes starts an escape; use single quotes",
-    ),
-    (
-        "sequence entries are not allowed",
-        "a list entry '-' is not allowed here; put it on its own indented line",
-    ),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +157,7 @@ def parse_yaml(content: bytes, source: str) -> YamlDocument:
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
             builder.feed(event)
     except yaml.MarkedYAMLError as error:
-        raise _translated(error, source) from None
+        raise translated(error, source) from None
     except yaml.YAMLError as error:
         raise InputError(f"not YAML: {shown(error)}", source=source) from None
     return builder.document()
@@ -243,7 +195,7 @@ def parse_value(text: str, source: str) -> YamlValue:
                 else end
             )
     except yaml.MarkedYAMLError as error:
-        raise _translated(error, source) from None
+        raise translated(error, source) from None
     if text[end:].strip():
         raise InputError(
             f"{shown(text[end:].strip())} behind the value is not read; put a text in quotes",
@@ -262,7 +214,7 @@ def _decode(content: bytes, source: str) -> str:
     try:
         text = content.decode("utf-8")
     except UnicodeDecodeError as error:
-        line, column = _position_of(content[: error.start].decode("utf-8"))
+        line, column = position_of(content[: error.start].decode("utf-8"))
         message = (
             f"the byte 0x{content[error.start]:02X} is not UTF-8; save the file with the encoding "
             "UTF-8"
@@ -276,28 +228,9 @@ def _refuse_no_text(text: str, source: str) -> None:
     """Raise at the first character that has no place in a text."""
     match = _NOT_TEXT.search(text)
     if match is not None:
-        line, column = _position_of(text[: match.start()])
+        line, column = position_of(text[: match.start()])
         message = f"the character U+{ord(match.group()):04X} is not text; remove it"
         raise InputError(message, source=source, line=line, column=column)
-
-
-def _position_of(before: str) -> Position:
-    lines = _LINE_END.split(before)
-    return Position(len(lines), len(lines[-1]) + 1)
-
-
-def _translated(error: yaml.MarkedYAMLError, source: str) -> InputError:
-    problem = error.problem or "not YAML"
-    message = next((text for start, text in _PLAIN_ENGLISH if start in problem), None)
-    mark = error.problem_mark or error.context_mark
-    if message is None:
-        message = f"not YAML: {shown(problem)[1:-1]}"
-    elif "not closed" in message or "'key: value'" in message:
-        # The library reports where it gave up; the user wants to see where the trouble began.
-        mark = error.context_mark or mark
-    if mark is None:
-        return InputError(message, source=source)
-    return InputError(message, source=source, line=mark.line + 1, column=mark.column + 1)
 
 
 @dataclass(slots=True)

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.flux_maps.co_energy import CoEnergy
 from dqforge.machines.flux_maps.evidence import MOST_PLACES, NOISE_LIMIT, FluxFit, places
 from dqforge.machines.flux_maps.noise import FluxNoise, inductance_noise
-from dqforge.machines.flux_maps.smoothing import CoEnergy, outliers, smooth_co_energy
+from dqforge.machines.flux_maps.smoothing import outliers, smooth_co_energy
 from dqforge.machines.names import FluxFitName
 from dqforge.machines.units.quantities import format_quantity
 

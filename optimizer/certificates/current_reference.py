@@ -27,7 +27,7 @@ from typing import Literal
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import SaturatedMachine
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.certificates.ball import ORDER, upper
 from dqforge.optimizer.certificates.exact_conditions import Condition, Task

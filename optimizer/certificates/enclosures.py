@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import FluxMap
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.optimizer.certificates.ball import Value
 

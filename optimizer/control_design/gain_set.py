@@ -11,11 +11,11 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import ControlSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
-from dqforge.optimizer.loops.gain_schedule import GainSchedule, schedule_gains
-from dqforge.optimizer.loops.gains import LoopGains, LoopName, tune_current_loop, tune_speed_loop
+from dqforge.optimizer.loops.gains import tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loops.inductances import inductance_range
 from dqforge.optimizer.loops.integer_gains import PerUnitGains, per_unit_gains
 from dqforge.optimizer.loops.loop_batch import PlantBatch
+from dqforge.optimizer.loops.loop_gains import LoopGains, LoopName
 from dqforge.optimizer.loops.responses import LoopResponse, loop_responses
 from dqforge.optimizer.loops.robustness import (
     RobustSet,
@@ -23,6 +23,7 @@ from dqforge.optimizer.loops.robustness import (
     speed_robustness,
     turning_robustness,
 )
+from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule, schedule_gains
 from dqforge.optimizer.loops.tolerance_box import Axis, drive_box
 from dqforge.optimizer.observers.reduced_order import (
     ReducedOrderObserver,

@@ -23,7 +23,8 @@ from dqforge.optimizer.control_design.observer_drive import (
     SpeedEstimator,
     steady_drive,
 )
-from dqforge.optimizer.loops.gains import LoopGains, speed_delay
+from dqforge.optimizer.loops.gains import speed_delay
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.observed_margins import ObservedLoop
 from dqforge.optimizer.loops.pi_methods import calmer, largest_factor, loop_advice, speed_pi
 from dqforge.optimizer.loops.plants import DisturbanceResponse, PiLoop, close_pi

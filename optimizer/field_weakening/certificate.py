@@ -20,8 +20,7 @@ they stay sampled.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
@@ -29,18 +28,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import SaturatedMachine
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.optimizer.certificates.ball_arrays import Balls
+from dqforge.optimizer.field_weakening.certified_domain import (
+    STRIPS,
+    CertifiedDomain,
+    boxes_between,
+    halved,
+)
 from dqforge.optimizer.field_weakening.drop_reference import DropReference
-from dqforge.optimizer.field_weakening.enclosures import Bend, Boxes, rounding, taylor
+from dqforge.optimizer.field_weakening.enclosures import Boxes
 from dqforge.optimizer.field_weakening.error_bounds import Enclosed, enclose
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 from dqforge.optimizer.field_weakening.form import WeakeningReference
 from dqforge.optimizer.field_weakening.limit_bounds import (
     LargestTorque,
     largest_torque,
-    limit_decrease,
     limit_range,
 )
 from dqforge.optimizer.field_weakening.voltage_bounds import (
@@ -52,14 +55,6 @@ from dqforge.optimizer.field_weakening.voltage_bounds import (
     voltage_excess,
 )
 from dqforge.optimizer.field_weakening.voltage_region import VoltageRegion
-
-_FIRST = 16
-
-"""Parts of the torques and of the excess flux linkages to begin with."""
-
-
-_STRIPS = 1024
-
 
 _HALVINGS = 8
 
@@ -82,9 +77,6 @@ _MOST_BOXES = 200_000
 
 """Boxes that are looked at, and strips along the torque limit; what is
 left then keeps its bounds."""
-
-
-_MARGIN = 1.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,160 +130,13 @@ class _Progress:
 
 
 @dataclass(frozen=True, slots=True)
-class _Domain:
-    """What the boxes have to cover: torques in N m on each segment, and flux linkages in Wb."""
-
-    region: WeakeningRegion
-    reference: WeakeningReference
-    ends: FloatArray  # of the segments, from the least torque to the largest
-    most_excess: float
-    seam: float  # by so much rounding may move the decision whether the field is weakened
-    overhang: float  # by so much in N m a torque may lie above the limit of its own flux linkage
-
-    @classmethod
-    def of(cls, region: WeakeningRegion, reference: WeakeningReference) -> _Domain:
-        flux = np.linspace(float(reference.flux_min), float(reference.flux_max), _STRIPS + 1)
-        lower, upper = limit_range(reference, flux[:-1], flux[1:])
-        starts = np.append(reference.flux.starts.astype(np.float64)[1:], np.inf)
-        end = float(np.max(upper))
-        ends = np.unique(
-            np.minimum(np.concatenate([[min(0.0, float(np.min(lower)))], starts]), end)
-        )
-        overhang = limit_decrease(reference)
-        ends[-1] += overhang
-        whole = cls(region, reference, ends, 0.0, 0.0, overhang)
-        seam, largest = 0.0, -np.inf
-        for segment in range(ends.size - 1):
-            edges = np.linspace(ends[segment], ends[segment + 1], _STRIPS + 1)
-            boxes = _boxes(
-                segment, edges[:-1], edges[1:], np.zeros(_STRIPS), np.zeros(_STRIPS), weakens=False
-            )
-            seam = max(seam, float(np.max(rounding(reference, boxes)[2])))
-            largest = max(
-                largest, float(np.max(whole.flux_range(segment, edges[:-1], edges[1:])[1]))
-            )
-        excess = largest - float(reference.flux_min)
-        return replace(
-            whole, most_excess=max(excess * (1.0 + 1e-12), 0.0) + seam, seam=seam * _MARGIN
-        )
-
-    def flux_range(
-        self, segment: int, low: FloatArray, high: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Bounds of the flux linkage of the MTPA currents in Wb for torques in N m on a segment,
-        shape (N,).
-        """
-        curve, t = self.reference.flux, Balls.between(low, high)
-        row, start = [float(c) for c in curve.coefficients[segment]], float(curve.starts[segment])
-        value, slope, _ = taylor(row, Balls.exact(t.mid) - start)
-        bend = Balls.of(taylor(row, t - start)[2])
-        return Bend(value, slope, 0, 0, 0, 0).range(
-            Bend(0, 0, 0, bend, 0, 0), t.rad, np.zeros(t.rad.shape)
-        )
-
-    def clipped(self, boxes: Boxes) -> Boxes:
-        """Boxes without those outside the domain, the others cut where they stick out of it."""
-        least, largest = float(self.reference.flux_min), float(self.reference.flux_max)
-        low, high = self.flux_range(boxes.segment, boxes.t_low, boxes.t_high)
-        if not boxes.weakens:
-            return boxes.chosen(low - self.seam <= largest)
-        x_low = np.maximum(boxes.x_low, low - largest)
-        x_high = np.minimum(boxes.x_high, high - least)
-        a_low, a_high = np.maximum(low - x_high, least), np.minimum(high - x_low, largest)
-        # One unit in the last place makes up for the rounding of these differences.
-        slack = 4e-16 * (np.abs(low) + np.abs(high) + np.abs(boxes.x_high) + least)
-        x_low, x_high, a_low, a_high = x_low - slack, x_high + slack, a_low - slack, a_high + slack
-        inside = np.flatnonzero((x_low <= x_high) & (a_low <= a_high))
-        top = limit_range(
-            self.reference, np.maximum(a_low[inside], least), np.minimum(a_high[inside], largest)
-        )[1]
-        t_high = np.minimum(boxes.t_high[inside], top + self.overhang)
-        kept = t_high >= boxes.t_low[inside]
-        inside = inside[kept]
-        return boxes.chosen(inside, t_high=t_high[kept], x_low=x_low[inside], x_high=x_high[inside])
-
-    def available(self, boxes: Boxes) -> tuple[FloatArray, FloatArray]:
-        """Bounds of the available flux linkage in Wb on boxes inside the domain, shape (N,)."""
-        least, largest = float(self.reference.flux_min), float(self.reference.flux_max)
-        low, high = self.flux_range(boxes.segment, boxes.t_low, boxes.t_high)
-        if not boxes.weakens:
-            return np.clip(low - self.seam, least, largest) * (1.0 - 1e-15), np.full(
-                low.shape, largest
-            )
-        a_low, a_high = (
-            np.clip(low - boxes.x_high, least, None),
-            np.clip(high - boxes.x_low, None, largest),
-        )
-        return a_low * (1.0 - 1e-15), np.maximum(a_high, a_low) * (1.0 + 1e-15)
-
-    def holds(self, boxes: Boxes) -> NDArray[np.bool_]:
-        """Whether the centres of boxes lie in the domain, so that errors there are really made.
-
-        Not proven.
-        """
-        if not boxes.weakens:
-            return np.ones(boxes.count, dtype=np.bool_)
-        t, x = 0.5 * (boxes.t_low + boxes.t_high), 0.5 * (boxes.x_low + boxes.x_high)
-        flux = self.flux_range(boxes.segment, t, t)[0] - x
-        least, largest = float(self.reference.flux_min), float(self.reference.flux_max)
-        limit = limit_range(self.reference, *[np.clip(flux, least, largest)] * 2)[0]
-        return np.asarray((x > 0.0) & (flux >= least) & (flux <= largest) & (t <= limit))
-
-    def first(self) -> Iterator[Boxes]:
-        """Boxes over the whole domain to begin with, with what rounding may add on them and inside
-        them.
-        """
-        for segment, (start, end) in enumerate(pairwise(self.ends.tolist())):
-            edges = np.linspace(start, end, _FIRST + 1)
-            seam = np.full(_FIRST, self.seam)
-            yield self.rounded(_boxes(segment, edges[:-1], edges[1:], seam, seam, weakens=False))
-            across = np.linspace(0.0, max(self.most_excess, self.seam), _FIRST + 1)
-            across[0] = -self.seam
-            low_t, low_x = (part.ravel() for part in np.meshgrid(edges[:-1], across[:-1]))
-            high_t, high_x = (part.ravel() for part in np.meshgrid(edges[1:], across[1:]))
-            yield self.rounded(_boxes(segment, low_t, high_t, low_x, high_x, weakens=True))
-
-    def rounded(self, boxes: Boxes) -> Boxes:
-        """Boxes with what rounding may add on them."""
-        by_d, by_q, _ = rounding(self.reference, boxes)
-        return replace(boxes, rounding_d=by_d, rounding_q=by_q)
-
-
-def _boxes(
-    segment: int,
-    t_low: FloatArray,
-    t_high: FloatArray,
-    x_low: FloatArray,
-    x_high: FloatArray,
-    *,
-    weakens: bool,
-) -> Boxes:
-    zero = np.zeros_like(t_low)
-    return Boxes(segment, weakens, t_low, t_high, x_low, x_high, zero, zero)
-
-
-def _halves(boxes: Boxes, along: NDArray[np.bool_]) -> Boxes:
-    """Both halves of each box, cut across the direction in which the errors bend more."""
-    along = along | (not boxes.weakens)
-    t_mid, x_mid = 0.5 * (boxes.t_low + boxes.t_high), 0.5 * (boxes.x_low + boxes.x_high)
-    twice = np.concatenate([np.arange(boxes.count)] * 2)
-    return boxes.chosen(
-        twice,
-        t_high=np.concatenate([np.where(along, t_mid, boxes.t_high), boxes.t_high]),
-        t_low=np.concatenate([boxes.t_low, np.where(along, t_mid, boxes.t_low)]),
-        x_high=np.concatenate([np.where(along, boxes.x_high, x_mid), boxes.x_high]),
-        x_low=np.concatenate([boxes.x_low, np.where(along, boxes.x_low, x_mid)]),
-    )
-
-
-@dataclass(frozen=True, slots=True)
 class _Voltage:
     """The voltage that a step takes, resistance included."""
 
     region: VoltageRegion
     step: DropReference
 
-    def bounds(self, domain: _Domain, boxes: Boxes, enclosed: Enclosed) -> FloatArray:
+    def bounds(self, domain: CertifiedDomain, boxes: Boxes, enclosed: Enclosed) -> FloatArray:
         """Bounds of |v|^2/V^2 - 1 on boxes, and what it is at their centres, shape (2, N)."""
         low, high = domain.available(boxes)
         square = self.region.flux.i_max**2
@@ -311,7 +156,7 @@ class _Voltage:
 
 
 def _refine(
-    domain: _Domain, progress: _Progress, least: FloatArray, voltage: _Voltage | None
+    domain: CertifiedDomain, progress: _Progress, least: FloatArray, voltage: _Voltage | None
 ) -> None:
     """Settle the torques that are within reach: boxes are halved until their bounds
     are close to what was found.
@@ -348,11 +193,11 @@ def _refine(
             )
             rest = np.flatnonzero(~settled)
             if rest.size > 0:
-                waiting.append(_halves(part.chosen(rest), enclosed.along[rest]))
+                waiting.append(halved(part.chosen(rest), enclosed.along[rest]))
 
 
 def _strip_errors(
-    domain: _Domain, largest: LargestTorque, low: FloatArray, high: FloatArray
+    domain: CertifiedDomain, largest: LargestTorque, low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """How far the torque at the limit may lie below the largest one and above the limit,
     and what it does at centres.
@@ -380,7 +225,7 @@ def _strip_errors(
             if which.size == 0:
                 continue
             span = (np.maximum(x_low, -seam), x_high) if weakens else (seam, seam)
-            boxes = _boxes(segment, first, last, *span, weakens=weakens).chosen(which)
+            boxes = boxes_between(segment, first, last, *span, weakens=weakens).chosen(which)
             enclosed = enclose(domain.region, domain.reference, domain.rounded(boxes))
             at = places[which]
             under = (most[at] - first[which]) * (1.0 + 1e-15) - enclosed.low
@@ -391,14 +236,18 @@ def _strip_errors(
 
 
 def _refine_limit(
-    domain: _Domain, largest: LargestTorque, progress: _Progress, beyond: float, least: float
+    domain: CertifiedDomain,
+    largest: LargestTorque,
+    progress: _Progress,
+    beyond: float,
+    least: float,
 ) -> None:
     """Settle the torques beyond reach.
 
     ``beyond`` in N m is how far the limit itself may lie above the largest one.
     """
     edges = np.linspace(
-        float(domain.reference.flux_min), float(domain.reference.flux_max), _STRIPS + 1
+        float(domain.reference.flux_min), float(domain.reference.flux_max), STRIPS + 1
     )
     low, high = edges[:-1], edges[1:]
     for step in range(_HALVINGS + 1):
@@ -455,7 +304,7 @@ def _certify(
     region: WeakeningRegion, reference: WeakeningReference, voltage: _Voltage | None
 ) -> SurfaceCertificate | None:
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        domain, largest = _Domain.of(region, reference), largest_torque(region)
+        domain, largest = CertifiedDomain.of(region, reference), largest_torque(region)
         if largest is None:
             return None
         top = limit_range(reference, largest.flux[:-1], largest.flux[1:])[1]

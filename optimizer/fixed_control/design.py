@@ -32,8 +32,8 @@ from dqforge.optimizer.fixed_control.step import (
     PiForm,
 )
 from dqforge.optimizer.fixed_control.transforms import sine_error
-from dqforge.optimizer.loops.gains import LoopGains, decoupling
 from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
+from dqforge.optimizer.loops.loop_gains import LoopGains, decoupling
 from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
 
 DC_HEADROOM = 1.15  # of the dc link over its nominal value that its full scale holds at least

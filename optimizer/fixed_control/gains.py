@@ -9,14 +9,9 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.transforms import C, N
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded
-from dqforge.optimizer.loops.gains import (
-    LoopGains,
-    analyse_current_loop,
-    analyse_speed_loop,
-    loop_bases,
-    per_unit,
-)
+from dqforge.optimizer.loops.analysis import analyse_current_loop, analyse_speed_loop
 from dqforge.optimizer.loops.integer_gains import FixedGain, quantise, rounded_mantissa
+from dqforge.optimizer.loops.loop_gains import LoopGains, loop_bases, per_unit
 
 
 def scaled(o: Arithmetic[N, C], name: str, gain: FixedGain, argument: N) -> N:

@@ -13,7 +13,7 @@ from typing import Literal
 from dqforge.machines.design.settings import PerUnitBases
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import QFormats
-from dqforge.optimizer.loops.gains import LoopGains, loop_bases, per_unit
+from dqforge.optimizer.loops.loop_gains import LoopGains, loop_bases, per_unit
 from dqforge.optimizer.loops.q_numbers import to_q
 
 GainStyle = Literal["power-of-two", "q"]

@@ -6,7 +6,7 @@ Timing: the currents are sampled at k t_s, the voltage computed from them acts f
 controller runs in every ``ratio``-th of the same interrupts, before the current controllers, so
 that its torque reference adds no delay of its own.
 
-The axes are taken as decoupled (see `dqforge.optimizer.loops.gains.decoupling`),
+The axes are taken as decoupled (see `dqforge.optimizer.loops.loop_gains.decoupling`),
 the inverter as linear.
 """
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.loops.gains import LoopGains, step_response
+from dqforge.optimizer.loops.analysis import step_response
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.plants import PiLoop, SpeedLoop, StepResponse, current_step
 from dqforge.optimizer.sampled_systems import ComplexArray
 

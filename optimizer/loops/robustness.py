@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.loops.coupled_loops import CurrentControl, largest_pole
-from dqforge.optimizer.loops.gains import LoopGains, speed_delay
+from dqforge.optimizer.loops.gains import speed_delay
 from dqforge.optimizer.loops.loop_batch import BatchMargins, PlantBatch, batch_margins, close_loops
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
 from dqforge.optimizer.loops.pi_methods import (
     CURRENT_DELAY,

@@ -18,9 +18,9 @@ from dqforge.optimizer.losses.drive_comparison import (
     dead_time_share,
     usable_limit,
 )
-from dqforge.optimizer.operating_points.characteristics import (
+from dqforge.optimizer.operating_points.characteristics import characteristics
+from dqforge.optimizer.operating_points.operating_map import (
     VoltageLimit,
-    characteristics,
     fastest_speed,
     voltage_limit,
 )

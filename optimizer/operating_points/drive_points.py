@@ -21,16 +21,10 @@ from dqforge.optimizer.operating_points.characteristics import (
     Characteristics,
     Envelope,
     Loci,
-    OperatingMap,
-    VoltageLimit,
     characteristics,
-    efficiency,
     envelope,
     envelope_speeds,
-    fastest_speed,
     loci,
-    operating_map,
-    voltage_limit,
 )
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
 from dqforge.optimizer.operating_points.loss_model import (
@@ -39,6 +33,14 @@ from dqforge.optimizer.operating_points.loss_model import (
     loss_coefficients,
 )
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
+from dqforge.optimizer.operating_points.operating_map import (
+    OperatingMap,
+    VoltageLimit,
+    efficiency,
+    fastest_speed,
+    operating_map,
+    voltage_limit,
+)
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.operating_points.feasible_region import (
+from dqforge.optimizer.operating_points.limits.feasible_region import (
     FeasibleRegion,
     Limits,
     ray_angles,

@@ -23,6 +23,7 @@ from dqforge.machines.phase_machines.salient_phase_machine import (
 from dqforge.optimizer.operating_points.characteristics import limit_speed
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.waveforms.confirmation import Confirmation, confirm_waveforms
+from dqforge.optimizer.waveforms.constraint_rows import LIMITS, WaveformLimits
 from dqforge.optimizer.waveforms.phase_currents import (
     CurrentRule,
     WaveformFigures,
@@ -32,7 +33,6 @@ from dqforge.optimizer.waveforms.phase_currents import (
     unit_currents,
 )
 from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
-from dqforge.optimizer.waveforms.quadratic_problem import LIMITS, WaveformLimits
 from dqforge.optimizer.waveforms.salient_solver import SalientWaveforms, solve_salient
 from dqforge.optimizer.waveforms.solver import WaveformSolutions, require_solution, solve_waveforms
 

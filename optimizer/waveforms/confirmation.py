@@ -16,12 +16,8 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.waveforms.quadratic_problem import (
-    UNBOUNDED,
-    PointProblem,
-    WaveformLimits,
-    make_problem,
-)
+from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
+from dqforge.optimizer.waveforms.quadratic_problem import UNBOUNDED, PointProblem, make_problem
 from dqforge.optimizer.waveforms.solver import WaveformSolutions, complementarity
 
 Verdict = Literal["confirmed", "confirmed infeasible", "differs"]

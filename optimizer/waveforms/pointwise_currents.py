@@ -17,7 +17,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Topology
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
-from dqforge.optimizer.waveforms.quadratic_problem import OpenPhase
+from dqforge.optimizer.waveforms.constraint_rows import OpenPhase
 
 _STEPS = 200
 

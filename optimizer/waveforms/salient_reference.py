@@ -17,22 +17,21 @@ from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.curves.single_precision import fused_multiply_add, multiply_add
-from dqforge.optimizer.waveforms.firmware_form import (
+from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
+from dqforge.optimizer.waveforms.firmware_fit import (
     PhaseCandidate,
     PhaseErrors,
     PhaseFit,
-    PhasePolynomials,
-    PhaseReference,
     are_equal,
     resampled,
 )
+from dqforge.optimizer.waveforms.firmware_form import PhasePolynomials, PhaseReference
 from dqforge.optimizer.waveforms.pointwise_currents import (
     free_currents,
     least_currents,
     pointwise_currents,
     torque_forms,
 )
-from dqforge.optimizer.waveforms.quadratic_problem import WaveformLimits
 
 _MOST_ORDER = 49
 

@@ -27,9 +27,9 @@ from dqforge.machines.phase_machines.phase_machine import (
     between,
 )
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.optimizer.waveforms.constraint_rows import LIMITS, WaveformLimits
 from dqforge.optimizer.waveforms.phase_currents import unit_currents
 from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
-from dqforge.optimizer.waveforms.quadratic_problem import LIMITS, WaveformLimits
 
 _REACH = max(OFFSETS)
 

@@ -9,7 +9,7 @@ from dqforge.optimizer.waveforms.comparison import (
     limits_of,
     require_phases,
 )
-from dqforge.optimizer.waveforms.firmware_form import PhaseFit, fit_phases
+from dqforge.optimizer.waveforms.firmware_fit import PhaseFit, fit_phases
 from dqforge.optimizer.waveforms.salient_reference import fit_salient_phases
 
 

@@ -18,12 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.optimizer.waveforms.constraint_rows import LIMITS, WaveformLimits
 from dqforge.optimizer.waveforms.quadratic_problem import (
     DENSE_UNKNOWNS,
-    LIMITS,
     UNBOUNDED,
     PointProblem,
-    WaveformLimits,
     WaveformProblem,
     make_problem,
 )

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from dqforge.machines.back_emf.capture import BemfResult, analyse
+from dqforge.machines.back_emf.capture import analyse
 from dqforge.machines.back_emf.columns import BemfCapture, CaptureOptions
 from dqforge.machines.back_emf.files import MOST_BYTES, read_captures
+from dqforge.machines.back_emf.result import BemfResult
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.files.text_blocks import Progress

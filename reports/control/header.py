@@ -15,7 +15,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.loops.gains import LoopGains
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.numbers import float_literal

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loops.gains import LoopGains
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind
 from dqforge.reports.capability import Capability, Draw, Outcome, Quantity, ReportPart, Rows, Tile

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import textwrap
 
-from dqforge.optimizer.loops.gains import LoopGains
 from dqforge.optimizer.loops.integer_gains import PerUnitGains
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_constant import Constant, ConstantGroup
 from dqforge.reports.loops.robustness_text import robust_lines

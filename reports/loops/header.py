@@ -12,8 +12,8 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.loops.gain_schedule import GainSchedule
-from dqforge.optimizer.loops.schedule_fit import GAIN_NAMES, GainEvaluator
+from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
+from dqforge.optimizer.loops.schedule.schedule_fit import GAIN_NAMES, GainEvaluator
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.read_back import single_from, singles_from

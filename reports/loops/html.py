@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loops.gains import LoopGains
 from dqforge.optimizer.loops.integer_gains import PerUnitGains
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.reports.loops.robustness_text import ROBUST_COLUMNS, robust_notes, robust_rows
 from dqforge.reports.loops.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
 from dqforge.reports.observers.speed_loop_text import observed_notes

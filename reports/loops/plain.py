@@ -6,8 +6,8 @@ from dataclasses import asdict
 
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loops.gains import LoopGains
 from dqforge.optimizer.loops.integer_gains import PerUnitGains
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
 from dqforge.reports.loops.robustness_text import plain_robustness
 from dqforge.reports.loops.schedule_text import plain_schedule

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dqforge.optimizer.loops.gain_schedule import AxisSchedule, GainSchedule
+from dqforge.optimizer.loops.schedule.gain_schedule import AxisSchedule, GainSchedule
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.loops.robustness_text import plain_loop_robustness, robust_text
 from dqforge.reports.plain_data import PlainData

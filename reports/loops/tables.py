@@ -6,8 +6,8 @@ import math
 
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loops.gains import LoopGains
 from dqforge.optimizer.loops.integer_gains import PerUnitGains
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.observers.proof import ObserverProof
 from dqforge.reports.loops.robustness_text import (
     FORM_COLUMNS,

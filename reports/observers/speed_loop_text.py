@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 
-from dqforge.optimizer.loops.gains import LoopGains
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.reports.plain_data import PlainData
 
 

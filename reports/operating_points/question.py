@@ -17,7 +17,6 @@ from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 from dqforge.machines.units.quantities import parse_option
-from dqforge.optimizer.operating_points.characteristics import VoltageLimit, voltage_limit
 from dqforge.optimizer.operating_points.drive_points import (
     LimitedDrive,
     Objective,
@@ -25,6 +24,7 @@ from dqforge.optimizer.operating_points.drive_points import (
     most_torque,
     points_within,
 )
+from dqforge.optimizer.operating_points.operating_map import VoltageLimit, voltage_limit
 from dqforge.optimizer.operating_points.points import OptimalPoints
 from dqforge.reports.operating_points.map_tables import (
     envelope_tables,

@@ -18,7 +18,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.scenario import Encoder, Profile, Scenario
-from dqforge.optimizer.loops.gains import LoopGains, per_unit
+from dqforge.optimizer.loops.loop_gains import LoopGains, per_unit
 from dqforge.optimizer.loops.q_numbers import to_q
 from dqforge.optimizer.observers.reduced_order import ObserverError, steady_state_error
 from dqforge.optimizer.solution import Solution

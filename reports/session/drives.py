@@ -20,14 +20,14 @@ from dqforge.machines.design.from_machine import python_values
 from dqforge.machines.design.loader import load_design as load_file
 from dqforge.machines.design.numerical import located
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.flux_map import SaturatedMachine
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.yaml_edit import written
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
-from dqforge.optimizer.operating_points.characteristics import voltage_limit
 from dqforge.optimizer.operating_points.drive_points import LimitedDrive, limited_drive
+from dqforge.optimizer.operating_points.operating_map import voltage_limit
 
 DqMachine = LinearMachine | SaturatedMachine
 

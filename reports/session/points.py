@@ -12,7 +12,6 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.operating_points import characteristics as of_machines
-from dqforge.optimizer.operating_points.characteristics import VoltageLimit
 from dqforge.optimizer.operating_points.drive_points import (
     DriveMap,
     DrivePoints,
@@ -21,6 +20,7 @@ from dqforge.optimizer.operating_points.drive_points import (
     map_within,
     points_within,
 )
+from dqforge.optimizer.operating_points.operating_map import VoltageLimit
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.reports.operating_points.map_tables import plain_map
 from dqforge.reports.plain_data import PlainData

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.back_emf.capture import BemfResult, analyse
+from dqforge.machines.back_emf.capture import analyse
 from dqforge.machines.back_emf.columns import CaptureOptions
 from dqforge.machines.back_emf.files import MOST_BYTES, read_captures
+from dqforge.machines.back_emf.result import BemfResult
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file

@@ -12,7 +12,8 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import FluxMap
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine

@@ -5,12 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dqforge.machines.design.design import Design
-from dqforge.optimizer.waveforms.firmware_form import (
-    HALF_ROOT_3,
-    PhaseFit,
-    PhasePolynomials,
-    PhaseReference,
-)
+from dqforge.optimizer.waveforms.firmware_fit import PhaseFit
+from dqforge.optimizer.waveforms.firmware_form import HALF_ROOT_3, PhasePolynomials, PhaseReference
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.numbers import rounded_up

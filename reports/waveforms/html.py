@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from dqforge.optimizer.solution import Solution
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
 from dqforge.optimizer.waveforms.confirmation import Confirmation
-from dqforge.optimizer.waveforms.firmware_form import PhaseCandidate, PhaseFit
+from dqforge.optimizer.waveforms.firmware_fit import PhaseCandidate, PhaseFit
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.html_text import (
     ceiling,

@@ -11,7 +11,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
 from dqforge.optimizer.waveforms.confirmation import Confirmation
-from dqforge.optimizer.waveforms.firmware_form import PhaseFit
+from dqforge.optimizer.waveforms.firmware_fit import PhaseFit
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
 

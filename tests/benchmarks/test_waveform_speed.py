@@ -15,7 +15,7 @@ import pytest
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.waveforms.quadratic_problem import WaveformLimits
+from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
 from dqforge.optimizer.waveforms.solver import solve_waveforms
 
 pytestmark = pytest.mark.benchmark

@@ -18,7 +18,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings, Tolerances
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
-from dqforge.optimizer.loops.gains import step_response
+from dqforge.optimizer.loops.analysis import step_response
 from dqforge.optimizer.observers.reduced_order import errors_at_loads
 from dqforge.reports.control.fixed_header import control_fixed_files, plain_fixed_evidence
 from dqforge.reports.control.fixed_tables import control_fixed_tables

@@ -19,8 +19,8 @@ from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.losses.solve import require_losses
-from dqforge.optimizer.operating_points.characteristics import VoltageLimit
 from dqforge.optimizer.operating_points.drive_points import LimitedDrive, points_within
+from dqforge.optimizer.operating_points.operating_map import VoltageLimit
 from dqforge.optimizer.operating_points.solve import solve_curves
 from dqforge.optimizer.waveforms.comparison import compare_waveforms, require_phases
 from dqforge.optimizer.waveforms.phase_currents import unit_currents

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from dqforge.machines.design.modulator_key import ModulatorList
 from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
-from dqforge.machines.design.sections.machine import MachineSection
+from dqforge.machines.design.sections.machine.schema import MachineSection
 from dqforge.machines.design.settings import (
     LoadPoint,
     LossSettings,

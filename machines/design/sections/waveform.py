@@ -8,7 +8,7 @@ from pydantic import Field
 
 from dqforge.machines.design.from_section import settings_from
 from dqforge.machines.design.sections.inverter import InverterSection
-from dqforge.machines.design.sections.machine import MachineSection
+from dqforge.machines.design.sections.machine.schema import MachineSection
 from dqforge.machines.design.settings import (
     WaveformSettings,
 )

@@ -19,8 +19,9 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.back_emf import columns as bemf_columns
 from dqforge.machines.back_emf import harmonics as bemf_harmonics
 from dqforge.machines.back_emf import motion as bemf_motion
-from dqforge.machines.back_emf.capture import BemfResult, analyse
+from dqforge.machines.back_emf.capture import analyse
 from dqforge.machines.back_emf.columns import BemfCapture
+from dqforge.machines.back_emf.result import BemfResult
 from dqforge.machines.design.loader import load_design
 from dqforge.machines.errors import InputError
 

@@ -21,7 +21,7 @@ from dqforge.machines.files.number_table import read_table
 from dqforge.machines.files.plain_numbers import read_numeric_table
 from dqforge.machines.flux_map_files import files as flux_map_files
 from dqforge.machines.flux_map_files.files import read_flux_points
-from dqforge.machines.flux_maps import building as flux_points
+from dqforge.machines.flux_maps import building
 from dqforge.machines.flux_maps.building import build_flux_map
 from dqforge.machines.flux_maps.flux_points import FluxPoints
 
@@ -129,14 +129,14 @@ def test_texts_above_their_limits_are_refused_and_never_cut(
 def test_maps_of_too_many_points_are_refused_with_the_limit(
     low: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(flux_points, "MOST_NODES", 300)
+    monkeypatch.setattr(building, "MOST_NODES", 300)
     i_d, i_q = (
         x.ravel() for x in np.meshgrid(np.linspace(-150, 60, 18), np.linspace(low, 130, 17))
     )
     points = FluxPoints("map.csv", i_d, i_q, *MACHINE.flux(i_d, i_q))
     with pytest.raises(InputError, match="at most 300 can be used; save a coarser one"):
         build_flux_map(points)
-    monkeypatch.setattr(flux_points, "MOST_NODES", 18 * 33)
+    monkeypatch.setattr(building, "MOST_NODES", 18 * 33)
     assert build_flux_map(points).flux_map.i_d.size == 18
 
 

@@ -13,7 +13,8 @@ from saturated import PM_SYRM
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.loader import load_design
-from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine, mirrored
+from dqforge.machines.dq_machines.flux_map import FluxMap, mirrored
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, torque_from_flux
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_maps.asymmetry import asymmetry_of, frame_angle

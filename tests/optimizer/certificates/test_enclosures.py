@@ -17,7 +17,7 @@ from flint import arb, ctx
 from saturated import ArctanMachine
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.dq_machines.flux_map import SaturatedMachine
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import FluxJet, LinearMachine
 from dqforge.optimizer.certificates.ball import ORDER, Expansion, as_ball, hull, upper
 from dqforge.optimizer.certificates.enclosures import jets

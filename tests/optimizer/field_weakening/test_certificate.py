@@ -17,16 +17,17 @@ from saturated import ArctanMachine
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.loader import load_design
 from dqforge.machines.design.settings import WeakeningSettings
-from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine
+from dqforge.machines.dq_machines.flux_map import FluxMap
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.optimizer.certificates.ball_arrays import Balls
 from dqforge.optimizer.curves.single_precision import SingleArray, fused_multiply_add, multiply_add
-from dqforge.optimizer.field_weakening import certificate as surface_certificate
 from dqforge.optimizer.field_weakening.certificate import (
     SurfaceCertificate,
     certify_step,
     certify_surface,
 )
+from dqforge.optimizer.field_weakening.certified_domain import CertifiedDomain
 from dqforge.optimizer.field_weakening.enclosures import Bend, Boxes, rounding
 from dqforge.optimizer.field_weakening.error_bounds import enclose
 from dqforge.optimizer.field_weakening.exact import weakening_region
@@ -252,9 +253,9 @@ def test_derivatives_left_out_would_be_noticed(kept: str, monkeypatch: pytest.Mo
 
 def test_a_part_of_the_domain_left_out_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     fit = fitted("interior")
-    first = surface_certificate._Domain.first
+    first = CertifiedDomain.first
     monkeypatch.setattr(
-        surface_certificate._Domain,
+        CertifiedDomain,
         "first",
         lambda self: (part for part in first(self) if not part.weakens),
     )

@@ -14,7 +14,7 @@ from saturated import ArctanMachine
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.loader import load_design
 from dqforge.machines.design.settings import WeakeningSettings
-from dqforge.machines.dq_machines.flux_map import SaturatedMachine
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.field_weakening.exact import weakening_region

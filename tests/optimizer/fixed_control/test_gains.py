@@ -17,7 +17,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_control.gains import quantised_loop, real_pi, velocity_integers
-from dqforge.optimizer.loops.gains import current_step_response
+from dqforge.optimizer.loops.analysis import current_step_response
 from dqforge.optimizer.loops.integer_gains import FixedGain, given, pi_integers, quantise
 
 

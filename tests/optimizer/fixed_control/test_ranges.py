@@ -198,7 +198,7 @@ def test_a_gain_that_is_too_large_is_refused_by_name() -> None:
 
 
 def test_a_design_with_too_large_a_gain_is_refused_with_exit_code_1() -> None:
-    from dqforge.optimizer.loops.gains import analyse_current_loop
+    from dqforge.optimizer.loops.analysis import analyse_current_loop
 
     design = with_gain(20_000.0, (0, 6))
     assert design.control.current_loop.kp is not None

@@ -18,7 +18,8 @@ from dqforge.machines.design.settings import (
 )
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.loops.gains import current_step_response, tune_current_loop, tune_speed_loop
+from dqforge.optimizer.loops.analysis import current_step_response
+from dqforge.optimizer.loops.gains import tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loops.loop_batch import (
     PlantBatch,
     close_loops,

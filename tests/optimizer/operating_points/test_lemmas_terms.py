@@ -15,7 +15,7 @@ from numpy.polynomial import polynomial
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
-from dqforge.machines.dq_machines.flux_map import SaturatedMachine
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import FluxJet, LinearMachine
 from dqforge.optimizer.certificates import enclosures, exact_conditions
 from dqforge.optimizer.certificates.ball import ORDER

@@ -16,7 +16,8 @@ from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE
 from saturated import PM_SYRM, ArctanMachine
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine, complete_by_symmetry
+from dqforge.machines.dq_machines.flux_map import FluxMap, complete_by_symmetry
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, torque_from_flux
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.operating_points.local_terms import (

@@ -20,8 +20,8 @@ from dqforge.machines.phase_machines.phase_machine import PhaseMachine, between
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.operating_points.mtpa import mtpa_currents
 from dqforge.optimizer.operating_points.points import optimal_points
+from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
 from dqforge.optimizer.waveforms.phase_currents import bus_demand, figures, spectrum, unit_currents
-from dqforge.optimizer.waveforms.quadratic_problem import WaveformLimits
 from dqforge.optimizer.waveforms.salient_solver import solve_salient
 from dqforge.optimizer.waveforms.solver import solve_waveforms
 

@@ -18,10 +18,11 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, between
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.operating_points.mtpa import mtpa_at_current, mtpa_currents
-from dqforge.optimizer.waveforms.firmware_form import PhasePolynomials, fit_phases
+from dqforge.optimizer.waveforms.constraint_rows import OpenPhase, WaveformLimits
+from dqforge.optimizer.waveforms.firmware_fit import fit_phases
+from dqforge.optimizer.waveforms.firmware_form import PhasePolynomials
 from dqforge.optimizer.waveforms.phase_currents import bus_demand, dq_waveform
 from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
-from dqforge.optimizer.waveforms.quadratic_problem import OpenPhase, WaveformLimits
 from dqforge.optimizer.waveforms.salient_reference import fit_salient_phases
 from dqforge.optimizer.waveforms.salient_solver import solve_salient
 

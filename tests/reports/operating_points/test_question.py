@@ -20,16 +20,18 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.operating_points.characteristics import (
     Envelope,
-    OperatingMap,
-    VoltageLimit,
     characteristics,
     envelope,
     envelope_speeds,
     loci,
+)
+from dqforge.optimizer.operating_points.drive_points import LimitedDrive, points_within
+from dqforge.optimizer.operating_points.operating_map import (
+    OperatingMap,
+    VoltageLimit,
     operating_map,
     voltage_limit,
 )
-from dqforge.optimizer.operating_points.drive_points import LimitedDrive, points_within
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import optimal_points
 from dqforge.reports.operating_points.figures import plot_operating_map, plot_speed

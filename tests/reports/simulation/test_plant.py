@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.flux_map import SaturatedMachine
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import (

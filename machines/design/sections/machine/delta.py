@@ -12,7 +12,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.reading import Reading
-from dqforge.machines.design.sections.machine import FluxMapSection, MachineSection
+from dqforge.machines.design.sections.machine.flux_map_schema import FluxMapSection
+from dqforge.machines.design.sections.machine.schema import MachineSection
 
 if TYPE_CHECKING:
     from dqforge.machines.flux_maps.flux_points import FluxPoints

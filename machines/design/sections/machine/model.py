@@ -9,22 +9,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from dqforge.machines.design import datasheet
-from dqforge.machines.design.datasheet import FluxStatement
-from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
-from dqforge.machines.design.sections.back_emf import read_phase_machine, read_saliency
-from dqforge.machines.design.sections.delta import check_connection
-from dqforge.machines.design.sections.fit import FitSection
-from dqforge.machines.design.sections.flux_map import FluxMaps, read_flux_maps
-from dqforge.machines.design.sections.machine import MachineSection, SaturationSection
-from dqforge.machines.design.speed_remarks import bare_speed_hint
-from dqforge.machines.design.values import InputValue
-from dqforge.machines.dq_machines.flux_map import FluxMap, SaturatedMachine, mirrored
+from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.sections.machine.back_emf import read_phase_machine, read_saliency
+from dqforge.machines.design.sections.machine.delta import check_connection
+from dqforge.machines.design.sections.machine.flux_map import FluxMaps, read_flux_maps
+from dqforge.machines.design.sections.machine.magnet_flux import read_magnet_flux
+from dqforge.machines.design.sections.machine.schema import MachineSection, SaturationSection
+from dqforge.machines.dq_machines.flux_map import FluxMap, mirrored
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.saturation import SaturationModel
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
-from dqforge.machines.dq_machines.torque_limit import largest_torque_within
-from dqforge.machines.entries.rules import Quantity, si_of
+from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import DqforgeError
-from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import MachineModel
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.places import about
@@ -116,7 +112,9 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
         linear = LinearMachine(
             l_d=reading.per_phase(section.inductance_d, "machine.inductance_d"),
             l_q=reading.per_phase(section.inductance_q, "machine.inductance_q"),
-            psi_pm=_at_temperature(_magnet_flux(section, pole_pairs, reading), section, reading),
+            psi_pm=_at_temperature(
+                read_magnet_flux(section, pole_pairs, reading), section, reading
+            ),
             **common,
         )
         return MachineReading(linear)
@@ -126,7 +124,7 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
         maps = FluxMaps(_saturation_map(section.saturation, common["i_max"], reading))
     else:
         known = any((section.magnet_flux, section.back_emf_constant, section.torque_constant))
-        expected = _magnet_flux(section, pole_pairs, reading) if known else None
+        expected = read_magnet_flux(section, pole_pairs, reading) if known else None
         maps = read_flux_maps(section, pole_pairs, reading, expected, common["i_max"])
     machine = SaturatedMachine(flux_map=maps.symmetric, **common)
     _check_range(machine, reading)
@@ -304,128 +302,3 @@ def _remark_on_the_region(machine: SaturatedMachine, reading: Reading) -> None:
     reading.remarks.append(
         f"the flux map {where}, the current limit is {format_quantity(i_max, 'A')}: {meant}"
     )
-
-
-def _magnet_flux(section: MachineSection, pole_pairs: int, reading: Reading) -> float:
-    """Flux linkage of the magnets from the first of the keys that imply it, once all agree."""
-    statements = _flux_statements(section, pole_pairs, reading)
-    if not statements:
-        raise reading.document.error(
-            "machine needs magnet_flux, back_emf_constant or torque_constant; write e.g. "
-            "magnet_flux: 0.06 Wb (0 Wb for a reluctance machine)",
-            ("machine",),
-            key=True,
-        )
-    # Whichever of the keys stands last in the file is the one that
-    # contradicts what was read before.
-    last = max(statements, key=lambda s: reading.document.position(("machine", s.key)))
-    with reading.document.at(("machine", last.key)):
-        datasheet.check_flux_agreement(statements, pole_pairs)
-    used = statements[0]
-    if used.key != "magnet_flux":
-        note = f"derived from {used.key} {used.text} with {pole_pairs} pole pairs"
-        reading.derived.append(
-            InputValue("machine.magnet_flux", "", used.psi_pm, "Wb", inferred=True, note=note)
-        )
-        reading.remarks.append(
-            f"machine.magnet_flux is {format_quantity(used.psi_pm, 'Wb')} (peak of phase), {note}"
-        )
-    return used.psi_pm
-
-
-def _flux_statements(
-    section: MachineSection, pole_pairs: int, reading: Reading
-) -> list[FluxStatement]:
-    """What each given key says about the flux linkage, in order of trust."""
-    statements = []
-    if (flux := section.magnet_flux) is not None:
-        psi_pm = reading.phase_flux(flux, "machine.magnet_flux")
-        statements.append(FluxStatement("magnet_flux", _said(flux), psi_pm, counts_poles=False))
-    if (emf := section.back_emf_constant) is not None:
-        psi_pm = datasheet.flux_from_back_emf(
-            emf.si, emf.kind or "", pole_pairs, section.connection
-        )
-        statements.append(FluxStatement("back_emf_constant", _said(emf), psi_pm, counts_poles=True))
-        inverted = "reciprocal of the speed per volt; " if emf.inverted else ""
-        implied = f"{inverted}implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
-        reading.converted["machine.back_emf_constant"] = (emf.si, implied)
-    if (constant := section.torque_constant) is not None:
-        reading.check_current_kind(constant, ("machine", "torque_constant"))
-        kind = constant.kind or ""
-        psi_pm = datasheet.flux_from_torque_constant(
-            constant.si, kind, pole_pairs, section.connection
-        )
-        statements.append(
-            FluxStatement("torque_constant", _said(constant), psi_pm, counts_poles=True)
-        )
-        implied = f"implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
-        reading.converted["machine.torque_constant"] = (constant.si, implied)
-    return statements
-
-
-def _said(quantity: Quantity) -> str:
-    return f"{quantity.text} ({quantity.kind})"
-
-
-def check_machine(section: MachineSection, machine: Machine, document: YamlDocument) -> None:
-    """Check the machine as a whole against its name plate; raises `InputError` with a position."""
-    if isinstance(machine, LinearMachine) and machine.psi_pm == 0.0 and machine.l_d == machine.l_q:
-        raise document.error(
-            "machine: no magnet flux and inductance_d equal to inductance_q, so it gives no "
-            "torque; write magnet_flux or two different inductances",
-            ("machine", "inductance_q"),
-        )
-    rated = section.rated
-    torque, speed, power, frequency = map(
-        si_of, (rated.torque, rated.speed, rated.power, rated.frequency)
-    )
-    if frequency is not None and speed is not None:
-        with document.at(("machine", "rated", "frequency")):
-            datasheet.check_rated_frequency(machine.pole_pairs, frequency, speed)
-    if power is not None and torque is not None and speed is not None:
-        with document.at(("machine", "rated", "power")):
-            datasheet.check_rated_power(power, torque, speed)
-    if rated.current is not None:
-        current = datasheet.peak_current(
-            rated.current.si, rated.current.kind or "", section.connection
-        )
-        _check_rated_current(current, machine, document)
-    if torque is not None:
-        with document.at(("machine", "rated", "torque")):
-            datasheet.check_rated_torque(torque, largest_torque_within(machine, machine.i_max))
-    most = machine.omega_m_max
-    if (
-        rated.speed is not None
-        and most is not None
-        and rated.speed.si > most * (1.0 + ROUNDING_OF_DATA)
-    ):
-        hint = bare_speed_hint(rated.speed)
-        message = (
-            f"machine.rated.speed {format_quantity(rated.speed.si, 'rpm')} is above max_speed; "
-            f"{hint}"
-        )
-        raise document.error(message, ("machine", "rated", "speed"))
-
-
-def _check_rated_current(current: float, machine: Machine, document: YamlDocument) -> None:
-    if current <= machine.i_max * (1.0 + ROUNDING_OF_DATA):
-        return
-    raise document.error(
-        f"machine.rated.current is {format_quantity(current, 'A')} peak, above max_current "
-        f"{format_quantity(machine.i_max, 'A')} peak; check the kinds (peak or rms) of both",
-        ("machine", "rated", "current"),
-    )
-
-
-def check_halves(machine: MachineSection, fit: FitSection, document: YamlDocument) -> None:
-    """Refuse what cannot keep the halves of a flux map apart."""
-    section = machine.flux_map
-    if section is None or section.symmetry != "keep":
-        return
-    budget = any(part is not None for part in (fit.torque_error, fit.loss_penalty, fit.flash))
-    if budget or fit.format in ("q15", "q31"):
-        raise document.error(
-            "machine.flux_map.symmetry: keep needs references in float32 of a given form; write "
-            "fit: format: float32 and leave the budget out, or symmetry: average",
-            ("machine", "flux_map", "symmetry"),
-        )

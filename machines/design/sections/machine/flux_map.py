@@ -11,8 +11,9 @@ import numpy as np
 
 from dqforge.machines.design import datasheet
 from dqforge.machines.design.reading import Reading
-from dqforge.machines.design.sections.delta import at_the_terminals
-from dqforge.machines.design.sections.machine import FluxMapSection, MachineSection
+from dqforge.machines.design.sections.machine.delta import at_the_terminals
+from dqforge.machines.design.sections.machine.flux_map_schema import FluxMapSection
+from dqforge.machines.design.sections.machine.schema import MachineSection
 from dqforge.machines.design.values import InputValue
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.entries.rules import si_of
@@ -65,7 +66,7 @@ def read_flux_maps(
     InputError
         A file cannot be read, or is no map of a machine as it is declared.
     """
-    from dqforge.machines.flux_maps.building import flux_map_of_maps
+    from dqforge.machines.flux_maps.magnet_temperatures import flux_map_of_maps
 
     given = section.flux_map
     if given is None or (given.file is None) == (given.files is None):

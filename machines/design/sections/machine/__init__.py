@@ -1,0 +1,1 @@
+"""The section ``machine``: its keys, and the models that they make."""

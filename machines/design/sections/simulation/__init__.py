@@ -1,0 +1,1 @@
+"""The section ``simulation``: its keys, and the scenario that they make."""

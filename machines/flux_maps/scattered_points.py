@@ -1,0 +1,146 @@
+"""Planes through points without any order and through grids with gaps, by thin-plate splines."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.current_region import CurrentRegion
+from dqforge.machines.dq_machines.flux_map import complete_by_symmetry
+from dqforge.machines.errors import InputError
+from dqforge.machines.flux_maps.flux_points import FluxPoints
+from dqforge.machines.flux_maps.planes import (
+    MIRROR,
+    SAME,
+    Plane,
+    check_begin,
+    halves_findings,
+    largest_magnitude,
+)
+
+_FEWEST_SCATTERED = 16
+
+
+_GRID_SIZES = (9, 81)
+
+
+_FULL_PLANE = 0.95
+
+
+_PARTIAL_GRID = 0.5
+
+
+_MOST_GAPS = 50_000
+
+
+_NEIGHBOURS = 64
+
+
+_MUCH_OUTSIDE = 0.15
+
+
+def scattered_plane(points: FluxPoints) -> Plane:
+    """Symmetric plane through scattered points or a grid with gaps; raises `InputError`."""
+    i_d, i_q, psi = points.i_d, points.i_q, np.stack([points.psi_d, points.psi_q])
+    if i_d.size < _FEWEST_SCATTERED:
+        message = (
+            f"{i_d.size} points that fill no grid are too few for a map; give at least "
+            f"{_FEWEST_SCATTERED}"
+        )
+        raise InputError(message, source=points.source)
+    if turned := bool(np.max(i_q) < -np.min(i_q)):
+        i_q, psi = -i_q, psi * MIRROR[:, :, 0]
+    end, other = float(np.max(i_q)), -float(np.min(i_q))
+    whole = other >= _FULL_PLANE * end
+    asymmetry = float(np.max(np.abs(psi[1, i_q == 0.0]), initial=0.0))
+    if not whole:
+        i_d, i_q, psi = _with_mirror_image(i_d, i_q, psi)
+    axis_d, axis_q, own = _axes(i_d, i_q, min(end, other) if whole else end)
+    check_begin(i_q[i_q >= 0.0], float(axis_q[-1] - axis_q[-2]), points.source)
+    values, outside = _thin_plates(i_d, i_q, psi, axis_d, axis_q, own, points.source)
+    if whole:
+        known = ~(outside | outside[:, ::-1])
+        asymmetry = 0.5 * float(
+            np.max(np.abs(values - values[:, :, ::-1] * MIRROR)[:, known], initial=0.0)
+        )
+    size, way = f"{axis_d.size} x {axis_q.size} grid", "interpolated by thin-plate splines"
+    gaps = f"gaps of the {size} {way}: {axis_d.size * axis_q.size - i_d.size}"
+    first = gaps if own else f"scattered points: {points.i_d.size} {way} on a {size}"
+    findings = (
+        first,
+        *halves_findings(whole, other > 0.0, turned, asymmetry, largest_magnitude(psi)),
+    )
+    if (share := float(np.mean(outside))) > _MUCH_OUTSIDE:
+        beyond = (
+            "of the nodes lie outside the convex hull of the points; the flux linkages there are "
+            "extrapolated"
+        )
+        findings = (*findings, f"warning: {100.0 * share:.0f} % {beyond}")
+    raw = (values[:, :, ::-1] * MIRROR if turned else values) if whole else None
+    axis_q, psi_d, psi_q = complete_by_symmetry(axis_q, *values)
+    hull = CurrentRegion.hull(i_d, i_q).within(
+        CurrentRegion.rectangle(axis_d[0], axis_d[-1], axis_q[-1])
+    )
+    return Plane(axis_d, axis_q, np.stack([psi_d, psi_q]), asymmetry, findings, hull=hull, raw=raw)
+
+
+def _with_mirror_image(
+    i_d: FloatArray, i_q: FloatArray, psi: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The half of the points with i_q >= 0 and its mirror image; at i_q = 0, psi_q is 0."""
+    upper, lower = i_q >= 0.0, i_q > 0.0
+    odd = np.where(i_q == 0.0, np.array([[1.0], [0.0]]), 1.0) * psi
+    both = np.concatenate([odd[:, upper], odd[:, lower] * MIRROR[:, :, 0]], axis=1)
+    return np.append(i_d[upper], i_d[lower]), np.append(i_q[upper], -i_q[lower]), both
+
+
+def _axes(i_d: FloatArray, i_q: FloatArray, end: float) -> tuple[FloatArray, FloatArray, bool]:
+    """Axes for the points of a full plane, and whether they are the points' own,
+    of a grid with gaps.
+    """
+    own_d, own_q = np.unique(i_d), np.unique(i_q)
+    nodes = own_d.size * own_q.size
+    filled = i_d.size >= max(_PARTIAL_GRID * nodes, nodes - _MOST_GAPS)
+    if filled and np.max(np.abs(own_q + own_q[::-1])) <= SAME * end:
+        return own_d, own_q, True
+    count = int(np.clip(np.rint(np.sqrt(i_d.size)), *_GRID_SIZES))
+    # An odd number of i_q has a node at 0.
+    return np.linspace(np.min(i_d), np.max(i_d), count), np.linspace(-end, end, count | 1), False
+
+
+def _thin_plates(
+    i_d: FloatArray,
+    i_q: FloatArray,
+    psi: FloatArray,
+    axis_d: FloatArray,
+    axis_q: FloatArray,
+    own: bool,
+    source: str,
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Flux linkages (2, M, N) on a grid through points of a full plane, and which
+    nodes lie outside their hull.
+
+    ``own``: the points lie on nodes, and the others are the gaps.
+    """
+    from scipy.interpolate import RBFInterpolator
+    from scipy.spatial import ConvexHull, Delaunay, QhullError
+
+    scale = np.array([np.ptp(i_d), np.ptp(i_q)])
+    at = np.stack([i_d, i_q], axis=1) / scale
+    nodes = np.stack(np.meshgrid(axis_d, axis_q, indexing="ij"), axis=2) / scale
+    known = np.zeros(nodes.shape[:2], dtype=bool)
+    values = np.empty((2, *known.shape))
+    if own:
+        place = np.searchsorted(axis_d, i_d), np.searchsorted(axis_q, i_q)
+        values[:, *place], known[place] = psi, True
+    try:
+        hull = Delaunay(at[ConvexHull(at).vertices])
+        spline = RBFInterpolator(at, psi.T, neighbors=min(_NEIGHBOURS, at.shape[0]), degree=1)
+        values[:, ~known] = spline(nodes[~known]).T
+    except (QhullError, np.linalg.LinAlgError):
+        message = "the points lie on a line or too close together; spread them over i_d and i_q"
+        raise InputError(message, source=source) from None
+    outside = ~known
+    outside[~known] = hull.find_simplex(nodes[~known], tol=SAME) < 0
+    return values, outside

@@ -1,0 +1,1 @@
+"""Gains over the current: what is scheduled, and the forms that the firmware evaluates."""

@@ -1,0 +1,176 @@
+"""Operating points over torque and speed, their efficiency and the voltage limit behind them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
+from dqforge.machines.modulation.modulators import linear_limit
+from dqforge.machines.names import ModulationName
+from dqforge.optimizer.operating_points.characteristics import Characteristics
+from dqforge.optimizer.operating_points.local_terms import LossCoefficients
+from dqforge.optimizer.operating_points.loss_model import DriveLosses, drive_losses
+from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
+
+
+@dataclass(frozen=True, slots=True)
+class VoltageLimit:
+    """Where the voltage limit comes from: modulator, dc link in V, share kept free,
+    and the phase amplitude in V.
+    """
+
+    modulation: ModulationName
+    v_dc: float
+    margin: float
+    v_max: float
+
+
+@dataclass(frozen=True, slots=True)
+class OperatingMap:
+    """Operating points over a grid of N torques (N m) and M mechanical speeds (rad/s),
+    arrays of shape (N, M).
+
+    ``points`` and ``losses`` hold them row by row as arrays of shape (N M,). ``efficiency`` as
+    `efficiency` defines it, NaN where the torque is not reached.
+    """
+
+    torque: FloatArray
+    omega_m: FloatArray
+    points: OptimalPoints
+    losses: DriveLosses
+    efficiency: FloatArray
+
+    @property
+    def loss(self) -> FloatArray:
+        """Total loss in W, shape (N, M): machine, and with a device the inverter, too."""
+        return self.losses.total.reshape(self.efficiency.shape)
+
+    @property
+    def with_inverter(self) -> bool:
+        """Whether conduction and switching loss are counted."""
+        return self.losses.with_inverter
+
+    @property
+    def best_efficiency(self) -> float:
+        """Largest efficiency of all points; NaN where none has one."""
+        return (
+            float(np.nanmax(self.efficiency))
+            if np.any(np.isfinite(self.efficiency))
+            else float("nan")
+        )
+
+
+def voltage_limit(
+    inverter: Inverter, modulation: ModulationName, margin: float = 0.0
+) -> VoltageLimit:
+    """Largest phase amplitude of a modulator's linear range, less a margin (0 to 1)
+    that is kept for control.
+
+    Parameters
+    ----------
+    inverter:
+        DC-link voltage and dead time.
+    modulation:
+        The modulator.
+    margin:
+        Share of 0 to 1 that is kept for control.
+    """
+    return VoltageLimit(
+        modulation, inverter.v_dc, margin, linear_limit(modulation, inverter.v_dc, margin)
+    )
+
+
+def efficiency(power: FloatArray, loss: FloatArray) -> FloatArray:
+    """Power out over power in, any one shape, for mechanical power (negative:
+    generating) and loss in W.
+
+    Motoring P / (P + L), generating (|P| - L) / |P|; NaN without power, and where a generating
+    machine loses more than the shaft brings, so that nothing comes out at either end.
+    """
+    size = np.abs(power)
+    useful = (power > 0.0) | ((power < 0.0) & (loss <= size))
+    put_in = np.where(power > 0.0, power + loss, size)
+    given_out = np.where(power > 0.0, power, size - loss)
+    return np.where(useful, given_out / np.where(useful, put_in, 1.0), np.nan)
+
+
+def operating_map(
+    machine: Machine,
+    inverter: Inverter,
+    limit: VoltageLimit,
+    torque: FloatArray,
+    omega_m: FloatArray,
+    i_max: float,
+    *,
+    loss: LossCoefficients | None = None,
+    extra: MachineLoss = NO_EXTRA_LOSS,
+) -> OperatingMap:
+    """Least-loss points over a grid, with the losses of the drive at them.
+
+    Parameters
+    ----------
+    machine, inverter, limit:
+        The drive, and the voltage limit of its modulator.
+    torque, omega_m:
+        Torques in N m, shape (N,), and mechanical speeds in rad/s, shape (M,), of any sign.
+    i_max:
+        Current limit in A (peak).
+    loss:
+        What is minimised, from `loss_coefficients` at the speeds, shape (M,);
+        copper loss when None.
+    extra:
+        AC copper and iron loss, counted in the losses; ``loss`` says whether they are minimised,
+        too.
+    """
+    wanted, speed = np.meshgrid(torque, omega_m, indexing="ij")
+    points = optimal_points(machine, wanted, speed, v_max=limit.v_max, i_max=i_max, loss=loss)
+    losses = drive_losses(
+        machine,
+        inverter,
+        points.i_d,
+        points.i_q,
+        points.omega_m,
+        modulation=limit.modulation,
+        extra=extra,
+    )
+    share = efficiency(points.torque * points.omega_m, losses.total)
+    share = np.where(points.reached, share, np.nan).reshape(wanted.shape)
+    return OperatingMap(torque, omega_m, points, losses, share)
+
+
+def fastest_speed(
+    machine: Machine, figures: Characteristics, limit: VoltageLimit, i_max: float
+) -> float:
+    """Speed in rad/s at which a map ends: that of the mechanics, or three times the base speed.
+
+    Parameters
+    ----------
+    machine:
+        Any machine; it may state a largest speed.
+    figures:
+        Its characteristics, with the base speed.
+    limit:
+        The voltage limit.
+    i_max:
+        Current limit in A (peak).
+
+    Raises
+    ------
+    NoSolutionError
+        The resistance drop takes the whole voltage even at standstill.
+    """
+    if machine.omega_m_max is not None:
+        return machine.omega_m_max
+    if figures.base_speed == 0.0:
+        raise NoSolutionError(
+            f"the resistance drop at {i_max:.4g} A takes more than the voltage limit of "
+            f"{limit.v_max:.4g} V even at standstill, so that no map begins; give "
+            "machine.max_speed, or a higher voltage"
+        )
+    return 3.0 * figures.base_speed
