@@ -41,11 +41,8 @@ from dqforge.optimizer.field_weakening.enclosures import Boxes
 from dqforge.optimizer.field_weakening.error_bounds import Enclosed, enclose
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 from dqforge.optimizer.field_weakening.form import WeakeningReference
-from dqforge.optimizer.field_weakening.limit_bounds import (
-    LargestTorque,
-    largest_torque,
-    limit_range,
-)
+from dqforge.optimizer.field_weakening.largest_torque import LargestTorque, largest_torque
+from dqforge.optimizer.field_weakening.limit_bounds import limit_range
 from dqforge.optimizer.field_weakening.voltage_bounds import (
     FLUX_SHARE,
     ROUNDING,

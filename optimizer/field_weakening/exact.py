@@ -14,10 +14,10 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.operating_points.limits.region_edges import region_that_holds
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
+from dqforge.optimizer.operating_points.region_edges import region_that_holds
 
 _OMEGA = 1e9
 

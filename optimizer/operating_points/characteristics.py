@@ -10,14 +10,11 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
-from dqforge.optimizer.operating_points.limits.feasible_region import (
-    least_flux_current,
-    make_limits,
-)
-from dqforge.optimizer.operating_points.limits.region_edges import intervals_of, region_that_holds
+from dqforge.optimizer.operating_points.limits.boundary import least_flux_current, make_limits
 from dqforge.optimizer.operating_points.mtpa_locus import MtpaLocus, mtpa_locus
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
+from dqforge.optimizer.operating_points.region_edges import intervals_of, region_that_holds
 
 _FASTEST = 1e6
 

@@ -19,11 +19,11 @@ from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, copper_loss
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Strategy
-from dqforge.optimizer.operating_points.limits.region_edges import region_that_holds
 from dqforge.optimizer.operating_points.mtpa import id0_currents, mtpa_at_current, mtpa_currents
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
+from dqforge.optimizer.operating_points.region_edges import region_that_holds
 
 _NO_LIMIT = 1e9
 

@@ -13,7 +13,6 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, torque_from_flux
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.operating_points.limits.region_edges import intervals_of, region_that_holds
 from dqforge.optimizer.operating_points.local_terms import (
     cross_of_gradients,
     current_terms,
@@ -21,6 +20,7 @@ from dqforge.optimizer.operating_points.local_terms import (
     torque_terms,
 )
 from dqforge.optimizer.operating_points.mtpa import mtpa_at_current
+from dqforge.optimizer.operating_points.region_edges import intervals_of, region_that_holds
 
 _LEVELS = 160
 

@@ -7,13 +7,8 @@ from __future__ import annotations
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.operating_points.limits.feasible_region import (
-    FeasibleRegion,
-    Limits,
-    ray_angles,
-    scan_region,
-    voltage_radius,
-)
+from dqforge.optimizer.operating_points.limits.boundary import Limits, ray_angles, voltage_radius
+from dqforge.optimizer.operating_points.limits.feasible_region import FeasibleRegion, scan_region
 from dqforge.optimizer.operating_points.local_terms import (
     cross_of_gradients,
     current_terms,

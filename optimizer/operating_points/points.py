@@ -20,13 +20,13 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.operating_points.limits.data_limit import hold_by_data
-from dqforge.optimizer.operating_points.limits.region_edges import region_that_holds
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
 from dqforge.optimizer.operating_points.missed_points import missed_points, replace_missed_points
 from dqforge.optimizer.operating_points.mtpa_locus import free_locus
 from dqforge.optimizer.operating_points.optimality import residual
 from dqforge.optimizer.operating_points.point_problem import Active, BoolArray, Problem
 from dqforge.optimizer.operating_points.point_solver import solve_chunk
+from dqforge.optimizer.operating_points.region_edges import region_that_holds
 
 __all__ = ["Active", "OptimalPoints", "copper_only", "optimal_points"]
 

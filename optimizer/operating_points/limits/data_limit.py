@@ -15,11 +15,6 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.current_region import CurrentRegion
-from dqforge.optimizer.operating_points.limits.region_edges import (
-    Intervals,
-    bracketed_roots,
-    intervals_of,
-)
 from dqforge.optimizer.operating_points.local_terms import loss_terms, voltage_terms
 from dqforge.optimizer.operating_points.point_problem import (
     Active,
@@ -27,6 +22,11 @@ from dqforge.optimizer.operating_points.point_problem import (
     IndexArray,
     Problem,
     State,
+)
+from dqforge.optimizer.operating_points.region_edges import (
+    Intervals,
+    bracketed_roots,
+    intervals_of,
 )
 
 _TOGETHER = 2048

@@ -33,11 +33,8 @@ from dqforge.optimizer.field_weakening.error_bounds import enclose
 from dqforge.optimizer.field_weakening.exact import weakening_region
 from dqforge.optimizer.field_weakening.fit import WeakeningFit, fit_weakening
 from dqforge.optimizer.field_weakening.form import SingleSurface, WeakeningReference
-from dqforge.optimizer.field_weakening.limit_bounds import (
-    largest_torque,
-    limit_decrease,
-    limit_range,
-)
+from dqforge.optimizer.field_weakening.largest_torque import largest_torque
+from dqforge.optimizer.field_weakening.limit_bounds import limit_decrease, limit_range
 
 LIBRARY = Path(__file__).resolve().parents[3] / "machines" / "library"
 SLOW = pytest.mark.slow
