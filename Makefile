@@ -22,7 +22,7 @@ campaign: $(VENV)/dev.stamp
 
 # Lines and branches that the default tests run. The proofs may leave none: their certificates would
 # hold for what nobody tried.
-PROOFS := optimizer/certificates/*,optimizer/field_weakening/certificate.py,optimizer/field_weakening/enclosures.py,optimizer/fixed_control/ranges.py,optimizer/observers/lpv_certificate.py
+PROOFS := optimizer/certificates/*,optimizer/field_weakening/certificate.py,optimizer/field_weakening/enclosures.py,optimizer/fixed_control/ranges.py,optimizer/observers/methods/lpv_certificate.py
 coverage: $(VENV)/dev.stamp
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "not slow and not benchmark" --cov --cov-report=term
 	$(BIN)/coverage report --include='$(PROOFS)' --fail-under=100

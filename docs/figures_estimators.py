@@ -13,9 +13,9 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.optimizer.observers.methods.ekf_tuning import DriveNoise, band, noisy_trial, tuned_ekf
 from dqforge.optimizer.observers.methods.injection import cross_saturation_error, injection
 from dqforge.optimizer.observers.methods.injection_run import track
-from dqforge.optimizer.observers.methods.kalman_model import run
-from dqforge.optimizer.observers.methods.matsui_errors import closed_form_error, with_errors
-from dqforge.optimizer.observers.methods.matsui_model import matsui
+from dqforge.optimizer.observers.models.kalman_model import run
+from dqforge.optimizer.observers.models.matsui_errors import closed_form_error, with_errors
+from dqforge.optimizer.observers.models.matsui_model import matsui
 from dqforge.optimizer.observers.trials import CurrentSensor
 from dqforge.reports.pages.figures_style import save
 

@@ -16,7 +16,7 @@ _LEAST_SHARE = 0.05
 @dataclass(frozen=True, slots=True)
 class ObserverProof:
     """Result of the search for a common Lyapunov function
-    (`dqforge.optimizer.observers.lpv_certificate`).
+    (`dqforge.optimizer.observers.methods.lpv_certificate`).
 
     Parameters
     ----------

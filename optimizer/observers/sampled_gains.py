@@ -2,8 +2,8 @@
 in the order of operations of the C.
 
 They run on numpy arrays of shape (N,), in double precision for comparison with
-`dqforge.optimizer.observers.methods.kalman_model` and
-`dqforge.optimizer.observers.methods.matsui_model`, and in single precision as the model of the
+`dqforge.optimizer.observers.models.kalman_model` and
+`dqforge.optimizer.observers.models.matsui_model`, and in single precision as the model of the
 emitted C (`observer_ekf.j2`, `observer_matsui_voltage.j2`, `observer_matsui_current.j2`).
 """
 

@@ -13,7 +13,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.transforms import Reals, park
 from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.methods.ekf_tuning import tuned_ekf, usual_noise
-from dqforge.optimizer.observers.methods.kalman_model import Ekf
+from dqforge.optimizer.observers.models.kalman_model import Ekf
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,
@@ -73,7 +73,7 @@ _P_THETA = np.float32(10.0)
 
 @dataclass(frozen=True, slots=True)
 class EkfGains:
-    """Variances of `dqforge.optimizer.observers.methods.kalman_model.Ekf` per sample, and the limit
+    """Variances of `dqforge.optimizer.observers.models.kalman_model.Ekf` per sample, and the limit
     of the speed in rad/s.
     """
 

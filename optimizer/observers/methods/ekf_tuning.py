@@ -31,7 +31,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.observers.methods.kalman_model import Ekf, ekf, run
+from dqforge.optimizer.observers.models.kalman_model import Ekf, ekf, run
 from dqforge.optimizer.observers.trials import (
     CurrentSensor,
     Trial,

@@ -8,7 +8,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.plants.drive_motion import next_flux, plants
 from dqforge.optimizer.observers.methods.injection import Injection
-from dqforge.optimizer.observers.methods.matsui_model import ObserverRun
+from dqforge.optimizer.observers.models.matsui_model import ObserverRun
 from dqforge.optimizer.observers.sampled_machine import turned
 from dqforge.optimizer.observers.trials import CurrentSensor, Trial
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.transforms import Reals, park
-from dqforge.optimizer.observers.methods.matsui_model import Matsui
+from dqforge.optimizer.observers.models.matsui_model import Matsui
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,

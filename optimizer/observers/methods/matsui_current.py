@@ -16,7 +16,7 @@ from dqforge.optimizer.observers.methods.matsui import (
     shown_gap,
     usual_matsui,
 )
-from dqforge.optimizer.observers.methods.matsui_model import Matsui, matsui
+from dqforge.optimizer.observers.models.matsui_model import Matsui, matsui
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,
@@ -29,7 +29,7 @@ from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
 @dataclass(frozen=True, slots=True)
 class MatsuiCurrentGains:
-    """`dqforge.optimizer.observers.methods.matsui_model.Matsui` of the kind ``current``.
+    """`dqforge.optimizer.observers.models.matsui_model.Matsui` of the kind ``current``.
 
     ``g_d``, ``g_q`` in V/A.
     """

@@ -17,7 +17,7 @@ from dqforge.optimizer.observers.methods.matsui import (
     shown_gap,
     usual_matsui,
 )
-from dqforge.optimizer.observers.methods.matsui_model import Matsui, matsui
+from dqforge.optimizer.observers.models.matsui_model import Matsui, matsui
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,
@@ -30,7 +30,7 @@ from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
 @dataclass(frozen=True, slots=True)
 class MatsuiVoltageGains:
-    """`dqforge.optimizer.observers.methods.matsui_model.Matsui` of the kind
+    """`dqforge.optimizer.observers.models.matsui_model.Matsui` of the kind
     ``voltage`` for the firmware.
     """
 

@@ -42,7 +42,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.observers.methods.matsui_model import ObserverRun
+from dqforge.optimizer.observers.models.matsui_model import ObserverRun
 from dqforge.optimizer.observers.sampled_machine import wrapped
 
 _LEAST = 0.005

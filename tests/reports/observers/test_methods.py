@@ -18,10 +18,10 @@ from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.plants.drive_motion import plants
 from dqforge.optimizer.observers.methods import ekf as ekf_method
 from dqforge.optimizer.observers.methods.ekf import ekf_gains
-from dqforge.optimizer.observers.methods.kalman_model import ekf
-from dqforge.optimizer.observers.methods.matsui_errors import steady_error
-from dqforge.optimizer.observers.methods.matsui_model import matsui
 from dqforge.optimizer.observers.methods.registry import METHODS
+from dqforge.optimizer.observers.models.kalman_model import ekf
+from dqforge.optimizer.observers.models.matsui_errors import steady_error
+from dqforge.optimizer.observers.models.matsui_model import matsui
 from dqforge.optimizer.observers.steady_states import steady_observer
 from dqforge.reports.observers.position_header import emitted, observer_from, plain_observer
 from dqforge.reports.run import export_design

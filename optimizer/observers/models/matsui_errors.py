@@ -7,7 +7,7 @@ state, the right frame would see
     g_gamma = dv_d - dR i_d + omega dL_q i_q
     g_delta = dv_q - dR i_q - omega (dL_d i_d + dpsi)
 
-and with psi_a, n and c = (L_d - L_q) i_q of `dqforge.optimizer.observers.methods.matsui_model`
+and with psi_a, n and c = (L_d - L_q) i_q of `dqforge.optimizer.observers.models.matsui_model`
 these pass for the errors
 
     e = (c g_delta - psi_a g_gamma)/(n omega)   of the angle, and
@@ -28,7 +28,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.observers.methods.matsui_model import Matsui, MatsuiState, step
+from dqforge.optimizer.observers.models.matsui_model import Matsui, MatsuiState, step
 from dqforge.optimizer.observers.sampled_machine import exact_entries, turned
 from dqforge.optimizer.sampled_systems import ComplexArray
 

@@ -23,7 +23,7 @@ from dqforge.optimizer.observers.methods.ekf_tuning import (
     tuned_ekf,
     usual_noise,
 )
-from dqforge.optimizer.observers.methods.kalman_model import (
+from dqforge.optimizer.observers.models.kalman_model import (
     Ekf,
     angle_error,
     correct,

@@ -13,15 +13,15 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.plants.drive_motion import plants
-from dqforge.optimizer.observers.lpv_certificate import (
+from dqforge.optimizer.observers.methods.flux import design
+from dqforge.optimizer.observers.methods.flux_gains import FluxGains
+from dqforge.optimizer.observers.methods.lpv_certificate import (
     LyapunovCertificate,
     certify_flux_observer,
     corner_parameters,
     flux_error_matrix,
     holds_exactly,
 )
-from dqforge.optimizer.observers.methods.flux import design
-from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.steady_states import steady_observer
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning

@@ -12,13 +12,13 @@ from drives import IPM
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.observers.methods.matsui_errors import (
+from dqforge.optimizer.observers.models.matsui_errors import (
     closed_form_error,
     least_speed,
     steady_error,
     with_errors,
 )
-from dqforge.optimizer.observers.methods.matsui_model import Matsui, MatsuiModel, matsui, run
+from dqforge.optimizer.observers.models.matsui_model import Matsui, MatsuiModel, matsui, run
 from dqforge.optimizer.observers.trials import simulate
 
 T_S = 200e-6

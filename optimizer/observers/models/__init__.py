@@ -1,0 +1,1 @@
+"""Machines and errors as the methods of observing the position take them."""
