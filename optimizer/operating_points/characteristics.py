@@ -10,7 +10,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
-from dqforge.optimizer.operating_points.limits.boundary import least_flux_current, make_limits
+from dqforge.optimizer.operating_points.ends_of_data.boundary import least_flux_current, make_limits
 from dqforge.optimizer.operating_points.mtpa_locus import MtpaLocus, mtpa_locus
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points

@@ -7,8 +7,12 @@ from __future__ import annotations
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.operating_points.limits.boundary import Limits, ray_angles, voltage_radius
-from dqforge.optimizer.operating_points.limits.feasible_region import FeasibleRegion, scan_region
+from dqforge.optimizer.operating_points.ends_of_data.boundary import (
+    Limits,
+    ray_angles,
+    voltage_radius,
+)
+from dqforge.optimizer.operating_points.feasible_region import FeasibleRegion, scan_region
 from dqforge.optimizer.operating_points.local_terms import (
     cross_of_gradients,
     current_terms,

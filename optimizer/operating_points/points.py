@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.operating_points.limits.data_limit import hold_by_data
+from dqforge.optimizer.operating_points.ends_of_data.data_limit import hold_by_data
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
 from dqforge.optimizer.operating_points.missed_points import missed_points, replace_missed_points
 from dqforge.optimizer.operating_points.mtpa_locus import free_locus

@@ -20,8 +20,6 @@ from drives import IPM
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.observers.methods import kalman_model as kalman
-from dqforge.optimizer.observers.methods import matsui_model as matsui_models
 from dqforge.optimizer.observers.methods import third_harmonic as third
 from dqforge.optimizer.observers.methods.ekf import ekf_gains, ekf_start, ekf_step
 from dqforge.optimizer.observers.methods.injection import injection
@@ -44,6 +42,8 @@ from dqforge.optimizer.observers.methods.tracking_steps import (
     third_harmonic_start,
     third_harmonic_step,
 )
+from dqforge.optimizer.observers.models import kalman_model as kalman
+from dqforge.optimizer.observers.models import matsui_model as matsui_models
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, cast
 from dqforge.optimizer.observers.sampled_machine import wrapped
 from dqforge.optimizer.observers.trials import CurrentSensor, Trial, simulate

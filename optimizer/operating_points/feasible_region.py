@@ -14,7 +14,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
-from dqforge.optimizer.operating_points.limits.boundary import (
+from dqforge.optimizer.operating_points.ends_of_data.boundary import (
     ANGLES,
     INSIDE,
     RAYS,

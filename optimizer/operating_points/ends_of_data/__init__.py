@@ -1,0 +1,1 @@
+"""Operating points where the data of a flux map end."""

@@ -1,1 +1,0 @@
-"""What bounds the operating points: current, voltage and the data of a flux map."""
