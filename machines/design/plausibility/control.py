@@ -1,5 +1,5 @@
 """Figures of sampling, loops, observer and bases, see
-`dqforge.machines.design.design.plausibility.design`.
+`dqforge.machines.design.plausibility.design`.
 """
 
 from __future__ import annotations

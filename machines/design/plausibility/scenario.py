@@ -1,5 +1,5 @@
 """Figures of points, simulation, waveform and choice of modulator, see
-`dqforge.machines.design.design.plausibility.design`.
+`dqforge.machines.design.plausibility.design`.
 """
 
 from __future__ import annotations
