@@ -53,7 +53,7 @@ class Modulator:
         As in a design file.
     kind:
         The rule of its zero sequence, which is written once in
-        `dqforge.machines.zero_sequence` for every kind of number.
+        `dqforge.machines.modulation.zero_sequence` for every kind of number.
     text:
         What it does, in a line.
     linear_limit:
