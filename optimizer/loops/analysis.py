@@ -210,7 +210,18 @@ def _evidence(
 
 
 def speed_settings(control: ControlSettings) -> SpeedLoopSettings:
-    """Settings of the speed loop; raises `InputError` where there are none."""
+    """Settings of the speed loop.
+
+    Parameters
+    ----------
+    control:
+        The controllers of a design.
+
+    Raises
+    ------
+    InputError
+        There is no speed loop.
+    """
     if control.speed_loop is None:
         raise InputError(
             "control.speed_loop is missing: write its method and ratio to tune the speed loop"
@@ -238,7 +249,17 @@ def speed_model(
     control: ControlSettings,
     speed_gains: tuple[float, float],
 ) -> SpeedLoop:
-    """Speed loop with gains (kp, ki) in N m s/rad and N m/rad, closed over the current loop."""
+    """Speed loop, closed over the current loop.
+
+    Parameters
+    ----------
+    machine, current_gains:
+        What turns, with its inertia, and the q axis that makes its torque.
+    control:
+        The controllers of the design.
+    speed_gains:
+        kp in N m s/rad and ki in N m/rad.
+    """
     settings = speed_settings(control)
     return speed_loop(
         winding=(machine.r_s, current_gains.inductance or machine.l_q),
