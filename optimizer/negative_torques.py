@@ -27,7 +27,7 @@ class NegativeHalf:
 def solve_negative(design: Design) -> NegativeHalf | None:
     """Reference of negative torques of a design that keeps the halves of its machine apart.
 
-    Else None.
+    None for others.
     """
     mirrored = signed_designs(design)[1]
     if mirrored is None:

@@ -44,7 +44,7 @@ def plain_design(design: Design) -> PlainData:
 def plain_flux_map(evidence: FluxEvidence) -> PlainData:
     """Fit and asymmetry of the flux map of one file, in Wb, A, N m and rad.
 
-    The asymmetry None for a half plane.
+    The asymmetry is None for a half plane.
     """
     fit, found = evidence.fit, evidence.asymmetry
     rms, most = evidence.torque_residual
@@ -60,9 +60,8 @@ def plain_flux_map(evidence: FluxEvidence) -> PlainData:
 
 
 def plain_drive(design: Design) -> PlainData:
-    """Constants of machine and inverter in SI units, whatever keys the design gave them by.
-
-    Limits and settings.
+    """Constants, limits and settings of machine and inverter in SI units, whatever keys the design
+    gave them by.
     """
     machine, inverter = design.machine, design.inverter
     return {

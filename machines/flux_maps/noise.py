@@ -90,7 +90,7 @@ def _of_neighbours(axis: FloatArray, values: FloatArray) -> float:
 def noise_of_neighbours(i_d: FloatArray, i_q: FloatArray, psi: FloatArray) -> FluxNoise | None:
     """Noise of a grid (2, M, N) by the differences of neighbours, along the axis that shows less.
 
-    Else None.
+    None otherwise.
 
     Curvature makes differences, too, most of all on coarse grids;
     it does so along one axis more than along the other.
@@ -114,7 +114,7 @@ def _without_smooth_part(i_d: FloatArray, i_q: FloatArray, values: FloatArray) -
 def noise_of_symmetry(i_d: FloatArray, i_q: FloatArray, psi: FloatArray) -> FluxNoise | None:
     """Noise of a grid (2, M, N) over a whole plane by the two halves, less their smooth difference.
 
-    Else None.
+    None otherwise.
     """
     upper = i_q > 0.0
     if np.max(np.abs(i_q + i_q[::-1])) > 1e-6 * np.max(np.abs(i_q)) or i_d.size * np.count_nonzero(
