@@ -522,6 +522,7 @@ def test_operating_points_need_the_strategy_that_they_solve(run: Run) -> None:
     )
 
 
+@pytest.mark.slow
 def test_poor_fits_are_called_so(run: Run, tmp_path: Path) -> None:
     text = catalogue.read_text(IPM).decode()
     path = tmp_path / "design.yaml"
@@ -676,6 +677,7 @@ def test_budget_of_a_fit_is_shown_with_what_was_tried(run: Run, tmp_path: Path) 
     )
 
 
+@pytest.mark.slow
 def test_simulation_with_the_emitted_controller(run: Run, tmp_path: Path) -> None:
     """The bench drive starts to 1200 rpm and turns back.
 
@@ -779,6 +781,7 @@ def test_phase_currents_of_a_salient_machine(run: Run, tmp_path: Path) -> None:
     assert "which no constant torque undercuts" in report
 
 
+@pytest.mark.slow
 def test_osqp_is_heard_on_the_terminal_in_the_report_and_in_json(run: Run, tmp_path: Path) -> None:
     entries = json.loads(run("dqy", WAVES, "--json").out)["waveforms"]["confirmations"]
     assert len(entries) == 7

@@ -121,6 +121,7 @@ def test_identifiers_are_those_of_the_figure_and_resolve(solution: Solution, nam
     assert {a or b for a, b in references} <= set(identifiers)
 
 
+@pytest.mark.slow
 def test_the_same_result_gives_the_same_bytes(solution: Solution) -> None:
     for draw, _ in FIGURES.values():
         assert to_svg(draw(solution)) == to_svg(draw(solution))

@@ -156,6 +156,7 @@ def test_more_samples_than_the_limit_are_refused(
         load_design(tmp_path / "design.yaml")
 
 
+@pytest.mark.slow
 def test_a_bar_moves_on_a_terminal(tmp_path: Path) -> None:
     save(record(4000, 7.0), tmp_path / "scope.csv")
     command = [str(Path(sys.executable).with_name("dqforge")), "bemf", str(tmp_path / "scope.csv")]

@@ -181,6 +181,7 @@ def refused(
     return shown.err
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 @pytest.mark.parametrize("name", ENTRIES)
 def test_what_is_no_such_file_is_refused_in_one_line(
@@ -195,6 +196,7 @@ def test_what_is_no_such_file_is_refused_in_one_line(
     assert entry.file in refused(entry, tmp_path, monkeypatch, capsys)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", ENTRIES)
 def test_what_exceeds_the_limit_is_refused_before_it_is_read(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -260,6 +262,7 @@ FOLDERS = ((("verify", "out"), "dqforge-manifest.json"), (("compare", "out", DRI
 """Commands that read a folder, and the file of it that they read first."""
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("content", [b"", b"\0" * 1000, b"[" * 100_000, b"{}"])
 def test_a_folder_that_holds_no_result_is_refused(
     content: bytes,
@@ -273,6 +276,7 @@ def test_a_folder_that_holds_no_result_is_refused(
         assert name in refused(Entry("out", words, 0), tmp_path, monkeypatch, capsys)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("kind", KINDS[:4], ids=lambda kind: kind.__name__)
 def test_a_folder_whose_result_is_no_file_is_refused(
     kind: Callable[[Path], None],

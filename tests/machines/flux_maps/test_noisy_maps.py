@@ -234,6 +234,7 @@ def test_what_needs_gains_refuses_to_do_without(tmp_path: Path) -> None:
         load_design(mapped_design(tmp_path, SATURATED, grid_points(SATURATED), control=text))
 
 
+@pytest.mark.slow
 def test_the_price_of_smoothing_is_told_everywhere_alike(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -561,6 +561,7 @@ def breakpoints_are_best_of_many(
     assert reached <= 1.01 * reached * min(found.fun for found in ends) + 1e-9 * size
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(("ratio", "form"), [(30.0, "torque-exact"), (3.5568, "closed-form")])
 def test_two_breakpoints_are_best_along_a_flat_valley(ratio: float, form: FitForm) -> None:
     """Degree 4: the best ends of the low places alone are 1.6 % worse."""

@@ -296,6 +296,7 @@ def exact_curve(reference: WeakeningReference, torque: SingleArray) -> FloatArra
     return np.asarray(sum(rows[:, power] * local**power for power in range(rows.shape[1])))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", QUICK)
 def test_boxes_hold_what_is_evaluated_inside_them(name: str) -> None:
     fit = fitted(name)

@@ -106,6 +106,7 @@ def test_torque_flux_and_current_stay_within_the_budget_at_random_points(name: s
     assert np.max(np.abs(error)) <= 1.03 * fit.errors.torque + 1e-6 * region.torque_max
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", ["interior", "inverse", "saturated", "pmsyrm"])
 def test_the_granted_torque_is_the_largest_that_brute_force_finds(name: str) -> None:
     fit = fitted(name)
@@ -135,6 +136,7 @@ def test_without_torque_the_weakened_current_is_the_straight_line_of_the_closed_
     assert np.max(np.abs(IPM.psi_pm + IPM.l_d * i_d - flux) / flux) <= BUDGET
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", CASES)
 def test_copper_loss_is_near_the_least(name: str) -> None:
     fit = fitted(name)

@@ -190,6 +190,7 @@ def test_refusals_of_captures(given: dict[str, Any], message: str, tmp_path: Pat
         dqforge.read_back_emf(capture_file(tmp_path / "capture.csv"), **given)
 
 
+@pytest.mark.slow
 def test_a_simulation_has_the_numbers_of_the_command(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -237,6 +237,7 @@ def random_drive(generator: np.random.Generator) -> tuple[Drive, Scenario, bytes
     return Drive(machine, Inverter(v_dc, f_s), 1.0 / f_s), scenario, gain_bytes(plain)
 
 
+@pytest.mark.slow
 def test_two_thousand_drives_off_their_data_settle(program: Simulator) -> None:
     """One program, one process: machines of 1 to 500 A and 16 to 800 V, each wrong
     by 20 % in any direction.
