@@ -139,3 +139,15 @@ def test_a_lyapunov_matrix_needs_its_solver(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setitem(sys.modules, "cvxpy", None)
     with pytest.raises(InputError, match="needs cvxpy and clarabel"):
         common_lyapunov(matrices, 0.9)
+
+
+def test_where_two_conditions_may_hold_and_neither_is_solved_the_torque_still_stands(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    task, interval = interval_of(CHOICE)
+    monkeypatch.setattr(Task, "conditions", lambda *_: ["loss", "voltage"])
+    monkeypatch.setattr(current_reference, "newton", no_division)
+    bounds, may_fall = current_reference._bounds(task, interval, np.zeros(6))
+    assert np.isfinite(bounds[2])
+    assert np.all(np.isinf(bounds[[0, 1]]))
+    assert may_fall
