@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
@@ -29,6 +30,20 @@ class VoltageLimit:
     v_dc: float
     margin: float
     v_max: float
+
+
+@dataclass(frozen=True, slots=True)
+class DrivePoints:
+    """Operating points with their losses, all arrays of shape (N,).
+
+    ``power`` is the mechanical power in W, negative where the machine brakes; ``efficiency`` as
+    `efficiency` defines it, NaN without power.
+    """
+
+    points: OptimalPoints
+    losses: DriveLosses
+    power: FloatArray
+    efficiency: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +115,47 @@ def efficiency(power: FloatArray, loss: FloatArray) -> FloatArray:
     return np.where(useful, given_out / np.where(useful, put_in, 1.0), np.nan)
 
 
+def drive_points(
+    machine: Machine,
+    inverter: Inverter,
+    limit: VoltageLimit,
+    torque: ArrayLike,
+    omega_m: ArrayLike,
+    i_max: float,
+    *,
+    loss: LossCoefficients | None = None,
+    extra: MachineLoss = NO_EXTRA_LOSS,
+) -> DrivePoints:
+    """Least-loss points with the losses of the drive at them.
+
+    Parameters
+    ----------
+    machine, inverter, limit:
+        The drive, and the voltage limit of its modulator.
+    torque, omega_m:
+        Torques in N m and mechanical speeds in rad/s of any sign; shapes that broadcast to (N,).
+    i_max:
+        Current limit in A (peak).
+    loss:
+        What is minimised, from `loss_coefficients` at the speeds; copper loss when None.
+    extra:
+        AC copper and iron loss, counted in the losses; ``loss`` says whether they are minimised,
+        too.
+    """
+    points = optimal_points(machine, torque, omega_m, v_max=limit.v_max, i_max=i_max, loss=loss)
+    losses = drive_losses(
+        machine,
+        inverter,
+        points.i_d,
+        points.i_q,
+        points.omega_m,
+        modulation=limit.modulation,
+        extra=extra,
+    )
+    power = np.asarray(points.torque * points.omega_m)
+    return DrivePoints(points, losses, power, efficiency(power, losses.total))
+
+
 def operating_map(
     machine: Machine,
     inverter: Inverter,
@@ -129,19 +185,9 @@ def operating_map(
         too.
     """
     wanted, speed = np.meshgrid(torque, omega_m, indexing="ij")
-    points = optimal_points(machine, wanted, speed, v_max=limit.v_max, i_max=i_max, loss=loss)
-    losses = drive_losses(
-        machine,
-        inverter,
-        points.i_d,
-        points.i_q,
-        points.omega_m,
-        modulation=limit.modulation,
-        extra=extra,
-    )
-    share = efficiency(points.torque * points.omega_m, losses.total)
-    share = np.where(points.reached, share, np.nan).reshape(wanted.shape)
-    return OperatingMap(torque, omega_m, points, losses, share)
+    found = drive_points(machine, inverter, limit, wanted, speed, i_max, loss=loss, extra=extra)
+    share = np.where(found.points.reached, found.efficiency, np.nan).reshape(wanted.shape)
+    return OperatingMap(torque, omega_m, found.points, found.losses, share)
 
 
 def fastest_speed(

@@ -4,8 +4,6 @@ beside the alternatives.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.certificates.current_reference import certify
 from dqforge.optimizer.current_reference.alternatives import alternatives
@@ -14,15 +12,11 @@ from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.field_weakening.solve import solve_weakening
 from dqforge.optimizer.negative_torques import solve_negative
 from dqforge.optimizer.operating_points.solve import current_choice
-from dqforge.reports.current_reference.plain import plain_fit, plain_negative
 from dqforge.reports.current_reference.tables import fit_tables, negative_tables
-from dqforge.reports.field_weakening.plain import plain_weakening_fit
 from dqforge.reports.field_weakening.tables import weakening_tables
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from dqforge.reports.session.references import Fit
 
 
 def answer_fit(design: Design) -> Answer:
@@ -39,19 +33,10 @@ def answer_fit(design: Design) -> Answer:
     stage("fitting the further references")
     negative, weakening = solve_negative(design), solve_weakening(design)
 
-    def figure() -> Figure:
-        from dqforge.reports.current_reference.figures import plot_fit
-
-        return plot_fit(positive, found)
-
     tables = [
         *fit_tables(design, found, rows, chosen.trials, proof, chosen.data),
         *negative_tables(negative),
         *weakening_tables(weakening),
     ]
-    plain = {
-        "fit": plain_fit(found, rows, chosen.trials, proof, chosen.data),
-        **plain_negative(negative),
-        "weakening": plain_weakening_fit(weakening),
-    }
-    return Answer(design.name, tables, plain, figure)
+    answer = Fit(design, chosen, rows, negative, weakening, proof)
+    return Answer(design.name, tables, answer.plain(), answer.figure)

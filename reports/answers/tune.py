@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from typing import TYPE_CHECKING
-
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.solve import solve_fixed
 from dqforge.optimizer.observers.proof import prove
-from dqforge.reports.control.fixed_header import plain_fixed_evidence
 from dqforge.reports.control.fixed_tables import control_fixed_tables
-from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.loops.tables import gains_tables
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
-from dqforge.reports.plain_data import PlainData
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from dqforge.reports.session.control import Tuning
 
 
 def answer_tune(design: Design) -> Answer:
@@ -29,17 +21,6 @@ def answer_tune(design: Design) -> Answer:
     fixed = solve_fixed(design, gains)
     stage("proving the observer")
     proof = prove(gains.position)
-
-    def figure() -> Figure:
-        from dqforge.reports.loops.figures import plot_gains
-
-        return plot_gains(gains)
-
-    plain: PlainData = {"gains": plain_gains(design, gains)}
-    if proof is not None:
-        plain["observer_proof"] = asdict(proof)
-    if fixed:
-        evidence = {fit.control.format: plain_fixed_evidence(fit) for fit in fixed}
-        plain["control_fixed"] = evidence
     tables = [*gains_tables(design, gains, proof), *control_fixed_tables(fixed)]
-    return Answer(design.name, tables, plain, figure)
+    found = Tuning(design, gains, fixed, proof)
+    return Answer(design.name, tables, found.plain(), found.figure)

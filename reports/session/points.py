@@ -14,13 +14,12 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.operating_points import characteristics as of_machines
 from dqforge.optimizer.operating_points.drive_points import (
     DriveMap,
-    DrivePoints,
     LimitedDrive,
     Objective,
     map_within,
     points_within,
 )
-from dqforge.optimizer.operating_points.operating_map import VoltageLimit
+from dqforge.optimizer.operating_points.operating_map import DrivePoints, VoltageLimit
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.reports.operating_points.map_tables import plain_map
 from dqforge.reports.plain_data import PlainData
