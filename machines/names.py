@@ -18,6 +18,34 @@ MachineModel = Literal["linear", "flux-map", "saturation", "waveform"]
 OpenPhase = Literal["a", "b", "c"]
 
 
+Topology = Literal[
+    "three-wire",
+    "four-leg",
+    "split-capacitor",
+    "diode-neutral",
+    "six-leg",
+    "six-leg-isolated",
+]
+
+
+CurrentFrame = Literal["dq", "dqx", "dqy", "table"]
+
+"""Where the references of a phase machine are constant and its integrators live: in dq0 with
+sinusoidal references (``dq``), in dqx or dqy of paper 002, or in dq0 with references from a table
+of the back-EMF over the angle (``table``)."""
+
+
+Feedforward = Literal["references", "emf", "measured", "none"]
+
+"""What a current controller of a phase machine adds to its PI: the whole voltage of the
+references, the back-EMF alone, the back-EMF and the coupling of measured currents, or nothing."""
+
+
+AxisGainRule = Literal["own", "one"]
+
+"""Whether each axis has gains for its own inductance, or all axes those of d and q."""
+
+
 WaveformForm = Literal["cheapest", "table", "harmonics"]
 
 

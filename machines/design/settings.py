@@ -9,9 +9,12 @@ from dqforge.machines.losses.mission import Mission
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import (
     SPEED_OBSERVER,
+    AxisGainRule,
     BreakpointMode,
     Core,
+    CurrentFrame,
     CurrentLoopMethod,
+    Feedforward,
     FitForm,
     FitMethod,
     ModulationName,
@@ -114,7 +117,9 @@ class CurrentLoopSettings:
     in V/A and ``ki`` in V/(A s) are for the method ``given`` (both axes). ``q_formats`` are the
     fractional bits (kp, ki t_s) of the per-unit integers, if asked; ``auto`` takes those that use
     16 bits best. ``max_sensitivity`` bounds M_s of the method ``optimised``. With ``schedule`` the
-    gains follow the inductances of a machine that saturates.
+    gains follow the inductances of a machine that saturates. The others are for machines whose
+    back-EMF is not sinusoidal: ``frame`` None for the one that the machine asks for,
+    ``feedforward``, ``axis_gains`` and whether ``harmonic_integrators`` run.
     """
 
     method: CurrentLoopMethod = "magnitude-optimum"
@@ -127,6 +132,10 @@ class CurrentLoopSettings:
     q_formats: QFormats | None = None
     max_sensitivity: float = 1.6
     schedule: bool = False
+    frame: CurrentFrame | None = None
+    feedforward: Feedforward = "references"
+    axis_gains: AxisGainRule = "own"
+    harmonic_integrators: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.names import Topology
 
 if TYPE_CHECKING:
     from dqforge.machines.devices.device import DeviceModel
-
-
-Topology = Literal["three-wire", "four-leg", "split-capacitor", "diode-neutral", "six-leg"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +32,14 @@ class Inverter:
         Largest permitted current in A (peak), or None when only the machine limits it.
     device_model:
         The tables that `device` was made from, where the design names some.
+    topology:
+        How the phases are fed; `TOPOLOGIES` has the rules.
     capacitor_esr:
         Series resistance of the DC-link capacitor in Ohm at the carrier frequency.
+    neutral_inductance:
+        Inductance in H of a choke in the neutral conductor; 0 without one.
+    midpoint_capacitance:
+        Both halves of a split link together, C_1 + C_2 in F; None for a link that is not split.
     """
 
     v_dc: float
@@ -47,3 +51,5 @@ class Inverter:
     topology: Topology = "three-wire"
     device_model: DeviceModel | None = None
     capacitor_esr: float = 0.0
+    neutral_inductance: float = 0.0
+    midpoint_capacitance: float | None = None

@@ -226,6 +226,12 @@ SmallShare = Annotated[Quantity, QuantityRule("number", 1e-6, 0.2)]
 MutualInductance = Annotated[Quantity, QuantityRule("inductance", -10.0, 10.0)]
 
 
+ChokeInductance = Annotated[Quantity, QuantityRule("inductance", 1e-9, 10.0)]
+
+
+Capacitance = Annotated[Quantity, QuantityRule("capacitance", 1e-8, 10.0)]
+
+
 Angle = Annotated[Quantity, QuantityRule("angle", -6.2831853071795865, 6.2831853071795865)]
 
 

@@ -30,6 +30,7 @@ _ORIGIN_KEYS = ("source", "inferred", "note")
 _USUAL_UNITS = {
     "resistance": ("mOhm", "uOhm"),
     "inductance": ("uH", "mH"),
+    "capacitance": ("uF", "mF"),
     "flux": ("mWb",),
     "back-emf": ("V/krpm",),
     "time": ("us", "ns"),

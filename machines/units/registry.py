@@ -216,6 +216,7 @@ _LINE_KINDS = {
 DIMENSIONS: dict[str, Dimension] = {
     "resistance": Dimension("a resistance", "Ohm", "ohm", "2 mOhm"),
     "inductance": Dimension("an inductance", "H", "henry", "1.61 mH"),
+    "capacitance": Dimension("a capacitance", "F", "farad", "4.7 mF"),
     "flux": Dimension(
         "a flux linkage",
         "Wb",

@@ -13,8 +13,8 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import WaveformSettings
-from dqforge.machines.devices.inverter import Topology
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import (
     AnyPhaseMachine,

@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.devices.inverter import Topology
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 
 OpenPhase = Literal["a", "b", "c"]

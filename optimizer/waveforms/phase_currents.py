@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.devices.inverter import Topology
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.transforms import DOUBLES, park_inverse
@@ -77,8 +77,8 @@ def bus_demand(voltages: FloatArray, topology: Topology) -> FloatArray:
     """Least dc-link voltage in V, shape (...), for phase voltages in V, shape (..., 3, N).
 
     Three-wire: the largest difference between two phases. Four-leg: that, and the largest phase
-    voltage. Split capacitor: twice the largest phase voltage. Six-leg: the largest phase voltage.
-    Diode neutral: as three-wire.
+    voltage. Split capacitor: twice the largest phase voltage. Six-leg: the largest phase voltage;
+    isolated, of each link: half the largest difference. Diode neutral: as three-wire.
     """
     size = np.max(np.abs(voltages), axis=(-2, -1))
     between = np.max(np.max(voltages, axis=-2) - np.min(voltages, axis=-2), axis=-1)
@@ -91,6 +91,8 @@ def bus_demand(voltages: FloatArray, topology: Topology) -> FloatArray:
             return np.asarray(2.0 * size)
         case "six-leg":
             return np.asarray(size)
+        case "six-leg-isolated":
+            return np.asarray(0.5 * between)
 
 
 def dq_waveform(i_d: float, i_q: float, angles: int) -> FloatArray:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.devices.inverter import Topology
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.waveforms.constraint_rows import OpenPhase
 

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.devices.inverter import Topology
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import (
     MIDDLE,
     OFFSETS,

@@ -39,7 +39,10 @@ from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import (
     OBSERVER_KEYS,
     SPEED_OBSERVER,
+    AxisGainRule,
+    CurrentFrame,
     CurrentLoopMethod,
+    Feedforward,
     ObserverMethodName,
     ObserverTuningName,
     SpeedLoopMethod,
@@ -91,6 +94,33 @@ class CurrentLoopSection(Section):
     schedule: bool = Field(
         default=_CURRENT.schedule,
         description="gains over the current, for machines that saturate: a header of its own",
+    )
+    frame: CurrentFrame | None = Field(
+        default=_CURRENT.frame,
+        description=(
+            "for machines of model: waveform: dq (sinusoidal references), dqx, dqy, or table "
+            "(references over the angle); default: what the machine asks for"
+        ),
+    )
+    feedforward: Feedforward = Field(
+        default=_CURRENT.feedforward,
+        description=(
+            "for machines of model: waveform, what is added to the PI: references (their whole "
+            "voltage), emf, measured (back-EMF, and coupling of measured currents) or none"
+        ),
+    )
+    axis_gains: AxisGainRule = Field(
+        default=_CURRENT.axis_gains,
+        description=(
+            "for machines of model: waveform: own gains for the zero-sequence axis, or one set"
+        ),
+    )
+    harmonic_integrators: bool = Field(
+        default=_CURRENT.harmonic_integrators,
+        description=(
+            "for machines of model: waveform: integrators that turn with the harmonics of dead "
+            "time and back-EMF"
+        ),
     )
 
 

@@ -8,10 +8,12 @@ from pydantic import Field
 
 from dqforge.machines.design.reading import Reading
 from dqforge.machines.devices.device import DeviceModel
-from dqforge.machines.devices.inverter import Inverter, Topology
+from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.devices.sections import DeviceEntry, DeviceReference, DeviceSection
 from dqforge.machines.devices.switch import SwitchDevice
 from dqforge.machines.entries.kinds import (
+    Capacitance,
+    ChokeInductance,
     DeadTime,
     OnResistance,
     PhaseCurrent,
@@ -23,6 +25,7 @@ from dqforge.machines.entries.kinds import (
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_yaml import YamlDocument
+from dqforge.machines.names import Topology
 from dqforge.machines.places import KeyPath, about
 from dqforge.machines.units.quantities import format_quantity
 
@@ -31,7 +34,13 @@ class InverterSection(Section):
     """The inverter."""
 
     topology: Topology = Field(
-        default="three-wire", description="three-wire: two-level bridge, star point not connected"
+        default="three-wire",
+        description=(
+            "three-wire: two-level bridge, star point not connected; four-leg: the neutral on a "
+            "leg of its own; six-leg: a full bridge per phase on a common link; "
+            "six-leg-isolated: both ends on links of their own, no zero-sequence current; "
+            "split-capacitor, diode-neutral: the neutral between two capacitors or two diodes"
+        ),
     )
     v_dc: Voltage = Field(description="DC-link voltage (V)")
     switching_frequency: Rate = Field(description="carrier frequency (Hz)")
@@ -50,6 +59,13 @@ class InverterSection(Section):
         description=(
             "series resistance of the DC-link capacitor (Ohm) for loss maps and missions; default 0"
         ),
+    )
+    neutral_inductance: ChokeInductance | None = Field(
+        default=None, description="choke in the neutral of four legs (H); default: none"
+    )
+    midpoint_capacitance: Capacitance | None = Field(
+        default=None,
+        description="both halves of a split link together, C_1 + C_2 (F), for split-capacitor",
     )
     device: DeviceEntry | None = Field(
         default=None,
@@ -254,6 +270,8 @@ def read_inverter(section: InverterSection, machine_limit: float, reading: Readi
         topology=section.topology,
         device_model=model,
         capacitor_esr=si_of(section.capacitor_esr) or 0.0,
+        neutral_inductance=si_of(section.neutral_inductance) or 0.0,
+        midpoint_capacitance=si_of(section.midpoint_capacitance),
     )
 
 

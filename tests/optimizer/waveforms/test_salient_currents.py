@@ -12,9 +12,9 @@ from scipy.optimize import minimize
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import WaveformSettings
-from dqforge.machines.devices.inverter import Topology
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, between
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.operating_points.mtpa import mtpa_at_current, mtpa_currents

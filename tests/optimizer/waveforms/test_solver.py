@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.devices.inverter import Topology
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.waveforms.constraint_rows import LIMITS, WaveformLimits
 from dqforge.optimizer.waveforms.phase_currents import bus_demand, unit_currents

@@ -1,0 +1,1 @@
+"""Ways to feed the three phases: legs, neutral, voltages that can be made, duty cycles."""

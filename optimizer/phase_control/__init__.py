@@ -1,0 +1,1 @@
+"""Current control of machines with any back-EMF on any topology: gains, tables, stability."""

@@ -1,0 +1,1 @@
+"""Control functions for machines with any back-EMF on any topology: C, model, tables."""
