@@ -20,6 +20,7 @@ from dqforge.machines.phase_machines.salient_phase_machine import (
     AnyPhaseMachine,
     SalientPhaseMachine,
 )
+from dqforge.machines.topologies.regions import sine_share
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.operating_points.characteristics import limit_speed
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
@@ -150,9 +151,8 @@ def operating_point(design: Design, settings: WaveformSettings) -> tuple[float, 
         )
     if omega_m is None:
         i_d, i_q = (np.array([current]) for current in _dq_currents(design, torque))
-        omega_m = float(
-            limit_speed(design.machine, i_d, i_q, design.inverter.v_dc / math.sqrt(3.0))[0]
-        )
+        volts = design.inverter.v_dc * sine_share(design.inverter.topology)
+        omega_m = float(limit_speed(design.machine, i_d, i_q, volts)[0])
     return torque, omega_m
 
 
