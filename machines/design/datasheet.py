@@ -319,7 +319,7 @@ def back_emf_warning(
 ) -> str:
     """Sentence on a back-EMF above the DC link at the largest speed (rad/s), or an empty text."""
     phase = pole_pairs * omega_m_max * psi_pm
-    if not TOPOLOGIES[topology].modulated:
+    if TOPOLOGIES[topology].between != 1.0:  # not the difference of two phases limits
         most = sine_share(topology) * v_dc
         if phase <= most:
             return ""

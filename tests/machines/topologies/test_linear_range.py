@@ -103,7 +103,7 @@ def test_back_emf_above_what_the_topology_makes_is_remarked() -> None:
     # 2 pole pairs, 0.3 Wb, 200 rad/s: 120 V of a phase, 208 V between two.
     cases: tuple[tuple[Topology, float, str], ...] = (
         ("three-wire", 200.0, "between two terminals"),
-        ("four-leg", 200.0, "that four-leg makes"),
+        ("four-leg", 200.0, "between two terminals"),
         ("six-leg", 110.0, "above the 110 V that six-leg makes"),
         ("split-capacitor", 230.0, "above the 115 V that split-capacitor makes"),
     )
