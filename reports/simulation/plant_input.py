@@ -19,6 +19,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.plants.scenario import ControlMode, Profile, Scenario
+from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.reports.simulation.phase_plant_input import (
     duty_table,
     emf_table,
@@ -301,6 +302,8 @@ def sub_steps(drive: Drive, scenario: Scenario) -> int:
     rate = max(machine.r_s * (1.0 + scenario.errors.r_s) / _least_inductance(drive), turning)
     dead_time = drive.inverter.dead_time if scenario.dead_time is None else scenario.dead_time
     least = _DEAD_STEPS if dead_time > 0.0 else _LEAST_STEPS
+    if drive.phases is not None and len(TOPOLOGIES[drive.inverter.topology].legs) > 3:
+        least *= 2  # a current meets two legs
     return int(min(max(math.ceil(rate * drive.t_s / _RELATIVE_STEP), least), _MOST_STEPS))
 
 
