@@ -74,7 +74,7 @@ class SampledDrive:
         resistance, l_d, l_q, _, gain = self.plant
         pieces = 1 if l_d == l_q else FINE
         part = self.control.t_s / pieces
-        linked: Real = self.inductance(self.theta) @ self.currents
+        linked: Any = np.asarray(self.inductance(self.theta) @ self.currents)
         for piece in range(pieces):
             # Flux linkages by the exact exponential of the winding held at the middle angle.
             inverse = np.linalg.inv(self.inductance(self.theta + self.omega * part * (piece + 0.5)))
@@ -90,7 +90,7 @@ class SampledDrive:
                 force[:3] -= np.mean(force[:3])
             state = np.append(linked, self.midpoint)[:size]
             linked_state = _held(slope, force, state, part)
-            linked = np.asarray(linked_state[:3], dtype=np.float64)
+            linked = linked_state[:3]
             if self.split:
                 self.midpoint = float(linked_state[3])
         self.theta += self.omega * self.control.t_s
@@ -110,8 +110,8 @@ class SampledDrive:
             slope[phase] = (np.append(row, row[0])[node + 1] - row[node]) / grid[1]
         return value, slope
 
-    def frame(self, theta: float) -> tuple[Real, float]:
-        """Unit vectors of dqx or dqy in rows, in alpha, beta, 0 power-invariant, and a."""
+    def frame(self, theta: float) -> tuple[Real, Real]:
+        """Unit vectors of dqx or dqy in rows, in alpha, beta, 0 power-invariant, and a of each."""
         flux = ROOTS * to_axes(self.shape(theta)[0])
         q = np.array([flux[0], flux[1], 0.0])
         if self.control.frame == "dqy":
@@ -119,7 +119,10 @@ class SampledDrive:
         d = np.array([-flux[1], flux[0], 0.0])
         axes = np.stack([d / np.linalg.norm(d), q / np.linalg.norm(q), np.zeros(3)])
         axes[2] = np.cross(axes[0], axes[1]) if self.control.frame == "dqy" else [0.0, 0.0, 1.0]
-        return axes, float(1.0 / np.linalg.norm(q))
+        a = np.ones(3) / np.linalg.norm(q)
+        if self.control.frame == "dqx":
+            a[2] = 1.0
+        return axes, a
 
     def compute(self) -> Real:
         """Phase voltages of the control for the currents of now."""
@@ -132,10 +135,12 @@ class SampledDrive:
             error[2] = 0.0
         middle = self.theta + 1.5 * self.omega * t_s
         kp, ki = (np.array([getattr(g, name) for g in control.gains]) for name in ("kp", "ki"))
-        voltage = self.gained(kp, error) + self.integrated(self.gained(ki, error), middle)
+        voltage = self.gained(kp, error) + self.integrated(ki, error, middle)
         if control.feedforward == "measured":
             voltage += self.coupled(seen, middle)
         voltage += self.harmonics(error)
+        if self.split and control.midpoint is not None and control.feedforward == "references":
+            voltage[2] -= control.r_s * control.midpoint.balance * self.midpoint
         if not self.neutral:
             voltage[2] = 0.0
         phases = to_phases(voltage)
@@ -148,18 +153,19 @@ class SampledDrive:
         plane = (gains[0] * rotor.real + 1j * gains[1] * rotor.imag) * turn
         return np.array([plane.real, plane.imag, gains[2] * error[2]])
 
-    def integrated(self, slope: Real, middle: float) -> Real:
-        """Voltage of the integrators after one step by ``slope`` in V/s."""
+    def integrated(self, gains: Real, error: Real, middle: float) -> Real:
+        """Voltage of the integrators after one step, gains in V/(A s) on the axes of the frame."""
         t_s = self.control.t_s
         if self.control.frame in ("dq", "table"):
-            rotor = (slope[0] + 1j * slope[1]) * np.exp(-1j * self.theta)
-            self.integral = self.integral + t_s * np.array([rotor.real, rotor.imag, slope[2]])
+            rotor = (error[0] + 1j * error[1]) * np.exp(-1j * self.theta)
+            seen = np.array([rotor.real, rotor.imag, error[2]])
+            self.integral = self.integral + t_s * gains * seen
             plane = (self.integral[0] + 1j * self.integral[1]) * np.exp(1j * middle)
             return np.array([plane.real, plane.imag, self.integral[2]])
         axes, factor = self.frame(self.theta)
-        self.integral = self.integral + t_s * axes @ (ROOTS * slope) / factor
+        self.integral = self.integral + t_s * gains * (axes @ (ROOTS * error)) / factor
         axes, factor = self.frame(middle)
-        return np.asarray(axes.T @ self.integral * factor / ROOTS)
+        return np.asarray(axes.T @ (self.integral * factor) / ROOTS)
 
     def coupled(self, seen: Real, middle: float) -> Real:
         """Coupling of the currents by the turning frame, by a difference of its axes."""
@@ -172,10 +178,10 @@ class SampledDrive:
         small = 1e-7
         (axes, a), (later, a_later) = self.frame(self.theta), self.frame(self.theta + small)
         held = axes @ (ROOTS * seen) / a  # what stands still in the frame
-        change = (later.T @ held * a_later - axes.T @ held * a) / small
+        change = (later.T @ (held * a_later) - axes.T @ (held * a)) / small
         voltage = self.omega * np.array([l_d, l_d, l_0]) * change
         there, a_there = self.frame(middle)
-        return np.asarray(there.T @ (axes @ voltage) * a_there / a / ROOTS)
+        return np.asarray(there.T @ (axes @ voltage * a_there / a) / ROOTS)
 
     def harmonics(self, error: Real) -> Real:
         """Voltage of the harmonic integrators."""
@@ -195,10 +201,9 @@ class SampledDrive:
             share = abs(m * self.omega) / (2.0 * np.pi) / end
             weight = 1.0 if share < 0.8 else max(0.0, (1.0 - share) / 0.2)
             turn = np.exp(1j * m * self.theta)
-            r = self.learned.get((name, m), 0.0) + (
-                control.harmonics.rate * control.t_s * weight * of / turn
-            )
-            self.learned[name, m] = complex(r)
+            r = self.learned.get((name, m), 0.0)
+            learns = control.harmonics.rate * control.t_s * weight
+            self.learned[name, m] = complex(r + learns * of / turn)
             lead = np.exp(1.5j * m * self.omega * control.t_s)
             inverse = kp + (control.r_s + 1j * m * self.omega * inductance) * lead
             voltage = weight * r * inverse * turn

@@ -29,9 +29,10 @@ class FrameMotion:
     axes:
         Unit vectors of the frame's axes in rows, in d, q and 0 of the rotor; shape (K, 3, 3).
     factor:
-        What quantities in the frame are divided by, shape (K,); known up to a constant.
+        What quantities on each axis are divided by, shape (K, 3), known up to a constant; the zero
+        sequence of dqx is left as it is.
     growth:
-        Its relative derivative by the angle in 1/rad, shape (K,).
+        Its relative derivative by the angle in 1/rad, shape (K, 3).
     turning:
         Omega, by which the axes turn in the stator per radian, in d, q and 0; shape (K, 3).
     """
@@ -84,7 +85,7 @@ def frame_motion(frame: CurrentFrame, shape: PhaseShape, theta: FloatArray) -> F
     upright[:, 2] = 1.0
     if frame in ("dq", "table"):
         same = np.tile(np.eye(3), (count, 1, 1))
-        return FrameMotion(same, np.ones(count), np.zeros(count), upright)
+        return FrameMotion(same, np.ones((count, 3)), np.zeros((count, 3)), upright)
     flux, slope = (TO_AXES @ part for part in shape_at(shape, theta))
     size = np.hypot(flux[0], flux[1])
     size_rate = (flux[0] * slope[0] + flux[1] * slope[1]) / size
@@ -101,15 +102,19 @@ def frame_motion(frame: CurrentFrame, shape: PhaseShape, theta: FloatArray) -> F
     across = np.stack([-along[:, 1], along[:, 0], np.zeros(count)], axis=1)
     turning = turn[:, np.newaxis] * upright
     if frame == "dqx":
+        scaled = np.array([1.0, 1.0, 0.0])
         return FrameMotion(
-            np.stack([across, along, upright], axis=1), 1.0 / size, -size_rate / size, turning
+            np.stack([across, along, upright], axis=1),
+            (1.0 / size)[:, np.newaxis] ** scaled,
+            (-size_rate / size)[:, np.newaxis] * scaled,
+            turning,
         )
     whole = np.hypot(size, flux[2])
     lift = (size * slope[2] - flux[2] * size_rate) / whole**2
     q = (size[:, np.newaxis] * along + flux[2][:, np.newaxis] * upright) / whole[:, np.newaxis]
     return FrameMotion(
         np.stack([across, q, np.cross(across, q)], axis=1),
-        1.0 / whole,
-        -(size * size_rate + flux[2] * slope[2]) / whole**2,
+        np.tile((1.0 / whole)[:, np.newaxis], 3),
+        np.tile((-(size * size_rate + flux[2] * slope[2]) / whole**2)[:, np.newaxis], 3),
         turning - lift[:, np.newaxis] * across,
     )

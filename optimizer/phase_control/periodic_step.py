@@ -15,7 +15,7 @@ voltage stands still in the stator while the rotor turns on by omega T_s.
 
     plant        L di/dt = u - R i - omega J L i per axis, exactly over a period; a split link
                  besides C dv_m/dt = 3 i_0, L_0 di_0/dt = u_0 - R i_0 - v_m, u_0 = v_0 + v_m[k-1]
-    controller   u[k+1] = v(kp e, I[k], harmonic integrators, coupling of measured currents),
+    controller   u[k+1] = kp e + I[k] + harmonic integrators + coupling of measured currents,
                  e = -i (on the 0 axis of a split link less balance times v_m)
 
 The voltage limit, the fading of the references and what rests at large errors have no part in it.
@@ -35,6 +35,9 @@ from dqforge.optimizer.phase_control.phase_controller import HarmonicGains, Phas
 
 FADES_FROM = 0.8
 """Share of ``frequency_max`` from which on a harmonic integrator fades."""
+
+SCALE = np.array([POWER_INVARIANT, POWER_INVARIANT, np.sqrt(3.0)])
+"""Power-invariant over amplitude-invariant quantity on d, q and 0."""
 
 ADVANCE = 1.5
 """Sampling periods from the sample to the middle of what its voltage does."""
@@ -202,55 +205,61 @@ def controller_rows(
     error[:, state.currents] = -np.eye(axes)
     if state.midpoint and control.midpoint is not None:
         error[2, axes] = -control.midpoint.balance
-    gains = control.gains[:axes]
-    inward = _scaled(here, axes) / here.factor[:, np.newaxis, np.newaxis]
-    outward = np.swapaxes(_scaled(ahead, axes, inverse=True), 1, 2)
-    outward = _turned(ADVANCE * step, axes) @ outward * ahead.factor[:, np.newaxis, np.newaxis]
+    kp, ki = (
+        np.array([[getattr(gain, name)] for gain in control.gains[:axes]]) for name in ("kp", "ki")
+    )
+    inward, outward = _into(here, axes), _turned(ADVANCE * step, axes) @ _out_of(ahead, axes)
     rows = np.zeros((theta.size, state.size - own, state.size))
-    integral = inward @ (t_s * np.array([[gain.ki] for gain in gains]) * error)
+    integral = t_s * ki * (inward @ error)
     integral[:, :, state.integrators] += np.eye(axes)
     rows[:, axes : 2 * axes] = integral
-    voltage = np.array([[gain.kp] for gain in gains]) * error + outward @ integral
+    voltage = kp * error + outward @ integral
     if control.feedforward == "measured":
-        voltage[:, :, state.currents] += omega_e * outward @ inward @ _coupling(control, here, axes)
+        coupled = omega_e * outward @ inward @ _coupling(control, here, axes)
+        voltage[:, :, state.currents] += coupled
     if state.midpoint:
-        voltage[:, 2, axes] += 1.0
+        # The duty cycles make up for the midpoint that is measured; the references' voltage has
+        # the resistance of the balancing current.
+        resistance = control.r_s if control.feedforward == "references" else 0.0
+        voltage[:, 2, axes] += 1.0 + resistance * error[2, axes]
     for place, (order, weight) in enumerate(state.plane + state.zero):
         plane = place < len(state.plane)
         at, picked = state.harmonic(place), slice(0, 2) if plane else slice(2, 3)
         seen = error[picked] if plane else np.vstack([error[picked], np.zeros(state.size)])
         assert control.harmonics is not None
+        acts = _complex(weight * _inverse_plant(control, order, omega_e, plane=plane))
+        voltage[:, picked, at] += acts if plane else acts[:1]
         held = control.harmonics.rate * t_s * weight * seen
         held[:, at] += np.eye(2)
-        acts = _complex(weight * _inverse_plant(control, order, omega_e, plane=plane)) @ held
-        voltage[:, picked] += acts if plane else acts[:1]
         rows[:, slice(at.start - own, at.stop - own)] = _turns((order - plane) * step) @ held
     rows[:, :axes] = _turned(-step, axes) @ voltage
     return rows
 
 
-def _scaled(motion: FrameMotion, axes: int, *, inverse: bool = False) -> FloatArray:
-    """Unit vectors of a frame as they act on amplitude-invariant quantities, shape (K, axes,
-    axes); the transpose of the inverse leads back.
-    """
-    scale = np.array([POWER_INVARIANT, POWER_INVARIANT, np.sqrt(3.0)])[:axes]
-    matrix = motion.axes[:, :axes, :axes]
-    return np.asarray(matrix / scale if inverse else matrix * scale)
+def _into(motion: FrameMotion, axes: int) -> FloatArray:
+    """From amplitude-invariant d, q and 0 into a frame, over its factors; shape (K, axes, axes)."""
+    matrix = motion.axes * SCALE / motion.factor[:, :, np.newaxis]
+    return np.asarray(matrix[:, :axes, :axes])
+
+
+def _out_of(motion: FrameMotion, axes: int) -> FloatArray:
+    """The inverse of `_into`, shape (K, axes, axes)."""
+    matrix = np.swapaxes(motion.axes / SCALE * motion.factor[:, :, np.newaxis], 1, 2)
+    return np.asarray(matrix[:, :axes, :axes])
 
 
 def _coupling(control: PhaseControl, motion: FrameMotion, axes: int) -> FloatArray:
     """Voltage over electrical speed that currents at rest in the frame induce, in H, on d, q and 0:
     L (a'/a + Omega x) + (J L - L J), the last bracket of the saliency that turns; (K, axes, axes).
     """
-    scale = np.array([POWER_INVARIANT, POWER_INVARIANT, np.sqrt(3.0)])
     x, y, z = motion.turning.T
     nil = np.zeros_like(x)
     cross = np.moveaxis(np.array([[nil, -z, y], [z, nil, -x], [-y, x, nil]]), -1, 0)
-    cross = cross * scale / scale[:, np.newaxis]
+    cross = cross * SCALE / SCALE[:, np.newaxis]
     inductance = np.diag(control.inductances)
     salient = np.zeros((3, 3))
     salient[0, 1] = salient[1, 0] = control.inductances[0] - control.inductances[1]
-    grown = motion.growth[:, np.newaxis, np.newaxis] * np.eye(3)
+    grown = np.swapaxes(motion.axes, 1, 2) @ (motion.growth[:, :, np.newaxis] * motion.axes)
     return np.asarray((inductance @ (grown + cross) + salient)[:, :axes, :axes])
 
 
