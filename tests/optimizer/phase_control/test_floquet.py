@@ -142,8 +142,20 @@ def test_a_speed_between_whole_samples_is_taken_from_its_neighbourhood() -> None
     assert values == sorted(values, reverse=True)
     mechanical = replace(control, shape=replace(control.shape, turns=2))
     assert whole_samples(mechanical, speed_of(20.1)).samples == 161
-    edge = [float(radius(control, plants_of(control), speed_of(n))[0]) for n in (399, 401, 3000)]
-    assert edge == pytest.approx([edge[0]] * 3, abs=2e-4)
+
+
+def test_a_slow_rotor_is_judged_at_fixed_angles() -> None:
+    """The worst angle decides then, where a period has their mean."""
+    table = page_control()
+    swift = float(radius(table, plants_of(table), speed_of(399))[0])
+    assert radius(table, plants_of(table), speed_of(3000))[0] == pytest.approx(swift, abs=1e-4)
+    control = page_control("dqy")
+    whole, fixed, rest = (
+        float(radius(control, plants_of(control), speed)[0])
+        for speed in (speed_of(399), speed_of(401), 0.0)
+    )
+    assert whole < fixed < whole + 3e-3
+    assert fixed == pytest.approx(rest, abs=5e-4)
 
 
 CASES: list[tuple[CurrentFrame, Feedforward, Topology, int]] = [
