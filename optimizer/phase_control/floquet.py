@@ -24,8 +24,14 @@ from dqforge.optimizer.phase_control.periodic_step import (
 )
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 
+FEW_SAMPLES = 40
+"""Samples of a period below which it matters where within a step they fall."""
+
 STARTS = 3
-"""Angles of the first sample within a step at which a period is begun."""
+"""Angles of the first sample within a step at which a period of few samples is begun."""
+
+MOST_PERIODS = 4
+"""Periods of few samples that may pass until samples fall on the same angles."""
 
 MOST_SAMPLES = 400
 """Samples of a period beyond which the loop is judged at rest, at so many angles."""
@@ -47,8 +53,9 @@ def turns_at_rest(control: PhaseControl) -> bool:
     return control.frame in ("dq", "table")
 
 
-def whole_samples(control: PhaseControl, omega_e: float, most_periods: int = 4) -> WholePeriods:
-    """The speed nearest to a given one at which few periods are whole numbers of samples.
+def whole_samples(control: PhaseControl, omega_e: float) -> WholePeriods:
+    """The speed nearest to a given one at which one period is a whole number of samples, or, where
+    those are few, some periods are.
 
     Parameters
     ----------
@@ -56,11 +63,11 @@ def whole_samples(control: PhaseControl, omega_e: float, most_periods: int = 4) 
         The current control.
     omega_e:
         Electrical speed in rad/s, not zero.
-    most_periods:
-        Periods of the back-EMF that may pass until samples fall on the same angles.
     """
     turn = 2.0 * np.pi * control.shape.turns
-    share = Fraction(turn / (abs(omega_e) * control.t_s)).limit_denominator(most_periods)
+    samples = turn / (abs(omega_e) * control.t_s)
+    most = MOST_PERIODS if samples < FEW_SAMPLES * control.shape.turns else 1
+    share = Fraction(samples).limit_denominator(most)
     speed = turn * share.denominator / (share.numerator * control.t_s)
     return WholePeriods(share.numerator, share.denominator, float(np.copysign(speed, omega_e)))
 
@@ -82,12 +89,13 @@ def radius(control: PhaseControl, plants: PhasePlants, omega_e: float) -> FloatA
     if turns_at_rest(control):
         return _over_period(control, plants, omega_e, np.zeros((1, 1)))
     turn = 2.0 * np.pi * control.shape.turns
-    if abs(omega_e) * control.t_s * MOST_SAMPLES < turn:
+    if abs(omega_e) * control.t_s * MOST_SAMPLES * control.shape.turns < turn:
         fixed = turn * np.arange(MOST_SAMPLES // 4) / (MOST_SAMPLES // 4)
         return _over_period(control, plants, omega_e, fixed[:, np.newaxis])
     whole = whole_samples(control, omega_e)
     step = whole.omega_e * control.t_s
-    first = np.arange(STARTS) / STARTS * turn / whole.samples
+    starts = STARTS if whole.samples < FEW_SAMPLES * control.shape.turns * whole.periods else 1
+    first = np.arange(starts) / starts * turn / whole.samples
     theta = first[:, np.newaxis] + step * np.arange(whole.samples)
     return _over_period(control, plants, whole.omega_e, theta)
 

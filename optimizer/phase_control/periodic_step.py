@@ -128,7 +128,8 @@ def loop_state(control: PhaseControl, omega_e: float) -> LoopState:
 
     plane = () if harmonics is None else running(harmonics.plane)
     zero = () if harmonics is None or not rule.neutral else running(harmonics.zero)
-    return LoopState(3 if rule.neutral else 2, rule.midpoint, plane, zero)
+    midpoint = rule.midpoint and control.midpoint is not None
+    return LoopState(3 if rule.neutral else 2, midpoint, plane, zero)
 
 
 def _turns(angle: float) -> FloatArray:

@@ -142,6 +142,7 @@ def test_a_speed_between_whole_samples_is_taken_from_its_neighbourhood() -> None
     assert values == sorted(values, reverse=True)
     mechanical = replace(control, shape=replace(control.shape, turns=2))
     assert whole_samples(mechanical, speed_of(20.1)).samples == 161
+    assert whole_samples(control, speed_of(40.3)).samples == 40
 
 
 def test_a_slow_rotor_is_judged_at_fixed_angles() -> None:
