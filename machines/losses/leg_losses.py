@@ -251,7 +251,7 @@ def leg_averages(
     flux:
         v_dc / f_sw in V s, of the ripple that the devices see; 0 leaves it out.
     """
-    points, legs, angles = wave.current.shape
+    points, legs, _ = wave.current.shape
     away = flux * np.sqrt(np.maximum(leg_ripple(topology, wave), 0.0))
     sides = (away, -away) if flux > 0.0 else (away,)
     found = np.mean([_of_legs(tables, wave, wave.current + side) for side in sides], axis=0)

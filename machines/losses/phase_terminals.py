@@ -23,7 +23,6 @@ from dqforge.machines.phase_machines.salient_phase_machine import (
 )
 from dqforge.machines.topologies.topology import TOPOLOGIES
 
-
 _STANDSTILL = 1e-9
 
 """Electrical speed in rad/s below which the iron loses nothing."""
