@@ -128,7 +128,8 @@ class CurrentLoopSettings:
     16 bits best. ``max_sensitivity`` bounds M_s of the method ``optimised``. With ``schedule`` the
     gains follow the inductances of a machine that saturates. The others are for machines whose
     back-EMF is not sinusoidal: ``frame`` None for the one that the machine asks for,
-    ``feedforward``, ``axis_gains`` and whether ``harmonic_integrators`` run.
+    ``feedforward``, ``axis_gains``, whether ``harmonic_integrators`` run, and whether
+    ``limited_waveforms`` go on where the link ends the plain ones.
     """
 
     method: CurrentLoopMethod = "magnitude-optimum"
@@ -145,6 +146,7 @@ class CurrentLoopSettings:
     feedforward: Feedforward = "references"
     axis_gains: AxisGainRule = "own"
     harmonic_integrators: bool = True
+    limited_waveforms: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ from dqforge.optimizer.observers.reduced_order import (
 )
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
+from dqforge.optimizer.phase_control.design import PhaseLoops, phase_control
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,8 @@ class GainSet:
     ``position`` one of the position; a design has at most one.
     ``robust`` is what they keep over the tolerances (the speed loop only without an observer), None
     where the design names none; ``schedule`` the current loops' gains over the current, None where
-    it asks for none.
+    it asks for none. ``phases`` is the current control of a machine whose back-EMF is not
+    sinusoidal, None for all others.
     """
 
     i_d: LoopGains
@@ -56,6 +58,7 @@ class GainSet:
     robust: RobustSet | None = None
     schedule: GainSchedule | None = None
     position: PositionObserver | None = None
+    phases: PhaseLoops | None = None
 
     def responses(self) -> tuple[LoopResponse, ...]:
         """Answers of the loops over time and frequency, for whom wants to draw them."""
@@ -115,7 +118,8 @@ def solve_gains(design: Design) -> GainSet:
     slopes = (
         None if observer is None else speed_error_slopes(machine, observer, control.bases.speed)
     )
-    return GainSet(i_d, i_q, speed, scaled, observer, slopes, robust, schedule, position)
+    phases = None if design.phase_machine is None else phase_control(design, i_d, i_q)
+    return GainSet(i_d, i_q, speed, scaled, observer, slopes, robust, schedule, position, phases)
 
 
 def _per_unit(
