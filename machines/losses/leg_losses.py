@@ -24,7 +24,8 @@ from dqforge.machines.losses.phase_terminals import allowed_currents
 from dqforge.machines.modulation.modulators import Modulation, PhaseWaveforms, modulate
 from dqforge.machines.modulation.ripple import flux_moments
 from dqforge.machines.names import ModulationName, OpenPhase, Topology
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies.duties import duty_cycles
+from dqforge.machines.topologies.topology import TOPOLOGIES, leg_signs
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,21 +82,6 @@ class LegAverages:
     capacitor_square: FloatArray
 
 
-def phases_of_legs(topology: Topology) -> FloatArray:
-    """What makes phase voltages of leg voltages, shape (3, legs).
-
-    For a star, and for a split link, the common part (star point, midpoint) is left out.
-
-    Parameters
-    ----------
-    topology:
-        How the phases are fed.
-    """
-    count = len(TOPOLOGIES[topology].legs)
-    second = {3: np.zeros((3, 0)), 4: -np.ones((3, 1)), 6: -np.eye(3)}[count]
-    return np.hstack([np.eye(3), second])
-
-
 def links_of_legs(topology: Topology) -> tuple[slice, ...]:
     """Legs of each dc link.
 
@@ -116,32 +102,6 @@ def _star_duties(
     balanced = voltage - np.mean(voltage, axis=-2, keepdims=True)
     made = modulate(name, np.moveaxis(balanced, -2, -1), np.moveaxis(current, -2, -1), v_dc)
     return np.moveaxis(made.duty, -1, -2), np.moveaxis(made.clamped, -1, -2)
-
-
-def leg_duties(topology: Topology, voltage: FloatArray, v_dc: float) -> FloatArray:
-    """Duty cycles of the legs of a topology with more than a star, not clipped.
-
-    Parameters
-    ----------
-    topology:
-        Any but three legs on a star, which have a modulator to choose.
-    voltage:
-        Phase voltages in V, shape (..., 3, N).
-    v_dc:
-        Link voltage in V.
-    """
-    if topology == "split-capacitor":
-        return 0.5 + voltage / v_dc
-    zero = np.zeros_like(voltage[..., :1, :])
-    if topology == "four-leg":
-        ends = np.concatenate([voltage, zero], axis=-2)
-        middle = 0.5 * (np.max(ends, -2, keepdims=True) + np.min(ends, -2, keepdims=True))
-        return 0.5 + (ends - middle) / v_dc
-    if topology == "six-leg-isolated":
-        middle = np.max(voltage, -2, keepdims=True) + np.min(voltage, -2, keepdims=True)
-        voltage = voltage - 0.5 * middle
-    half = 0.5 * voltage / v_dc
-    return np.concatenate([0.5 + half, 0.5 - half], axis=-2)
 
 
 def leg_waveforms(
@@ -171,16 +131,15 @@ def leg_waveforms(
     open_phase:
         A phase that is not connected; its legs rest.
     """
-    matrix = phases_of_legs(topology)
-    star = not TOPOLOGIES[topology].neutral and matrix.shape[1] == 3
+    matrix = leg_signs(topology)
     lost = None if open_phase is None else "abc".index(open_phase)
     if lost is not None:
         voltage = voltage.copy()
         voltage[:, lost] = 0.0
-    if star:
+    if TOPOLOGIES[topology].modulated:
         duty, clamped = _star_duties(voltage, current, v_dc, modulation)
     else:
-        duty = leg_duties(topology, voltage, v_dc)
+        duty = np.swapaxes(duty_cycles(topology, np.swapaxes(voltage, -1, -2), v_dc), -1, -2)
         clamped = np.zeros(duty.shape, dtype=np.bool_)
     duty = np.clip(duty, 0.0, 1.0)
     if lost is not None:
@@ -231,7 +190,7 @@ def leg_ripple(topology: Topology, wave: LegWaveforms) -> FloatArray:
     wave:
         Waveforms of the legs.
     """
-    matrix = phases_of_legs(topology)
+    matrix = leg_signs(topology)
     return np.asarray(np.einsum("kl,...jkm,ml->...lj", matrix, wave.ripple, matrix, optimize=True))
 
 

@@ -31,9 +31,9 @@ from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName, OpenPhase
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.topologies.regions import link_demand
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget, known_bridge
-from dqforge.optimizer.waveforms.phase_currents import bus_demand
 
 CENTRED: ModulationName = "svpwm"
 
@@ -185,8 +185,8 @@ class _Drive:
     @property
     def name(self) -> ModulationName:
         """The modulator: that of a star's legs, else the extremes centred."""
-        rule = TOPOLOGIES[self.inverter.topology]
-        return CENTRED if rule.neutral or len(rule.legs) > 3 else self.modulation
+        free = TOPOLOGIES[self.inverter.topology].modulated
+        return self.modulation if free else CENTRED
 
     @property
     def sees_ripple(self) -> bool:
@@ -247,7 +247,8 @@ def _at_frequency(drive: _Drive, found: PhaseTerminals, wave: LegWaveforms, plac
         for part in parts
     )
     phases = flux**2 * np.maximum(np.mean(np.trace(wave.ripple, axis1=-2, axis2=-1), axis=-1), 0.0)
-    neutral = flux**2 * np.maximum(np.mean(np.sum(wave.ripple, axis=(-2, -1)), axis=-1), 0.0)
+    neutral = flux**2 * np.mean(np.sum(wave.ripple, axis=(-2, -1)), axis=-1)
+    neutral = np.where(neutral > _NO_CURRENT * phases, neutral, 0.0)
     factor = options.ripple_resistance or 0.0
     eddy = options.machine_loss.eddy * inverter.v_dc**2 * wave.harmonic_voltage
     if options.sheet_corner is not None:
@@ -304,7 +305,7 @@ def _link_demand(drive: _Drive, found: PhaseTerminals, wave: LegWaveforms) -> Fl
     """Least link voltage in V, shape (n,): of the topology, or more where the modulator of three
     legs does not use all of it.
     """
-    demand = bus_demand(found.between, drive.inverter.topology)
+    demand = link_demand(found.between, drive.inverter.topology)
     if drive.name == CENTRED or MODULATORS[drive.name].rests:
         return demand
     off_middle = np.max(np.abs(wave.duty - 0.5), axis=(-2, -1))

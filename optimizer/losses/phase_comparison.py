@@ -21,6 +21,7 @@ from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.names import ModulationName, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.topologies.regions import sine_share
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.losses.drive_budget import BudgetOptions
 from dqforge.optimizer.losses.drive_comparison import (
@@ -37,7 +38,7 @@ from dqforge.optimizer.losses.phase_budget import (
     stacked_phase_budgets,
 )
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
-from dqforge.optimizer.waveforms.phase_currents import bus_demand, dq_waveform, unit_currents
+from dqforge.optimizer.waveforms.phase_currents import dq_waveform, unit_currents
 from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
 from dqforge.optimizer.waveforms.solver import solve_waveforms
 
@@ -71,12 +72,6 @@ class PhaseDrive:
     i_max: float
     options: BudgetOptions
     margin: float
-
-    @property
-    def has_modulators(self) -> bool:
-        """Whether the zero sequence of the legs is free, so that modulators differ."""
-        rule = TOPOLOGIES[self.inverter.topology]
-        return not rule.neutral and len(rule.legs) == 3
 
     def usable_link(self, frequency: float) -> float:
         """Volts of the link in V that are left by dead time and margin at a carrier in Hz."""
@@ -117,7 +112,9 @@ def compare_phases(
         What a design names: its strategies become rows by `phase_rows`; modulators matter on three
         legs without a neutral, elsewhere the extremes are centred.
     """
-    names = alternatives.modulations if drive.has_modulators else (CENTRED,)
+    names = (
+        alternatives.modulations if TOPOLOGIES[drive.inverter.topology].modulated else (CENTRED,)
+    )
     labels = Alternatives(
         phase_rows(drive, alternatives.strategies), names, alternatives.frequencies
     )
@@ -192,14 +189,12 @@ def _sinusoids(
     frequency: float,
 ) -> tuple[FloatArray, BoolArray]:
     """Currents that are constant in dq, the field weakened within the topology's voltage."""
-    theta = 2.0 * np.pi * np.arange(12) / 12.0 - 2.0 * np.pi / 3.0 * np.arange(3)[:, None]
-    of_one_volt = float(bus_demand(np.cos(theta), drive.inverter.topology))
     i_d, i_q, reached = strategy_currents(
         drive.fundamental,
         "mtpa" if strategy == "dq" else strategy,
         torque,
         omega_m,
-        v_max=drive.usable_link(frequency) / of_one_volt,
+        v_max=drive.usable_link(frequency) * sine_share(drive.inverter.topology),
         i_max=drive.i_max,
         options=drive.options,
     )

@@ -308,7 +308,7 @@ def test_power_in_is_power_out_with_every_topology(
     topology: Topology, torque: float, omega: float, neutral_ohms: float
 ) -> None:
     """The link gives what shaft and losses take, to rounding, also with iron loss."""
-    machine = trapezoid_machine()
+    machine = trapezoid_machine(72)
     inverter = replace(IGBT, topology=topology, neutral_resistance=neutral_ohms)
     rule: CurrentRule = "dqy" if topology in ZERO_SEQUENCE else "dqx"
     currents = torque * unit_currents(machine, rule)[np.newaxis]
