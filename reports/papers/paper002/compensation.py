@@ -88,7 +88,8 @@ def trapezoid_machine(machine: PhaseMachine) -> ShapedMachine:
     ahead = np.roll(nodes, -1, axis=1)
     # Its lines are straight and their corners nodes: middle and slope are exact.
     theta = step * (np.arange(_ANGLES) + 0.5)
-    shape, slope = 0.5 * (nodes + ahead), (ahead - nodes) / step
+    shape = np.asarray(0.5 * (nodes + ahead), dtype=np.float64)
+    slope = np.asarray((ahead - nodes) / step, dtype=np.float64)
     return ShapedMachine(theta, shape, slope, machine.l_s, machine.m_s, machine.r_s, TRAPEZOID_FLUX)
 
 
