@@ -1,0 +1,274 @@
+"""The compiled phase machines against SciPy: phase equations written anew, on every topology.
+
+The references have a 3 x 3 inductance matrix, a Lagrange multiplier where a neutral is open, and
+diodes of a steep, but smooth characteristic where the plant has exact instants.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.names import Topology
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.phase_machines.salient_phase_machine import (
+    AnyPhaseMachine,
+    SalientPhaseMachine,
+)
+from dqforge.machines.plants.scenario import (
+    PhaseOpening,
+    PlantErrors,
+    Profile,
+    Scenario,
+    constant,
+)
+from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.reports.simulation.compiled_plant import (
+    Simulation,
+    Simulator,
+    simulate,
+    simulator,
+)
+from dqforge.reports.simulation.plant_input import Drive
+
+T_S = 1e-4
+V_DC = 200.0
+P, R, L_S, M_S, L_N = 3, 0.8, 4e-3, -0.7e-3, 0.6e-3
+CAPACITANCE = 150e-6
+ORDERS, SHARES, LAGS = np.array([1.0, 3.0, 5.0]), np.array([0.1, 0.02, 0.006]), (0.0, 0.4, -0.3)
+L_2 = -0.5e-3
+TOPOLOGY_NAMES: tuple[Topology, ...] = tuple(TOPOLOGIES)
+
+
+@pytest.fixture(scope="module")
+def plant() -> Iterator[Simulator]:
+    with simulator() as compiled:
+        yield compiled
+
+
+def phases(salient: bool = False) -> AnyPhaseMachine:
+    machine = PhaseMachine.from_harmonics(
+        ORDERS, SHARES, LAGS, pole_pairs=P, r_s=R, l_s=L_S, m_s=M_S, i_max=30.0
+    )
+    return SalientPhaseMachine.with_second_harmonic(machine, L_2) if salient else machine
+
+
+def drive(
+    topology: Topology, machine: AnyPhaseMachine, choke: float = L_N, f_sw: float = 1.0 / T_S
+) -> Drive:
+    link = Inverter(
+        V_DC, f_sw, topology=topology, neutral_inductance=choke, midpoint_capacitance=CAPACITANCE
+    )
+    shown = LinearMachine(
+        P, machine.r_s, 4.7e-3, 4.7e-3, 0.1, 30.0, inertia=8e-4, friction=1e-3, omega_m_max=150.0
+    )
+    return Drive(shown, link, T_S, phases=machine)
+
+
+def duties(legs: int, samples: int) -> FloatArray:
+    """Duty cycles that differ in every leg and period, shape (samples, legs)."""
+    k, leg = np.arange(samples)[:, np.newaxis], np.arange(legs)
+    return np.asarray(
+        0.5 + 0.16 * np.sin(2.0 * np.pi * (k / 37.0 - leg / 3.0)) + 0.03 * np.sin(1.3 * k + leg)
+    )
+
+
+def profiles(duty: FloatArray) -> tuple[Profile, ...]:
+    times = tuple(T_S * k for k in range(duty.shape[0]))
+    return tuple(Profile(times, tuple(column)) for column in duty.T)
+
+
+def flux(theta_e: float) -> FloatArray:
+    """Back-EMF over electrical speed."""
+    angle = theta_e - np.array([0.0, 1.0, 2.0]) * 2.0 * math.pi / 3.0
+    return -np.sum(
+        SHARES[:, np.newaxis] * np.sin(ORDERS[:, np.newaxis] * angle - np.array(LAGS)[:, None]),
+        axis=0,
+    )
+
+
+def inductances(theta_e: float, l_2: float) -> tuple[FloatArray, FloatArray]:
+    """Inductance matrix and its derivative by the angle."""
+    lag = 2.0 * theta_e - 2.0 * math.pi / 3.0 * np.add.outer(np.arange(3), np.arange(3))
+    constant_part = np.full((3, 3), M_S) + (L_S - M_S) * np.eye(3)
+    return constant_part + l_2 * np.cos(lag), -2.0 * l_2 * np.sin(lag)
+
+
+def phase_rates(
+    end: FloatArray, neutral: float | None, x: FloatArray, omega_m: float, l_2: float
+) -> FloatArray:
+    """Rates of the phase currents for potentials of the phases' ends in V, and of the neutral;
+    None where that one is open.
+    """
+    i, theta_e = x[:3], P * x[3]
+    matrix, slope = inductances(theta_e, l_2)
+    across = end - R * i - P * omega_m * (flux(theta_e) + slope @ i)
+    if neutral is not None:
+        return np.linalg.solve(matrix + L_N, across - neutral)
+    bordered = np.block([[matrix, np.ones((3, 1))], [np.ones((1, 3)), np.zeros((1, 1))]])
+    return np.linalg.solve(bordered, np.append(across, 0.0))[:3]
+
+
+def ends(topology: Topology, legs: FloatArray) -> FloatArray:
+    """Potentials of the ends of the phases less those of their second legs."""
+    return legs[:3] - legs[3:] if legs.size == 6 else legs[:3]
+
+
+def neutral_end(topology: Topology, legs: FloatArray, v_m: float) -> float | None:
+    if topology == "four-leg":
+        return float(legs[3])
+    return {"split-capacitor": v_m, "six-leg": 0.0}.get(topology)
+
+
+def torque(x: FloatArray, l_2: float) -> float:
+    _, slope = inductances(P * x[3], l_2)
+    return float(P * (flux(P * x[3]) @ x[:3] + 0.5 * x[:3] @ slope @ x[:3]))
+
+
+def assert_close(found: FloatArray, expected: FloatArray, relative: float) -> None:
+    np.testing.assert_allclose(
+        found, expected, rtol=0.0, atol=relative * float(np.max(np.abs(expected)))
+    )
+
+
+@pytest.mark.parametrize("salient", [False, True])
+@pytest.mark.parametrize("topology", TOPOLOGY_NAMES)
+def test_averaged_plant_equals_phase_equations(
+    plant: Simulator, topology: Topology, salient: bool
+) -> None:
+    """Free shaft, a link with ripple, a choke in the neutral, the midpoint a state."""
+    legs, l_2 = len(TOPOLOGIES[topology].legs), L_2 if salient else 0.0
+    duty = duties(legs, 40)
+    held = np.full(legs, 0.5)
+    x = np.array([0.0, 0.0, 0.0, 0.1, 60.0, 0.0])  # currents, angle, speed, midpoint off its half
+    states = [x]
+
+    def right(time: float, x: FloatArray) -> FloatArray:
+        v_dc = V_DC + 10.0 * math.sin(2.0 * math.pi * 300.0 * time)
+        neutral = neutral_end(topology, held * v_dc, 0.5 * v_dc + x[5])
+        rates = phase_rates(ends(topology, held * v_dc), neutral, x, x[4], l_2)
+        speeding = (torque(x, l_2) - 1e-3 * x[4] - 0.3) / 8e-4
+        return np.array([*rates, x[4], speeding, np.sum(x[:3]) / CAPACITANCE])
+
+    for k in range(40):
+        span = (k * T_S, (k + 1) * T_S)
+        x = solve_ivp(right, span, x, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+        states.append(x)
+        held = duty[k]
+    expected = np.stack(states)
+    scenario = Scenario(
+        40 * T_S,
+        "open-loop",
+        Profile(),
+        duties=profiles(duty),
+        load=constant(0.3),
+        v_dc=Profile((0.0,), (V_DC,), amplitude=10.0, frequency=300.0),
+        omega_m=60.0,
+        theta_e=P * 0.1,
+        sub_steps=60,
+    )
+    found = simulate(plant, drive(topology, phases(salient)), scenario)
+    assert found.phases is not None
+    assert float(np.max(np.abs(expected[:, :3]))) > 1.0
+    assert_close(found.phases.i_phases, expected[:, :3], 1e-8)
+    assert_close(found.omega_m, expected[:, 4], 1e-9)
+    assert_close(found.torque, np.array([torque(row, l_2) for row in expected]), 1e-8)
+    assert found.phases.duty_legs.shape == (41, legs)
+    np.testing.assert_allclose(found.phases.duty_legs[1:], duty[:40], rtol=1e-15)
+    summed = np.sum(expected[:, :3], axis=1)
+    np.testing.assert_allclose(found.phases.i_neutral, summed, atol=1e-8)
+    np.testing.assert_allclose(3.0 * found.i_zero, found.phases.i_neutral, rtol=1e-15)
+    assert TOPOLOGIES[topology].neutral == bool(np.max(np.abs(found.phases.i_neutral)) > 0.1)
+    if topology == "split-capacitor":
+        half = 0.5 * found.v_dc
+        assert_close(found.phases.v_midpoint - half, expected[:, 5], 1e-8)
+        assert float(np.max(np.abs(expected[:, 5]))) > 1.0
+    else:
+        assert np.all(np.isnan(found.phases.v_midpoint))
+
+
+Off = Callable[[float], FloatArray]
+
+
+def carrier_edges(duty: FloatArray, start: float, end: float, falling: bool) -> FloatArray:
+    """Instants at which legs switch within half a carrier period."""
+    return start + (end - start) * ((1.0 - duty) if falling else duty)
+
+
+def switched_by_scipy(
+    topology: Topology, duty: FloatArray, dead_time: float, speed: float, steep: float
+) -> FloatArray:
+    """States (currents, angle, midpoint) at the samples, of smooth diodes: a leg whose switches
+    rest lies at V/2 (1 - tanh(i/steep)).
+    """
+    legs = duty.shape[1]
+    held, x = np.full(legs, 0.5), np.array([0.0, 0.0, 0.0, 0.1, 0.0])
+    command, dead_until = np.zeros(legs, dtype=bool), np.full(legs, -1.0)
+    states = [x]
+    out_of = np.zeros((legs, 3))  # currents out of the legs
+    out_of[:3] = np.eye(3)
+    if legs == 4:
+        out_of[3] = -1.0
+    elif legs == 6:
+        out_of[3:] = -np.eye(3)
+    for k in range(duty.shape[0]):
+        for half in range(2):
+            start, end = (k + 0.5 * half) * T_S, (k + 0.5 * half + 0.5) * T_S
+            edges = carrier_edges(held, start, end, half == 0)
+            _turn(command, dead_until, np.ones(legs, dtype=bool), half == 1, start, dead_time)
+            marks = np.unique([start, end, *edges, *(edges + dead_time), *dead_until])
+            marks = marks[(marks >= start) & (marks <= end)]
+            for low, high in pairwise(marks):
+                _turn(command, dead_until, edges <= low + 1e-13, half == 0, low, dead_time)
+                if high - low < 1e-13:
+                    continue
+                off = dead_until > low + 1e-13
+                stiff = bool(np.any(off)) or topology == "diode-neutral"
+
+                def right(
+                    _: float, x: FloatArray, off: FloatArray = off, on: FloatArray = command.copy()
+                ) -> FloatArray:
+                    free = 0.5 * V_DC * (1.0 - np.tanh(out_of @ x[:3] / steep))
+                    v = np.where(off, free, np.where(on, V_DC, 0.0))
+                    neutral = neutral_end(topology, v, 0.5 * V_DC + x[4])
+                    if topology == "diode-neutral":
+                        neutral = 0.5 * V_DC * (1.0 + math.tanh(float(np.sum(x[:3])) / steep))
+                    rates = phase_rates(ends(topology, v), neutral, x, speed, 0.0)
+                    return np.array([*rates, speed, np.sum(x[:3]) / CAPACITANCE])
+
+                x = solve_ivp(
+                    right,
+                    (low, high),
+                    x,
+                    method="Radau" if stiff else "DOP853",
+                    rtol=1e-9 if stiff else 1e-11,
+                    atol=1e-10 if stiff else 1e-12,
+                ).y[:, -1]
+        states.append(x)
+        held = duty[k]
+    return np.stack(states)
+
+
+def _turn(
+    command: FloatArray,
+    dead_until: FloatArray,
+    where: FloatArray,
+    upper: bool,
+    time: float,
+    dead_time: float,
+) -> None:
+    """Legs that take a command not theirs yet, and rest for the dead time."""
+    changed = where & (command != upper)
+    if upper:
+        changed &= True
+    dead_until[changed] = time + dead_time
+    command[changed] = upper
