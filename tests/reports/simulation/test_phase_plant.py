@@ -104,7 +104,12 @@ def inductances(theta_e: float, l_2: float) -> tuple[FloatArray, FloatArray]:
 
 
 def phase_rates(
-    end: FloatArray, neutral: float | None, x: FloatArray, omega_m: float, l_2: float
+    end: FloatArray,
+    neutral: float | None,
+    x: FloatArray,
+    omega_m: float,
+    l_2: float,
+    choke: float = L_N,
 ) -> FloatArray:
     """Rates of the phase currents for potentials of the phases' ends in V, and of the neutral;
     None where that one is open.
@@ -113,7 +118,7 @@ def phase_rates(
     matrix, slope = inductances(theta_e, l_2)
     across = end - R * i - P * omega_m * (flux(theta_e) + slope @ i)
     if neutral is not None:
-        return np.linalg.solve(matrix + L_N, across - neutral)
+        return np.linalg.solve(matrix + choke, across - neutral)
     bordered = np.block([[matrix, np.ones((3, 1))], [np.ones((1, 3)), np.zeros((1, 1))]])
     return np.linalg.solve(bordered, np.append(across, 0.0))[:3]
 
@@ -196,79 +201,112 @@ def test_averaged_plant_equals_phase_equations(
         assert np.all(np.isnan(found.phases.v_midpoint))
 
 
-Off = Callable[[float], FloatArray]
+OUT_OF: dict[int, FloatArray] = {
+    3: np.eye(3),
+    4: np.vstack([np.eye(3), [-1.0, -1.0, -1.0]]),
+    6: np.vstack([np.eye(3), -np.eye(3)]),
+}
+
+"""Currents out of the legs for those of the phases."""
 
 
-def carrier_edges(duty: FloatArray, start: float, end: float, falling: bool) -> FloatArray:
-    """Instants at which legs switch within half a carrier period."""
-    return start + (end - start) * ((1.0 - duty) if falling else duty)
+def rested(
+    topology: Topology, off: FloatArray, on: FloatArray, speed: float, steep: float
+) -> Callable[[float, FloatArray], FloatArray]:
+    """Rates of currents, angle, midpoint and the square of the neutral current while the switches rest; legs that are ``off`` lie at
+    V/2 (1 - tanh(i/steep)).
+    """
+
+    def right(_: float, x: FloatArray) -> FloatArray:
+        free = 0.5 * V_DC * (1.0 - np.tanh(OUT_OF[on.size] @ x[:3] / steep))
+        legs = np.where(off, free, np.where(on, V_DC, 0.0))
+        neutral = neutral_end(topology, legs, 0.5 * V_DC + x[4])
+        if topology == "diode-neutral":
+            neutral = 0.5 * V_DC * (1.0 + math.tanh(float(np.sum(x[:3])) / steep))
+        rates = phase_rates(ends(topology, legs), neutral, x, speed, 0.0, 0.0)
+        summed = float(np.sum(x[:3]))
+        return np.array([*rates, speed, summed / CAPACITANCE, summed**2])
+
+    return right
 
 
 def switched_by_scipy(
     topology: Topology, duty: FloatArray, dead_time: float, speed: float, steep: float
 ) -> FloatArray:
-    """States (currents, angle, midpoint) at the samples, of smooth diodes: a leg whose switches
-    rest lies at V/2 (1 - tanh(i/steep)).
+    """States (as `rested`) at the samples, the interval between any two switching
+    instants integrated by itself.
     """
     legs = duty.shape[1]
-    held, x = np.full(legs, 0.5), np.array([0.0, 0.0, 0.0, 0.1, 0.0])
-    command, dead_until = np.zeros(legs, dtype=bool), np.full(legs, -1.0)
+    held, x = np.full(legs, 0.5), np.array([0.0, 0.0, 0.0, 0.1, 0.0, 0.0])
+    on, dead_until = np.zeros(legs, dtype=bool), np.full(legs, -1.0)
     states = [x]
-    out_of = np.zeros((legs, 3))  # currents out of the legs
-    out_of[:3] = np.eye(3)
-    if legs == 4:
-        out_of[3] = -1.0
-    elif legs == 6:
-        out_of[3:] = -np.eye(3)
-    for k in range(duty.shape[0]):
-        for half in range(2):
-            start, end = (k + 0.5 * half) * T_S, (k + 0.5 * half + 0.5) * T_S
-            edges = carrier_edges(held, start, end, half == 0)
-            _turn(command, dead_until, np.ones(legs, dtype=bool), half == 1, start, dead_time)
-            marks = np.unique([start, end, *edges, *(edges + dead_time), *dead_until])
-            marks = marks[(marks >= start) & (marks <= end)]
-            for low, high in pairwise(marks):
-                _turn(command, dead_until, edges <= low + 1e-13, half == 0, low, dead_time)
-                if high - low < 1e-13:
-                    continue
-                off = dead_until > low + 1e-13
-                stiff = bool(np.any(off)) or topology == "diode-neutral"
-
-                def right(
-                    _: float, x: FloatArray, off: FloatArray = off, on: FloatArray = command.copy()
-                ) -> FloatArray:
-                    free = 0.5 * V_DC * (1.0 - np.tanh(out_of @ x[:3] / steep))
-                    v = np.where(off, free, np.where(on, V_DC, 0.0))
-                    neutral = neutral_end(topology, v, 0.5 * V_DC + x[4])
-                    if topology == "diode-neutral":
-                        neutral = 0.5 * V_DC * (1.0 + math.tanh(float(np.sum(x[:3])) / steep))
-                    rates = phase_rates(ends(topology, v), neutral, x, speed, 0.0)
-                    return np.array([*rates, speed, np.sum(x[:3]) / CAPACITANCE])
-
-                x = solve_ivp(
-                    right,
-                    (low, high),
-                    x,
-                    method="Radau" if stiff else "DOP853",
-                    rtol=1e-9 if stiff else 1e-11,
-                    atol=1e-10 if stiff else 1e-12,
-                ).y[:, -1]
-        states.append(x)
-        held = duty[k]
+    for half in range(2 * duty.shape[0]):
+        start, end = 0.5 * half * T_S, 0.5 * (half + 1) * T_S
+        rising = half % 2 == 0  # the carrier falls: legs switch on
+        edges = start + (end - start) * ((1.0 - held) if rising else held)
+        marks = np.unique([start, end, *edges, *(edges + dead_time), *dead_until])
+        for low, high in pairwise(marks[(marks >= start) & (marks <= end)]):
+            turned = (edges <= low) & (on != rising)
+            on[turned], dead_until[turned] = rising, low + dead_time
+            off = dead_until > low + 1e-12
+            stiff = bool(np.any(off)) or topology == "diode-neutral"
+            x = solve_ivp(
+                rested(topology, off, on.copy(), speed, steep),
+                (low, high),
+                x,
+                method="Radau" if stiff else "DOP853",
+                rtol=1e-7 if stiff else 1e-11,
+                atol=1e-8 if stiff else 1e-12,
+            ).y[:, -1]
+        if not rising:
+            states.append(x)
+            held = duty[half // 2]
     return np.stack(states)
 
 
-def _turn(
-    command: FloatArray,
-    dead_until: FloatArray,
-    where: FloatArray,
-    upper: bool,
-    time: float,
-    dead_time: float,
+def switched(
+    plant: Simulator, topology: Topology, duty: FloatArray, dead_time: float, speed: float
+) -> Simulation:
+    scenario = Scenario(
+        duty.shape[0] * T_S,
+        "open-loop",
+        Profile(),
+        duties=profiles(duty),
+        shaft=constant(speed),
+        theta_e=P * 0.1,
+        inverter="switched",
+        dead_time=dead_time,
+        sub_steps=20,
+    )
+    return simulate(plant, drive(topology, phases(), choke=0.0), scenario, tail=0.0)
+
+
+@pytest.mark.parametrize("topology", [name for name in TOPOLOGIES if name != "diode-neutral"])
+def test_switched_plant_equals_intervals_of_scipy(plant: Simulator, topology: Topology) -> None:
+    duty = duties(len(TOPOLOGIES[topology].legs), 12)
+    expected = switched_by_scipy(topology, duty, 0.0, 60.0, 1.0)
+    found = switched(plant, topology, duty, 0.0, 60.0)
+    assert found.phases is not None
+    assert float(np.max(np.abs(expected[:, :3]))) > 1.0
+    assert_close(found.phases.i_phases, expected[:, :3], 1e-8)
+
+
+@pytest.mark.parametrize("topology", TOPOLOGY_NAMES)
+def test_dead_times_and_diodes_equal_steep_characteristics(
+    plant: Simulator, topology: Topology
 ) -> None:
-    """Legs that take a command not theirs yet, and rest for the dead time."""
-    changed = where & (command != upper)
-    if upper:
-        changed &= True
-    dead_until[changed] = time + dead_time
-    command[changed] = upper
+    """Dead times of 4 us, in which currents die and float; diodes of 0.1 mA."""
+    duty = duties(len(TOPOLOGIES[topology].legs), 3)
+    expected = switched_by_scipy(topology, duty, 4e-6, 60.0, 1e-4)
+    found = switched(plant, topology, duty, 4e-6, 60.0)
+    ideal = switched(plant, topology, duty, 0.0, 60.0)
+    assert found.phases is not None
+    assert ideal.phases is not None
+    i, without = found.phases.i_phases, ideal.phases.i_phases
+    scale = float(np.max(np.abs(expected[:, :3])))
+    assert float(np.max(np.abs(i - expected[:, :3]))) < 2e-3 * scale
+    assert float(np.max(np.abs(i - without))) > 2e-2 * scale
+    neutral = math.sqrt(max(float(expected[-1, 5]), 0.0) / (3 * T_S))
+    assert float(found.figures.tail_neutral_rms[0]) == pytest.approx(neutral, rel=3e-3, abs=2e-4)
+    if topology == "diode-neutral":
+        assert neutral > 0.01
