@@ -1,6 +1,6 @@
-"""A current controller for phase machines written by hand, to try the simulated plant with: currents
-in proportion to the back-EMF, P action and integrators in alpha-beta-0, the whole voltage of the
-references ahead. It has the functions and members that the simulation calls, and nothing else.
+"""A current controller for phase machines written by hand, to try the simulated plant with:
+currents in proportion to the back-EMF, P action and integrators in alpha-beta-0, the whole voltage
+of the references ahead. It has the functions and members that the simulation calls, and nothing else.
 """
 
 from __future__ import annotations
@@ -64,7 +64,8 @@ static inline void t_open_phase(t_control_t *state, uint32_t phase)
 }
 
 /* f in alpha, beta, zero at an angle */
-static inline void t_shape_at(const t_control_gains_t *gains, uint32_t open, float angle, float f[3])
+static inline void t_shape_at(const t_control_gains_t *gains, uint32_t open, float angle,
+                              float f[3])
 {
     const float turns = angle / (6.28318531F * TURNS);
     const float place = (turns - floorf(turns)) * NODES;
@@ -73,7 +74,8 @@ static inline void t_shape_at(const t_control_gains_t *gains, uint32_t open, flo
     int k;
     for (k = 0; k < 3; ++k) {
         const float *row = gains->shape->flux[k];
-        x[k] = ((uint32_t)k + 1U == open) ? 0 : row[node] + (row[node + 1] - row[node]) * (place - (float)node);
+        const float part = place - (float)node;
+        x[k] = ((uint32_t)k + 1U == open) ? 0 : row[node] + (row[node + 1] - row[node]) * part;
     }
     f[0] = (2 * x[0] - x[1] - x[2]) / 3;
     f[1] = (x[1] - x[2]) * 0.57735027F;
@@ -89,10 +91,12 @@ static inline void t_wanted(const float f[3], float torque, float i[3])
     }
 }
 
-static inline t_duties_t t_torque_control(const t_control_gains_t *gains, t_control_t *state, const t_measured_t *m, float torque)
+static inline t_duties_t t_torque_control(const t_control_gains_t *gains, t_control_t *state,
+                                          const t_measured_t *m, float torque)
 {
-    const float step = PAIRS * m->omega_m * gains->t_s;
-    const float i_now[3] = { t_clarke(m->i).alpha, t_clarke(m->i).beta, (m->i.a + m->i.b + m->i.c) / 3 };
+    const float omega_e = PAIRS * m->omega_m, step = omega_e * gains->t_s;
+    const t_alphabeta_t plane = t_clarke(m->i);
+    const float i_now[3] = { plane.alpha, plane.beta, (m->i.a + m->i.b + m->i.c) / 3 };
     float f[3], now[3], next[3], last[3], ahead[3], v[3], p[3], off;
     t_duties_t d;
     int k;
@@ -107,8 +111,8 @@ static inline t_duties_t t_torque_control(const t_control_gains_t *gains, t_cont
     for (k = 0; k < 3; ++k) {
         const float l = (k < 2) ? gains->l : gains->l_0, e = now[k] - i_now[k];
         state->integral[k] += ((k < 2) ? gains->ki_ts : gains->ki_0_ts) * e;
-        v[k] = gains->r * 0.5F * (next[k] + last[k]) + l * (last[k] - next[k]) / gains->t_s + PAIRS * m->omega_m * ahead[k]
-               + ((k < 2) ? gains->kp : gains->kp_0) * e + state->integral[k];
+        v[k] = gains->r * 0.5F * (next[k] + last[k]) + l * (last[k] - next[k]) / gains->t_s
+               + omega_e * ahead[k] + ((k < 2) ? gains->kp : gains->kp_0) * e + state->integral[k];
     }
     v[2] = ZERO ? v[2] : 0;
     state->torque = torque;
@@ -117,18 +121,21 @@ static inline t_duties_t t_torque_control(const t_control_gains_t *gains, t_cont
     p[0] = v[0] + v[2];
     p[1] = -0.5F * v[0] + 0.8660254F * v[1] + v[2];
     p[2] = -0.5F * v[0] - 0.8660254F * v[1] + v[2];
-    off = -0.5F * (fmaxf(fmaxf(p[0], p[1]), fmaxf(p[2], LEAST)) + fminf(fminf(p[0], p[1]), fminf(p[2], -(LEAST))));
+    off = -0.5F * (fmaxf(fmaxf(p[0], p[1]), fmaxf(p[2], LEAST))
+                   + fminf(fminf(p[0], p[1]), fminf(p[2], -(LEAST))));
 MODULATOR
     return d;
 }
 
-static inline t_duties_t t_current_control(const t_control_gains_t *gains, t_control_t *state, const t_measured_t *m, t_dq_t reference)
+static inline t_duties_t t_current_control(const t_control_gains_t *gains, t_control_t *state,
+                                           const t_measured_t *m, t_dq_t reference)
 {
     state->reference = reference;
     return t_torque_control(gains, state, m, reference.q);
 }
 
-static inline t_duties_t t_speed_control(const t_control_gains_t *gains, t_control_t *state, const t_measured_t *m, float reference)
+static inline t_duties_t t_speed_control(const t_control_gains_t *gains, t_control_t *state,
+                                         const t_measured_t *m, float reference)
 {
     return t_torque_control(gains, state, m, 0.01F * (reference - m->omega_m));
 }
@@ -172,9 +179,7 @@ def header(topology: Topology, pole_pairs: int, turns: int = 1) -> dict[str, byt
     return {"t_control.h": text.encode("ascii")}
 
 
-def gain_bytes(
-    omega_c: float, r_s: float, inductances: tuple[float, float], t_s: float
-) -> bytes:
+def gain_bytes(omega_c: float, r_s: float, inductances: tuple[float, float], t_s: float) -> bytes:
     """Gains for a bandwidth in rad/s and (L_ab, L_0) in H: kp = omega_c L, ki = kp omega_c/10."""
     l_ab, l_0 = inductances
     pi = [
