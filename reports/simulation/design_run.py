@@ -15,17 +15,17 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import NumberFormat
+from dqforge.machines.names import NumberFormat, Topology
 from dqforge.machines.plants.scenario import Profile, Scenario
 from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.control.header import control_files
 from dqforge.reports.field_weakening.header import weakening_files
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
+from dqforge.reports.phase_control.emitted import emitted_control_files, phase_control_of
 from dqforge.reports.simulation.compiled_plant import (
     Simulation,
     require_compiler,
@@ -131,12 +131,20 @@ def controller_files(solution: Solution) -> dict[str, bytes]:
     InputError
         The current references are in fixed point.
     """
-    files = header_files(solution) | control_files(solution) | observers_of(solution)[0]
+    files = header_files(solution) | emitted_control_files(solution) | observers_of(solution)[0]
     return (
         files
         if solution.weakening is None
         else files | weakening_files(solution.design, solution.weakening)
     )
+
+
+def controlled_topology(solution: Solution) -> Topology | None:
+    """That of the emitted control of a phase machine, None for machines with a sinusoidal
+    back-EMF.
+    """
+    control = phase_control_of(solution)
+    return None if control is None else control.topology
 
 
 def observers_of(solution: Solution) -> tuple[dict[str, bytes], tuple[str, ...]]:
@@ -217,7 +225,10 @@ def simulate_design(
     drive = drive_of(design)
     stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
     with simulator(
-        controller_files(solved), design.export.prefix, observers_of(solved)[1]
+        controller_files(solved),
+        design.export.prefix,
+        observers_of(solved)[1],
+        controlled_topology(solved),
     ) as program:
         run = simulate(program, drive, scenario, stride=stride, progress=progress)
     return replace(evaluate(design, run), not_simulated=not_simulated(whole))
