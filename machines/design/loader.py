@@ -131,7 +131,7 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     check_operation(file.operation, file.field_weakening is not None, machine, document)
     check_fit(file.fit, file.operation, machine, i_max, document)
     simulated = file.simulation is not None
-    check_waveform(file.waveform, file.machine, file.inverter, simulated, document)
+    check_waveform(file.waveform, file.machine, file.inverter, document)
     used_by = "export.control" * bool(file.export.control) or "simulation" * simulated
     check_topology(file.inverter, file.operation, file.modulation_choice, used_by, document)
     check_phase_control(file.control, found.phases, file.inverter.topology, document)
@@ -167,7 +167,14 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         given=reading.given(),
         weakening=weakening,
         winding=read_winding_heat(file.machine, inverter.coolant_temperature),
-        simulation=read_scenario(file.simulation, machine, inverter, control, reading),
+        simulation=read_scenario(
+            file.simulation,
+            machine,
+            inverter,
+            control,
+            reading,
+            waveform=found.phases is not None,
+        ),
         modulation_choice=choice,
         flux_evidence=tuple(reading.flux_evidence),
         halves=found.halves,

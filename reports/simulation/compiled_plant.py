@@ -245,6 +245,7 @@ def compile_simulator(
         "legs": TOPOLOGIES[topology or "three-wire"].legs,
         "neutral": topology is not None and TOPOLOGIES[topology].neutral,
         "midpoint": topology is not None and TOPOLOGIES[topology].midpoint,
+        "torque_limit": any(b"*torque_limit;" in content for content in (files or {}).values()),
         "parameters": PARAMETERS,
         "columns": COLUMNS,
         "summary": SUMMARY,
@@ -470,9 +471,7 @@ def simulate_many(
             shape=shape,
             topology=_topology(simulator, drive, scenario),
         )
-        for (drive, scenario, gains), shape in zip(
-            runs, shapes or [b""] * len(runs), strict=True
-        )
+        for (drive, scenario, gains), shape in zip(runs, shapes or [b""] * len(runs), strict=True)
     ]
     return _summary([figures for figures, _ in _runs(simulator, inputs, progress)])
 
