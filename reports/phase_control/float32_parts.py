@@ -1,10 +1,10 @@
-"""Shape, references, frames and harmonic integrators of the control of phase machines on numpy
-arrays of float32: as ``references.j2``, ``frame.j2`` and ``harmonics.j2``, same bits.
+"""Shape, references and frames of the control of phase machines on numpy arrays of float32: as
+``references.j2``, ``frame.j2`` and ``coupling.j2``, same bits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -284,48 +284,4 @@ def coupling(
         plane * (((q * slope.alpha) + (q_rate * f.alpha)) + ((d * slope.beta) + (d_rate * f.beta))),
         plane * (((q * slope.beta) + (q_rate * f.beta)) - ((d * slope.alpha) + (d_rate * f.alpha))),
         zero,
-    )
-
-
-def multiples_of(turn: Turn, orders: Sequence[int]) -> dict[int, Turn]:
-    """Cosine and sine of multiples of an angle, ascending, by recurrence."""
-    twice, x, reached, found = turned(turn, turn), turn, 1, {}
-    for order in orders:
-        for _ in range((order - reached) // 2):
-            x = turned(x, twice)
-        if (order - reached) % 2:
-            x = turned(x, turn)
-        reached, found[order] = order, x
-    return found
-
-
-def harmonic_share(gains: Gains, order: int, omega_e: SingleArray) -> SingleArray:
-    """Share of a harmonic at an electrical speed in rad/s."""
-    share = np.float32(5.0) - (gains["harmonic_fade"] * np.abs(np.float32(order) * omega_e))
-    return np.where(share > _ONE, _ONE, np.where(share > _ZERO, share, _ZERO))
-
-
-def signed_turn(multiples: Mapping[int, Turn], order: int) -> Turn:
-    """Rotation of a signed order."""
-    cosine, sine = multiples[abs(order)]
-    return cosine, (-sine if order < 0 else sine)
-
-
-def harmonic_gain(
-    kp: Any, r_s: Any, reactance: SingleArray, now: Turn, acting: Turn
-) -> tuple[SingleArray, SingleArray]:
-    """What turns an integral into its voltage, real and imaginary part in V/A.
-
-    Parameters
-    ----------
-    kp:
-        Of the controller in V/A.
-    r_s, reactance:
-        Of the machine at the harmonic, in Ohm.
-    now, acting:
-        Multiples of the angles of the sample and of the voltage.
-    """
-    return (
-        (kp * now[0]) + ((r_s * acting[0]) - (reactance * acting[1])),
-        (kp * now[1]) + ((r_s * acting[1]) + (reactance * acting[0])),
     )
