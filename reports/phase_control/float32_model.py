@@ -27,6 +27,7 @@ from dqforge.reports.phase_control.float32_duties import (
 from dqforge.reports.phase_control.float32_harmonics import Turning
 from dqforge.reports.phase_control.float32_parts import (
     Turn,
+    balanced,
     coupling,
     from_frame,
     largest_torque,
@@ -192,7 +193,7 @@ class PhaseControlModel:
         if sample.v_m is None:
             return found
         balance = self.gains["balance"] * (sample.v_m - (_HALF * sample.v_dc))
-        return found._replace(zero=found.zero - balance)
+        return balanced(found, self._shape(state, place), balance, state.open)
 
     def _zero_share(self, state: PhaseControlState, sample: _Sample) -> SingleArray:
         """Share of the shape's zero sequence in the references."""

@@ -151,6 +151,37 @@ def reference_at(
     )
 
 
+def balanced(
+    i: Stationary, f: Stationary, balance: SingleArray, opened: NDArray[np.uint32]
+) -> Stationary:
+    """Currents less a zero sequence that balances the midpoint, at the same torque.
+
+    Parameters
+    ----------
+    i:
+        Currents in A.
+    f:
+        Shape in Wb.
+    balance:
+        What the zero sequence is lowered by, in A.
+    opened:
+        Phase without current, 1 to 3, 0 for none; the others share the balance.
+    """
+    square = (f.alpha * f.alpha) + (f.beta * f.beta)
+    there = square > _LEAST_SQUARE
+    more = (np.float32(2.0) * (f.zero * balance)) / np.where(there, square, _ONE)
+    scale = np.where(there, more, _ZERO)
+    x = np.where(opened == 1, _ONE, np.float32(-0.5))
+    y = np.where(opened == 2, np.float32(0.8660254), np.float32(-0.8660254))
+    y = np.where(opened == 1, _ZERO, y)
+    whole = opened == 0
+    return Stationary(
+        i.alpha + np.where(whole, scale * f.alpha, balance * x),
+        i.beta + np.where(whole, scale * f.beta, balance * y),
+        i.zero - balance,
+    )
+
+
 def largest_torque(
     nodes: tuple[SingleArray, SingleArray], torque: SingleArray, omega_e: SingleArray,
     v_dc: SingleArray,
