@@ -104,11 +104,11 @@ def largest_torques(
     """
     if v_dc <= 0.0:
         return np.zeros_like(omega_e)
-    angle = _angles(control)
-    low, high, rows = _region(control, v_dc, margin)
+    angle = voltage_angles(control)
+    low, high, rows = link_region(control, v_dc, margin)
     low, high = np.tile(low, angle.size), np.tile(high, angle.size)
     found = np.full(omega_e.size, control.torque_max)
-    for sense in (1.0,) if _is_odd(control) else (1.0, -1.0):
+    for sense in (1.0,) if is_odd(control) else (1.0, -1.0):
         slope, start = (
             (v @ rows.T).reshape(omega_e.size, -1)
             for v in steady_voltages(control, sense * omega_e, angle)
@@ -118,7 +118,7 @@ def largest_torques(
     return np.maximum(found, 0.0)
 
 
-def _region(
+def link_region(
     control: PhaseControl, v_dc: float, margin: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Bounds in V, shape (r,), and rows on the phase voltages, shape (r, 3), that limit at all."""
@@ -127,7 +127,7 @@ def _region(
     return low[limited], high[limited], VOLTAGE_ROWS[limited]
 
 
-def _is_odd(control: PhaseControl) -> bool:
+def is_odd(control: PhaseControl) -> bool:
     """Whether both senses of rotation are alike: equal phases whose back-EMF is odd about the
     magnets' axis.
     """
@@ -137,7 +137,7 @@ def _is_odd(control: PhaseControl) -> bool:
     return flux.shape[0] == 1 and bool(np.max(np.abs(flux + mirrored)) <= scale)
 
 
-def _angles(control: PhaseControl) -> FloatArray:
+def voltage_angles(control: PhaseControl) -> FloatArray:
     """Angles at which the voltages are looked at in rad, shape (A,); nodes of most tables are
     among them. A third of a period tells all of equal phases.
     """
@@ -200,8 +200,8 @@ def no_load_speed(control: PhaseControl, v_dc: float, margin: float) -> float:
     margin:
         Share of the region that is left free, of 0 to 1.
     """
-    _, per_speed = steady_voltages(control, np.ones(1), _angles(control))
-    low, high, rows = _region(control, v_dc, margin)
+    _, per_speed = steady_voltages(control, np.ones(1), voltage_angles(control))
+    low, high, rows = link_region(control, v_dc, margin)
     found = per_speed[0] @ rows.T
     return 1.0 / float(np.max(np.maximum(found / high, found / low)))
 
@@ -221,8 +221,8 @@ def limit_at(limit: TorqueLimit, omega_e: FloatArray, v_dc: FloatArray) -> Float
         Link voltages in V.
     """
     load = np.abs(omega_e) * limit.v_nominal / np.maximum(v_dc, 1e-9 * limit.v_nominal)
-    rows, above = _place(limit.omega_e, load)
-    columns, beside = _place(limit.v_dc, v_dc)
+    rows, above = node_place(limit.omega_e, load)
+    columns, beside = node_place(limit.v_dc, v_dc)
     corner = limit.torque
     left = corner[rows, columns] + beside * (corner[rows, columns + 1] - corner[rows, columns])
     after = corner[rows + 1, columns]
@@ -230,7 +230,7 @@ def limit_at(limit: TorqueLimit, omega_e: FloatArray, v_dc: FloatArray) -> Float
     return np.asarray(left + above * (right - left))
 
 
-def _place(nodes: FloatArray, value: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+def node_place(nodes: FloatArray, value: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
     """Interval of each value and its place in it, 0 to 1."""
     inside = np.clip(value, nodes[0], nodes[-1])
     left = np.clip(np.searchsorted(nodes, inside, side="right") - 1, 0, nodes.size - 2)
