@@ -19,9 +19,11 @@ from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.loops.tolerance_box import DriveBox
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.phase_control.axis_gains import axis_gains, zero_loop
 from dqforge.optimizer.phase_control.harmonic_orders import harmonic_gains, harmonic_orders
+from dqforge.optimizer.phase_control.judged_box import JudgedLoops, judge_loops
 from dqforge.optimizer.phase_control.limited_shapes import LimitedFit, fit_limited
 from dqforge.optimizer.phase_control.midpoint_balance import SWING, midpoint_gains
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl, TorqueLimit
@@ -52,12 +54,15 @@ class PhaseLoops:
         The loop of the zero-sequence current, None where nothing drives one.
     limited:
         The currents beyond the torque limit, None where none are asked for or the link ends none.
+    judged:
+        How fast all of it forgets a disturbance over speeds and tolerances; None until judged.
     """
 
     control: PhaseControl
     shape: ShapeFit
     zero: LoopGains | None
     limited: LimitedFit | None = None
+    judged: JudgedLoops | None = None
 
 
 def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
@@ -172,6 +177,33 @@ def _limited(design: Design, machine: PhaseMachine, control: PhaseControl) -> Li
     top = None if omega_m is None else machine.pole_pairs * omega_m
     margin = voltage_margin(design)
     return fit_limited(control, machine, design.inverter.v_dc, design.i_max, top, margin)
+
+
+def judged(design: Design, box: DriveBox, loops: PhaseLoops) -> PhaseLoops:
+    """The control with the judgement of its currents over speeds and tolerances.
+
+    Parameters
+    ----------
+    design:
+        The design, with a phase machine.
+    box:
+        Its tolerances.
+    loops:
+        Its control.
+
+    Raises
+    ------
+    NoSolutionError
+        The currents are unstable at a speed and a point of the box, which are named.
+    """
+    found = judge_loops(
+        loops.control,
+        box,
+        _top_speed(design) / loops.control.pole_pairs,
+        design.inverter.midpoint_capacitance,
+        named=design.control.tolerances is not None,
+    )
+    return replace(loops, judged=found)
 
 
 def _top_speed(design: Design) -> float:
