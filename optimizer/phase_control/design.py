@@ -151,10 +151,11 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
 def voltage_margin(design: Design) -> float:
     """Share of the voltage region that steady currents leave free, of 0 to 1.
 
-    What the design keeps for control, at least `MARGIN`, and what dead time takes off either end.
+    What the firmware leaves free by the design, `MARGIN` for its PI controllers, and what dead time
+    takes off either end.
     """
     inverter = design.inverter
-    return max(design.operation.voltage_margin, MARGIN) + 2.0 * inverter.dead_time * inverter.f_sw
+    return design.operation.voltage_margin + MARGIN + 2.0 * inverter.dead_time * inverter.f_sw
 
 
 def _torque_limit(design: Design, control: PhaseControl) -> TorqueLimit:

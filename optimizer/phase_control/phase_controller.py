@@ -80,29 +80,26 @@ class MidpointGains:
 class TorqueLimit:
     """Largest torque that the voltage permits.
 
-    The speed at which a link ends a torque goes with its voltage but for the resistance. So the
-    table is read at the speed that would load the nominal link as much, |omega_e| v_nominal/v_dc,
-    and at v_dc, by straight lines between the nodes; beyond its ends the last values hold.
+    Between the nodes by straight lines; beyond its ends the last values hold. The speed at which a
+    link ends a torque goes with its voltage but for the resistance: with ``v_nominal`` the table is
+    read at |omega_e| v_nominal/v_dc, the speed that would load the nominal link as much.
 
     Parameters
     ----------
     omega_e:
-        Electrical speeds in rad/s at the nominal link voltage, ascending from 0, shape (N,). At
-        the last one there is no torque left.
+        Electrical speeds in rad/s, ascending, shape (N,).
     v_dc:
-        Link voltages in V, ascending from 0 to the nominal one, shape (M,).
+        Link voltages in V, ascending, shape (M,).
     torque:
         In N m, of either sign, shape (N, M).
+    v_nominal:
+        Link voltage in V at which the speeds are those of the drive; None where they are at any.
     """
 
     omega_e: FloatArray
     v_dc: FloatArray
     torque: FloatArray
-
-    @property
-    def v_nominal(self) -> float:
-        """Link voltage in V at which the speeds are those of the drive."""
-        return float(self.v_dc[-1])
+    v_nominal: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

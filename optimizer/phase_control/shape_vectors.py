@@ -89,7 +89,8 @@ def unit_currents(flux: FloatArray, pole_pairs: int, *, zero: bool) -> FloatArra
 
 
 def fade_share(control: PhaseControl, omega_e: FloatArray) -> FloatArray:
-    """How much of the harmonics the references keep at electrical speeds in rad/s, 0 to 1.
+    """How much of the harmonics the references keep at electrical speeds in rad/s, 0 to 1: straight
+    in the speed between the ends of the fading.
 
     Parameters
     ----------
@@ -98,12 +99,9 @@ def fade_share(control: PhaseControl, omega_e: FloatArray) -> FloatArray:
     omega_e:
         Electrical speeds in rad/s, any shape.
     """
-    begin, end = control.fade
-    # Samples per period, of which the inverse does not overflow at rest.
+    begin, end = (1.0 / samples for samples in control.fade)
     fraction = np.abs(omega_e) * control.t_s / (2.0 * np.pi)
-    return np.asarray(
-        np.clip((1.0 - end * fraction) / ((begin - end) * np.maximum(fraction, 1e-12)), 0.0, 1.0)
-    )
+    return np.asarray(np.clip((end - fraction) / (end - begin), 0.0, 1.0))
 
 
 def reference_flux(control: PhaseControl, angle: FloatArray, omega_e: FloatArray) -> FloatArray:
