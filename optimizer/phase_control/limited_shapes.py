@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.topologies.topology import TOPOLOGIES
@@ -35,21 +36,30 @@ from dqforge.optimizer.phase_control.torque_limit import (
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
 from dqforge.optimizer.waveforms.solver import solve_waveforms
 
-RESERVE = 0.02
+RESERVE = 0.03
 
 """Share of the region that the nodes leave free beyond the margin, for what lies between them and
 for links below the nominal one."""
 
 
-RISING, FALLING, SHARES = 4, 6, 4
+SPEEDS = ((4, 6), (6, 9), (9, 14))
 
-"""Speeds from the knee to no load and beyond, and torques."""
+"""Speeds from the knee to no load, and beyond, that are tried until what lies between them keeps
+the region."""
+
+
+SHARES = 4
+
+"""Torques at each speed."""
 
 
 _LADDERS, _RUNGS = 2, 33
 
 
 _LEAST = 0.02
+
+
+_LOW = 0.8
 
 
 _CHECKED = 480
@@ -59,8 +69,8 @@ _CHECKED = 480
 class LimitedFit:
     """Currents beyond the plain ones, and what they err by between their nodes.
 
-    ``excess`` is the largest voltage over the region less the margin, relative, negative where
-    room is left; ``excess_low`` the same at four fifths of the nominal link voltage.
+    ``excess`` is the largest voltage over the region less the margin, relative: not positive.
+    ``excess_low`` is the same at four fifths of the nominal link voltage.
     ``torque_error`` is the largest error of the torque over the largest torque.
     """
 
@@ -170,6 +180,11 @@ def fit_limited(
         serves down to two thirds of the link voltage; None for a third beyond no load.
     margin:
         Share of the region that is left free, of 0 to 1.
+
+    Raises
+    ------
+    NoSolutionError
+        No grid that is tried keeps the region between its nodes.
     """
     free = no_load_speed(control, v_dc, margin)
     last = 4.0 / 3.0 * free if omega_e_max is None else 1.5 * omega_e_max
@@ -181,11 +196,33 @@ def fit_limited(
     limits = WaveformLimits(
         v_dc=(1.0 - margin - RESERVE) * v_dc, topology=_solved(control.topology), i_max=i_max
     )
-    empty = int(np.flatnonzero(plain > 0.0)[-1]) + 1
-    rising = np.linspace(scan[knee], scan[min(empty, scan.size - 1)], RISING)
-    speeds = np.unique([*rising, *np.linspace(rising[-1], last, FALLING)])
-    plain = np.append(largest_torques(control, speeds[:-1], v_dc, margin + RESERVE), 0.0)
-    plain[-1] = largest_torques(control, speeds[-1:], v_dc, margin + RESERVE)[0]
+    empty = min(int(np.flatnonzero(plain > 0.0)[-1]) + 1, scan.size - 1)
+    for rising, falling in SPEEDS:
+        before = np.linspace(scan[knee], scan[empty], rising)
+        speeds = np.unique([*before, *np.linspace(scan[empty], last, falling)])
+        shapes = _shapes(control, machine, speeds, v_dc, margin, limits)
+        if shapes is None:
+            return None
+        excess, error = _between_nodes(control, shapes, v_dc, margin)
+        if excess <= 0.0:
+            low, _ = _between_nodes(control, shapes, _LOW * v_dc, margin)
+            return LimitedFit(shapes, excess, low, error)
+    raise NoSolutionError(
+        "control.current_loop.limited_waveforms: between the nodes of the table the voltage leaves "
+        f"the region by {100.0 * excess:.2g} %; remove it, and the torque is reduced instead"
+    )
+
+
+def _shapes(
+    control: PhaseControl,
+    machine: PhaseMachine,
+    speeds: FloatArray,
+    v_dc: float,
+    margin: float,
+    limits: WaveformLimits,
+) -> LimitedShapes | None:
+    """The table on electrical speeds in rad/s, from the knee on; None where it is empty."""
+    plain = largest_torques(control, speeds, v_dc, margin + RESERVE)
     most = np.array([_most(machine, speed, limits, control.torque_max) for speed in speeds])
     kept = (most > _LEAST * control.torque_max) & (most >= plain)
     kept[0] = True
@@ -194,7 +231,7 @@ def fit_limited(
     if count < 2:
         return None
     most[0] = plain[0] = control.torque_max
-    shapes = LimitedShapes(
+    return LimitedShapes(
         omega_e=speeds,
         plain=plain,
         most=np.maximum(most, plain),
@@ -202,9 +239,6 @@ def fit_limited(
         v_nominal=v_dc,
         mirrored=is_odd(control),
     )
-    excess, error = _between_nodes(control, shapes, v_dc, margin)
-    low, _ = _between_nodes(control, shapes, 0.8 * v_dc, margin)
-    return LimitedFit(shapes, excess, low, error)
 
 
 def _solved(topology: Topology) -> Topology:

@@ -26,10 +26,10 @@ from dqforge.reports.phase_control.float32_duties import (
 )
 from dqforge.reports.phase_control.float32_parts import (
     Turn,
+    equal_load,
     from_frame,
     harmonic_gain,
     harmonic_share,
-    equal_load,
     largest_torque,
     mean_of_phases,
     multiples_of,

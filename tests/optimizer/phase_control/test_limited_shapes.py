@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from phase_drives import near_sinusoidal, plain_control
@@ -21,6 +23,7 @@ MACHINE = near_sinusoidal(360)
 MARGIN = 0.04
 
 
+@cache
 def fitted(topology: Topology) -> tuple[PhaseControl, LimitedFit]:
     control = plain_control(near_sinusoidal(96), topology)
     found = fit_limited(control, MACHINE, 150.0, 5.94, 2.0 * np.pi * 60.0, MARGIN)
@@ -88,7 +91,7 @@ def test_the_seam_to_the_plain_currents() -> None:
 
 
 def test_reverse_motoring_is_the_mirror() -> None:
-    control, found = fitted("four-leg")
+    _, found = fitted("four-leg")
     theta = np.linspace(0.0, 6.2, 50)
     link = np.array(150.0)
     ahead = limited_deviation(found.shapes, 1, np.array(3.0), np.array(380.0), link, theta)

@@ -127,7 +127,7 @@ def test_what_is_not_emitted_is_refused(solution: Solution) -> None:
 def test_the_limit_of_a_design_is_read_at_equal_load(
     solution: Solution, document: dict[str, Any]
 ) -> None:
-    """At 0.8 of the nominal link the table is read at 1.25 of the speed; without a link no torque."""
+    """At 0.8 of the nominal link it is read at 1.25 of the speed; without a link no torque."""
     limit = TorqueLimit(
         np.array([0.0, 250.0, 500.0]), np.array([0.0, 220.0]),
         np.array([[0.0, 4.0], [0.0, 3.0], [0.0, 0.0]]), 220.0,
