@@ -13,7 +13,15 @@ from dqforge.optimizer.phase_control.design import PhaseLoops
 from dqforge.optimizer.phase_control.limited_shapes import limited_deviation, limited_torques
 from dqforge.optimizer.phase_control.shape_vectors import PHASES, reference_currents
 from dqforge.optimizer.phase_control.torque_limit import limit_at
-from dqforge.reports.pages.figures_style import BLUE, INK, MUTED, ORANGE, figure, save
+from dqforge.reports.pages.figures_style import (
+    BLUE,
+    INK,
+    MUTED,
+    ORANGE,
+    new_figure,
+    save,
+    style,
+)
 
 _DRIVE = "paper002-phase-waveforms"
 _LINK = 170.0
@@ -28,13 +36,17 @@ def torque_and_currents(path: Path) -> None:
         raise ValueError("the link of the figure binds")
     omega = np.linspace(0.0, limited.omega_e[-1], 600)
     rpm = omega * 30.0 / np.pi / control.pole_pairs
-    with figure(1, 2, height=3.0) as (drawing, (left, right)):
-        for share, style in ((1.0, "-"), (0.85, "--")):
+    with style():
+        drawing = new_figure(
+            "phase-design", 3.0, "Largest torque over the speed with and without limited waveforms."
+        )
+        left, right = drawing.subplots(1, 2)
+        for share, line in ((1.0, "-"), (0.85, "--")):
             link = np.full(omega.size, share * _LINK)
             label = f"{share * _LINK:.0f} V"
             _, most = limited_torques(limited, omega, link)
-            left.plot(rpm, most, style, color=ORANGE, label=f"waveforms, {label}")
-            left.plot(rpm, limit_at(table, omega, link), style, color=BLUE, label=f"plain, {label}")
+            left.plot(rpm, most, line, color=ORANGE, label=f"waveforms, {label}")
+            left.plot(rpm, limit_at(table, omega, link), line, color=BLUE, label=f"plain, {label}")
         left.set_xlabel("speed in rpm")
         left.set_ylabel("largest torque in N m")
         left.legend()
@@ -49,7 +61,8 @@ def torque_and_currents(path: Path) -> None:
         right.set_xlabel("electrical angle in degrees")
         right.set_ylabel("current of phase a in A")
         right.legend()
-        save(drawing, path)
+        drawing.tight_layout()
+    save(drawing, path)
 
 
 def _loops() -> PhaseLoops:

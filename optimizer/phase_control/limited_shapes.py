@@ -62,6 +62,9 @@ _LEAST = 0.02
 _LOW = 0.8
 
 
+_END = 1.02
+
+
 _CHECKED = 480
 
 
@@ -231,11 +234,13 @@ def _shapes(
     if count < 2:
         return None
     most[0] = plain[0] = control.torque_max
+    found = _deviations(control, machine, speeds, plain, most, limits)
+    # A last node without torque, beyond which nothing is promised.
     return LimitedShapes(
-        omega_e=speeds,
-        plain=plain,
-        most=np.maximum(most, plain),
-        deviation=_deviations(control, machine, speeds, plain, most, limits),
+        omega_e=np.append(speeds, _END * speeds[-1]),
+        plain=np.append(plain, 0.0),
+        most=np.append(np.maximum(most, plain), 0.0),
+        deviation=np.concatenate([found, np.repeat(found[:, -1:, :1], SHARES, axis=2)], axis=1),
         v_nominal=v_dc,
         mirrored=is_odd(control),
     )

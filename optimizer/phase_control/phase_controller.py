@@ -115,7 +115,8 @@ class LimitedShapes:
     Parameters
     ----------
     omega_e:
-        Electrical speeds in rad/s at the nominal link voltage, ascending, shape (W,).
+        Electrical speeds in rad/s at the nominal link voltage, ascending, shape (W,). At the last
+        one there is no torque left, nor beyond.
     plain, most:
         Torques in N m that proportional currents reach, and that these reach, shape (W,).
     deviation:

@@ -31,7 +31,7 @@ MARGIN = 0.02
 """Share of the region that is left to the PI controllers."""
 
 
-LINKS = (0.0, 0.25, 0.5, 1.0)
+LINKS = (0.0, 0.3, 0.6, 0.8, 1.0)
 
 """Nodes of the table over the nominal link voltage. At 0 there is no torque, so that the table
 holds down to any voltage; above the nominal one it holds too, but for the resistance there would

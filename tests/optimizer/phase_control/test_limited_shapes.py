@@ -90,6 +90,14 @@ def test_the_seam_to_the_plain_currents() -> None:
     assert fast == pytest.approx(slow, abs=1e-9)
 
 
+def test_beyond_the_last_speed_nothing_is_promised() -> None:
+    _, found = fitted("four-leg")
+    last = found.shapes.omega_e[-1]
+    assert limited_torques(found.shapes, np.array(1.3 * last), np.array(150.0)) == (0.0, 0.0)
+    # At a lower link that is a lower speed.
+    assert limited_torques(found.shapes, np.array(0.9 * last), np.array(120.0)) == (0.0, 0.0)
+
+
 def test_reverse_motoring_is_the_mirror() -> None:
     _, found = fitted("four-leg")
     theta = np.linspace(0.0, 6.2, 50)
