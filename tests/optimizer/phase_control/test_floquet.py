@@ -21,7 +21,7 @@ from phase_loops import (
 
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.optimizer.loops.plants import current_loop
-from dqforge.optimizer.phase_control.floquet import radius, whole_samples
+from dqforge.optimizer.phase_control.floquet import OFF_NODES, STARTS, radius, whole_samples
 from dqforge.optimizer.phase_control.periodic_step import PhasePlants, loop_state
 from dqforge.optimizer.phase_control.phase_controller import (
     HarmonicGains,
@@ -52,7 +52,7 @@ def test_the_loop_without_coupling_is_as_fast_as_paper_and_pencil_had_it(
 def test_measured_coupling_costs_stability_at_few_samples() -> None:
     found = radii(page_control("dqy", "measured"))
     assert found[:3] == pytest.approx([0.969, 0.969, 0.972], abs=1e-3)
-    assert found[3:] == pytest.approx([0.993, 1.058], abs=5e-3)
+    assert found[3:] == pytest.approx([0.993, 1.058], abs=2.5e-3)
     fast = radii(page_control("dqy", "measured", bandwidth=1000.0))
     assert fast[1] < 1.0 < fast[2]
 
@@ -187,9 +187,17 @@ def _compare(
     l_d, l_q, l_0 = (share * size for size in control.inductances)
     plant = (control.r_s, l_d, l_q, l_0, 1.0)
     omega = speed_of(samples)
-    drive = SampledDrive(control, omega, plant, capacitance=capacitance or 1.0)
     length = -(-length // samples) * samples
-    decay = decay_per_sample(drive, 300, length)
+    starts = (np.arange(STARTS) + OFF_NODES) / STARTS * 2.0 * np.pi / samples
+    sloped = control.frame in ("dqx", "dqy") and control.feedforward == "measured"
+    decay = max(
+        decay_per_sample(
+            SampledDrive(control, omega, plant, capacitance=capacitance or 1.0, theta=start),
+            300,
+            length,
+        )
+        for start in (starts if sloped else starts[:1])
+    )
     found = float(radius(control, plants_of(control, share, capacitance), omega)[0])
     assert found == pytest.approx(decay, abs=1e-3)
 
