@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -25,10 +26,17 @@ from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.phase_control.axis_gains import axis_gains, zero_loop
 from dqforge.optimizer.phase_control.harmonic_orders import harmonic_gains, harmonic_orders
 from dqforge.optimizer.phase_control.judged_box import JudgedLoops, judge_loops
-from dqforge.optimizer.phase_control.midpoint_balance import midpoint_gains
-from dqforge.optimizer.phase_control.phase_controller import PhaseControl
+from dqforge.optimizer.phase_control.midpoint_balance import SWING, midpoint_gains
+from dqforge.optimizer.phase_control.phase_controller import PhaseControl, TorqueLimit
+from dqforge.optimizer.phase_control.salient_limit import salient_torques
 from dqforge.optimizer.phase_control.shape_table import ShapeFit, fit_shape
 from dqforge.optimizer.phase_control.shape_vectors import PHASES, flux_at, unit_currents
+from dqforge.optimizer.phase_control.torque_limit import (
+    MARGIN,
+    largest_torques,
+    no_load_speed,
+    torque_limit,
+)
 
 _ANGLES = 2880
 
@@ -106,7 +114,10 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
     flux = flux_at(fit.shape, angle)
     if frame == "dq":
         sine = machine.psi_pm * np.stack([-np.sin(angle), np.cos(angle), 0.0 * angle])
-        unit, torque_max = unit_currents(sine, phases.pole_pairs, zero=False), _largest_dq(design)
+        unit, torque_max = (
+            unit_currents(sine, phases.pole_pairs, zero=False),
+            _choice(design).largest_torque(),
+        )
     else:
         unit = unit_currents(flux, phases.pole_pairs, zero=uses_zero)
         torque_max = design.i_max / float(np.max(np.abs(PHASES @ unit)))
@@ -126,7 +137,7 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
         midpoint = midpoint_gains(
             unit[2], turns, torque_max, inverter.midpoint_capacitance, inverter.v_dc
         )
-    found = PhaseControl(
+    unlimited = PhaseControl(
         frame=frame,
         feedforward=settings.feedforward,
         topology=topology,
@@ -141,7 +152,31 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
         torque_max=torque_max,
         midpoint=midpoint,
     )
-    return PhaseLoops(found, fit, zero)
+    limit = _torque_limit(design, unlimited)
+    return PhaseLoops(replace(unlimited, torque_limit=limit), fit, zero)
+
+
+def voltage_margin(design: Design) -> float:
+    """Share of the voltage region that steady currents leave free, of 0 to 1.
+
+    What the design keeps for control, at least `MARGIN`, and what dead time takes off either end.
+    """
+    inverter = design.inverter
+    return max(design.operation.voltage_margin, MARGIN) + 2.0 * inverter.dead_time * inverter.f_sw
+
+
+def _torque_limit(design: Design, control: PhaseControl) -> TorqueLimit:
+    """Where the link ends the torque; the swing of a split link's midpoint is taken off."""
+    v_dc, margin, machine = design.inverter.v_dc, voltage_margin(design), design.phase_machine
+    last = no_load_speed(control, v_dc, margin)
+    if control.midpoint is not None:
+        margin += SWING * min(1.0, control.midpoint.omega_e_min / last)
+        last = no_load_speed(control, v_dc, margin)
+    if isinstance(machine, SalientPhaseMachine):
+        largest = salient_torques(machine, _choice(design), control.topology, margin)
+    else:
+        largest = partial(largest_torques, control, margin=margin)
+    return torque_limit(v_dc, last, largest)
 
 
 def judged(design: Design, box: DriveBox, loops: PhaseLoops) -> PhaseLoops:
@@ -177,6 +212,6 @@ def _top_speed(design: Design) -> float:
     return design.machine.pole_pairs * (design.control.bases.speed if omega_m is None else omega_m)
 
 
-def _largest_dq(design: Design) -> float:
-    """Largest torque of constant dq currents in N m."""
-    return CurrentChoice(design.machine, design.strategy, design.i_max).largest_torque()
+def _choice(design: Design) -> CurrentChoice:
+    """The constant dq currents of a torque."""
+    return CurrentChoice(design.machine, design.strategy, design.i_max)

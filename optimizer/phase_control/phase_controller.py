@@ -80,13 +80,29 @@ class MidpointGains:
 class TorqueLimit:
     """Largest torque that the voltage permits.
 
-    ``omega_e`` in rad/s (electrical), shape (N,), and ``v_dc`` in V, shape (M,), both ascending;
-    ``torque`` in N m, shape (N, M), between them by straight lines.
+    The speed at which a link ends a torque goes with its voltage but for the resistance. So the
+    table is read at the speed that would load the nominal link as much, |omega_e| v_nominal/v_dc,
+    and at v_dc, by straight lines between the nodes; beyond its ends the last values hold.
+
+    Parameters
+    ----------
+    omega_e:
+        Electrical speeds in rad/s at the nominal link voltage, ascending from 0, shape (N,). At
+        the last one there is no torque left.
+    v_dc:
+        Link voltages in V, ascending from 0 to the nominal one, shape (M,).
+    torque:
+        In N m, of either sign, shape (N, M).
     """
 
     omega_e: FloatArray
     v_dc: FloatArray
     torque: FloatArray
+
+    @property
+    def v_nominal(self) -> float:
+        """Link voltage in V at which the speeds are those of the drive."""
+        return float(self.v_dc[-1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

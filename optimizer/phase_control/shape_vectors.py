@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.phase_machines.frame_choice import uses_zero_sequence
 from dqforge.machines.transforms import clarke_matrix
-from dqforge.optimizer.phase_control.phase_controller import PhaseShape
+from dqforge.optimizer.phase_control.phase_controller import PhaseControl, PhaseShape
 
 _TURN = 2.0 * np.pi / 3.0
 
@@ -59,6 +60,63 @@ def unit_currents(flux: FloatArray, pole_pairs: int, *, zero: bool) -> FloatArra
     used = flux if zero else flux * np.array([1.0, 1.0, 0.0]).reshape(3, *[1] * (flux.ndim - 1))
     weight = pole_pairs * (1.5 * (used[0] ** 2 + used[1] ** 2) + 3.0 * used[2] ** 2)
     return np.asarray(used / weight)
+
+
+def fade_share(control: PhaseControl, omega_e: FloatArray) -> FloatArray:
+    """How much of the harmonics the references keep at electrical speeds in rad/s, 0 to 1.
+
+    Parameters
+    ----------
+    control:
+        The control.
+    omega_e:
+        Electrical speeds in rad/s, any shape.
+    """
+    begin, end = control.fade
+    # Samples per period, of which the inverse does not overflow at rest.
+    fraction = np.abs(omega_e) * control.t_s / (2.0 * np.pi)
+    return np.asarray(
+        np.clip((1.0 - end * fraction) / ((begin - end) * np.maximum(fraction, 1e-12)), 0.0, 1.0)
+    )
+
+
+def reference_flux(control: PhaseControl, angle: FloatArray, omega_e: FloatArray) -> FloatArray:
+    """The vector in Wb on alpha, beta and 0 that references are made from, shape (3, ...).
+
+    The fundamental in dq; else the table, faded to its fundamental where there are few samples per
+    period, without its zero sequence where that makes no torque.
+
+    Parameters
+    ----------
+    control:
+        The control.
+    angle:
+        Electrical angles in rad, any shape.
+    omega_e:
+        Electrical speeds in rad/s, broadcastable.
+    """
+    sine = control.psi_pm * np.stack([-np.sin(angle), np.cos(angle), np.zeros_like(angle)])
+    if control.frame == "dq":
+        return sine
+    share = fade_share(control, omega_e)
+    found = sine + share * (flux_at(control.shape, angle) - sine)
+    found[2] *= float(uses_zero_sequence(control.frame, control.topology))
+    return np.asarray(found)
+
+
+def reference_currents(control: PhaseControl, angle: FloatArray, omega_e: FloatArray) -> FloatArray:
+    """Currents per torque of the references in A/(N m) on alpha, beta and 0, shape (3, ...).
+
+    Parameters
+    ----------
+    control:
+        The control.
+    angle:
+        Electrical angles in rad, any shape.
+    omega_e:
+        Electrical speeds in rad/s, broadcastable.
+    """
+    return unit_currents(reference_flux(control, angle, omega_e), control.pole_pairs, zero=True)
 
 
 def torque_of(flux: FloatArray, currents: FloatArray, pole_pairs: int) -> FloatArray:
