@@ -33,7 +33,7 @@ PHASES: dict[Topology, tuple[str, str, str]] = {
 """Phase voltages over the link voltage, against half the link on the split one."""
 
 LINK = 6000.0
-"""V: so much that no voltage is shortened while currents are small, even at 12 samples per period."""
+"""V: so much that no voltage is shortened while currents are small, even at high speed."""
 
 SOURCE = """
 #include <math.h>
