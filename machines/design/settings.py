@@ -30,6 +30,15 @@ from dqforge.machines.names import (
 
 LossStrategy = Literal["mtpa", "id0", "least-loss"]
 
+
+PhaseStrategy = Literal["dq", "dqx", "dqy", "limited"]
+
+"""How the currents of a machine with any back-EMF are chosen: sinusoids, constant torque without
+and with zero sequence, and the least copper loss within voltage and current."""
+
+
+AnyStrategy = LossStrategy | PhaseStrategy
+
 """``mtpa``: least copper loss, the field weakened where the voltage asks for it; ``id0``: no d
 current; ``least-loss``: least loss of machine and inverter together, within the same limits."""
 
