@@ -20,6 +20,7 @@ import figures_modulation
 import figures_observers
 import figures_operating_points
 import figures_simulation
+import figures_stability
 import figures_waveforms
 import figures_weakening
 
@@ -55,6 +56,7 @@ def main() -> None:
     figures_losses.loss_map(folder / "loss-map.svg")
     figures_simulation.bench(folder / "simulation.svg")
     figures_simulation.dead_time(folder / "dead-time.svg")
+    figures_stability.periodic_stability(folder / "periodic-stability.svg")
     figures_losses.modulation_choice(folder / "modulation-choice.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")
