@@ -32,7 +32,7 @@ def _control() -> PhaseControl:
 
 
 def _tuned(control: PhaseControl, bandwidth: float, l_0: float, *, one: bool) -> PhaseControl:
-    """kp = omega_c L and ki = kp omega_c/10; ``one`` set of gains for all axes, or each its own."""
+    """Gains omega_c L and omega_c^2 L/10, ``one`` set for all axes or each axis its own."""
     omega = 2.0 * np.pi * bandwidth
     l_d, l_q, _ = control.inductances
     d, q, zero = (

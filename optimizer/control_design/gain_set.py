@@ -70,7 +70,8 @@ class GainSet:
 
     def responses(self) -> tuple[LoopResponse, ...]:
         """Answers of the loops over time and frequency, for whom wants to draw them."""
-        return loop_responses(self.i_d, self.i_q, self.speed)
+        zero = None if self.phases is None else self.phases.zero
+        return loop_responses(self.i_d, self.i_q, self.speed, zero)
 
 
 @on_design("control")

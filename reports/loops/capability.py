@@ -121,6 +121,7 @@ LOOPS = Capability(
     parts=_parts,
     quantities=(
         *(row for loop, units in _GAIN_UNITS.items() for row in _loop_quantities(loop, *units)),
+        Quantity("currents together", "radius per sample", "", ("gains", "currents", "radius")),
         *(
             Quantity("observer", label, unit, ("gains", "observer", key))
             for label, key, unit in _OBSERVER

@@ -123,6 +123,7 @@ def plain_judged(phases: PhaseLoops) -> PlainData:
         "currents": {
             "frame": phases.control.frame,
             "feedforward": phases.control.feedforward,
+            "radius": _largest(judged)[0],
             "corners": judged.corners,
             "inside": judged.inside,
             "midpoint_time_s": (

@@ -58,6 +58,7 @@ def test_json_has_every_figure(gains: GainSet) -> None:
     plain = plain_gains(SPLIT, gains)
     assert plain["i_0"]["kp"] == pytest.approx(gains.i_q.kp * 5.0 / 8.0)
     found = plain["currents"]
+    assert found["radius"] == max(speed["worst"]["value"] for speed in found["speeds"])
     assert (found["frame"], found["corners"], found["inside"]) == ("table", 2, 400)
     assert found["midpoint_time_s"] == pytest.approx(0.05, rel=0.05)
     still, *_, last = found["speeds"]
