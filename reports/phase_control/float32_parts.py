@@ -1,10 +1,10 @@
-"""Shape, references, frames and harmonic integrators of the control of phase machines on numpy
-arrays of float32: as ``references.j2``, ``frame.j2`` and ``harmonics.j2``, same bits.
+"""Shape, references and frames of the control of phase machines on numpy arrays of float32: as
+``references.j2``, ``frame.j2`` and ``coupling.j2``, same bits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -151,6 +151,37 @@ def reference_at(
     )
 
 
+def balanced(
+    i: Stationary, f: Stationary, balance: SingleArray, opened: NDArray[np.uint32]
+) -> Stationary:
+    """Currents less a zero sequence that balances the midpoint, at the same torque.
+
+    Parameters
+    ----------
+    i:
+        Currents in A.
+    f:
+        Shape in Wb.
+    balance:
+        What the zero sequence is lowered by, in A.
+    opened:
+        Phase without current, 1 to 3, 0 for none; the others share the balance.
+    """
+    square = (f.alpha * f.alpha) + (f.beta * f.beta)
+    there = square > _LEAST_SQUARE
+    more = (np.float32(2.0) * (f.zero * balance)) / np.where(there, square, _ONE)
+    scale = np.where(there, more, _ZERO)
+    x = np.where(opened == 1, _ONE, np.float32(-0.5))
+    y = np.where(opened == 2, np.float32(0.8660254), np.float32(-0.8660254))
+    y = np.where(opened == 1, _ZERO, y)
+    whole = opened == 0
+    return Stationary(
+        i.alpha + np.where(whole, scale * f.alpha, balance * x),
+        i.beta + np.where(whole, scale * f.beta, balance * y),
+        i.zero - balance,
+    )
+
+
 def largest_torque(
     nodes: tuple[SingleArray, SingleArray], torque: SingleArray, omega_e: SingleArray,
     v_dc: SingleArray,
@@ -284,48 +315,4 @@ def coupling(
         plane * (((q * slope.alpha) + (q_rate * f.alpha)) + ((d * slope.beta) + (d_rate * f.beta))),
         plane * (((q * slope.beta) + (q_rate * f.beta)) - ((d * slope.alpha) + (d_rate * f.alpha))),
         zero,
-    )
-
-
-def multiples_of(turn: Turn, orders: Sequence[int]) -> dict[int, Turn]:
-    """Cosine and sine of multiples of an angle, ascending, by recurrence."""
-    twice, x, reached, found = turned(turn, turn), turn, 1, {}
-    for order in orders:
-        for _ in range((order - reached) // 2):
-            x = turned(x, twice)
-        if (order - reached) % 2:
-            x = turned(x, turn)
-        reached, found[order] = order, x
-    return found
-
-
-def harmonic_share(gains: Gains, order: int, omega_e: SingleArray) -> SingleArray:
-    """Share of a harmonic at an electrical speed in rad/s."""
-    share = np.float32(5.0) - (gains["harmonic_fade"] * np.abs(np.float32(order) * omega_e))
-    return np.where(share > _ONE, _ONE, np.where(share > _ZERO, share, _ZERO))
-
-
-def signed_turn(multiples: Mapping[int, Turn], order: int) -> Turn:
-    """Rotation of a signed order."""
-    cosine, sine = multiples[abs(order)]
-    return cosine, (-sine if order < 0 else sine)
-
-
-def harmonic_gain(
-    kp: Any, r_s: Any, reactance: SingleArray, now: Turn, acting: Turn
-) -> tuple[SingleArray, SingleArray]:
-    """What turns an integral into its voltage, real and imaginary part in V/A.
-
-    Parameters
-    ----------
-    kp:
-        Of the controller in V/A.
-    r_s, reactance:
-        Of the machine at the harmonic, in Ohm.
-    now, acting:
-        Multiples of the angles of the sample and of the voltage.
-    """
-    return (
-        (kp * now[0]) + ((r_s * acting[0]) - (reactance * acting[1])),
-        (kp * now[1]) + ((r_s * acting[1]) + (reactance * acting[0])),
     )
