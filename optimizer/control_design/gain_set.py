@@ -22,6 +22,7 @@ from dqforge.optimizer.loops.robustness import (
     current_robustness,
     speed_robustness,
     turning_robustness,
+    zero_robustness,
 )
 from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule, schedule_gains
 from dqforge.optimizer.loops.tolerance_box import Axis, drive_box
@@ -32,7 +33,7 @@ from dqforge.optimizer.observers.reduced_order import (
 )
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.optimizer.phase_control.design import PhaseLoops, phase_control
+from dqforge.optimizer.phase_control.design import PhaseLoops, judged, phase_control
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,15 +101,19 @@ def solve_gains(design: Design) -> GainSet:
         else None
     )
     observer, position = solve_observer(design)
+    phases = None if design.phase_machine is None else phase_control(design, i_d, i_q)
     robust = None
     if named:
+        zero = None if phases is None else phases.zero
         robust = RobustSet(
             current_robustness(box, i_d, "i_d"),
             current_robustness(box, i_q, "i_q"),
             None if speed is None else speed_robustness(box, speed, i_q),
-            turning_robustness(box, i_d, i_q),
+            turning_robustness(box, i_d, i_q) if phases is None else None,
             box.named_limits(),
+            None if zero is None else zero_robustness(box, zero),
         )
+    phases = None if phases is None else judged(design, box, phases)
     wanted = control.current_loop.schedule
     schedule = schedule_gains(design, box if named else None, i_d, i_q) if wanted else None
     if speed is not None and (observer is not None or position is not None):
@@ -118,7 +123,6 @@ def solve_gains(design: Design) -> GainSet:
     slopes = (
         None if observer is None else speed_error_slopes(machine, observer, control.bases.speed)
     )
-    phases = None if design.phase_machine is None else phase_control(design, i_d, i_q)
     return GainSet(i_d, i_q, speed, scaled, observer, slopes, robust, schedule, position, phases)
 
 

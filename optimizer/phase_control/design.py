@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,9 +20,11 @@ from dqforge.machines.phase_machines.salient_phase_machine import (
 )
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.loops.tolerance_box import DriveBox
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.phase_control.axis_gains import axis_gains, zero_loop
 from dqforge.optimizer.phase_control.harmonic_orders import harmonic_gains, harmonic_orders
+from dqforge.optimizer.phase_control.judged_box import JudgedLoops, judge_loops
 from dqforge.optimizer.phase_control.midpoint_balance import midpoint_gains
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 from dqforge.optimizer.phase_control.shape_table import ShapeFit, fit_shape
@@ -43,11 +45,14 @@ class PhaseLoops:
         Its table of the back-EMF and what that errs by.
     zero:
         The loop of the zero-sequence current, None where nothing drives one.
+    judged:
+        How fast all of it forgets a disturbance over speeds and tolerances; None until judged.
     """
 
     control: PhaseControl
     shape: ShapeFit
     zero: LoopGains | None
+    judged: JudgedLoops | None = None
 
 
 def zero_sequence_inductance(machine: AnyPhaseMachine, inverter: Inverter) -> float:
@@ -137,6 +142,33 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
         midpoint=midpoint,
     )
     return PhaseLoops(found, fit, zero)
+
+
+def judged(design: Design, box: DriveBox, loops: PhaseLoops) -> PhaseLoops:
+    """The control with the judgement of its currents over speeds and tolerances.
+
+    Parameters
+    ----------
+    design:
+        The design, with a phase machine.
+    box:
+        Its tolerances.
+    loops:
+        Its control.
+
+    Raises
+    ------
+    NoSolutionError
+        The currents are unstable at a speed and a point of the box, which are named.
+    """
+    found = judge_loops(
+        loops.control,
+        box,
+        _top_speed(design) / loops.control.pole_pairs,
+        design.inverter.midpoint_capacitance,
+        named=design.control.tolerances is not None,
+    )
+    return replace(loops, judged=found)
 
 
 def _top_speed(design: Design) -> float:
