@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.units.quantities import parse_option
-from dqforge.optimizer.flashing_choice.advice import Advice, advise
-from dqforge.optimizer.flashing_choice.solve import FlashComparison, compare_flashing
 from dqforge.optimizer.waveforms.comparison import compare_waveforms, with_point
+from dqforge.reports.flashing_choice.question import what_to_flash
 from dqforge.reports.flashing_choice.tables import flash_tables, plain_flash
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
@@ -62,13 +60,7 @@ def answer_dqy(design: Design, request: WaveformRequest) -> Answer:
     plain: dict[str, PlainData] = {"waveforms": plain_waveforms(found)}
     if not request.flash:
         return Answer(design.name, tables, plain, figure, notes=(FLASH_HINT,))
-    flashing, advice = _flashing(design, settings)
+    stage("comparing topologies and controllers")
+    flashing, advice = what_to_flash(design, settings)
     tables += flash_tables(design, flashing, advice)
     return Answer(design.name, tables, plain | {"flashing": plain_flash(flashing, advice)}, figure)
-
-
-def _flashing(design: Design, settings: WaveformSettings) -> tuple[FlashComparison, Advice]:
-    """Topologies and controllers side by side, and which to take."""
-    stage("comparing topologies and controllers")
-    found = compare_flashing(design, settings)
-    return found, advise(found)
