@@ -29,6 +29,7 @@ from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.phase_control.design import phase_control
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 from dqforge.optimizer.waveforms.comparison import operating_point, require_phases
+from dqforge.optimizer.waveforms.open_phase import OpenPhasePrice, open_phase_price
 from dqforge.optimizer.waveforms.phase_currents import dq_waveform, unit_currents
 from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
 
@@ -54,6 +55,8 @@ class FlashComparison:
         Whether nothing is known of the switches, so that the bridge is left out.
     capacitance:
         Of the split link in F that its row is computed with.
+    without_phase:
+        What constant torque costs on four legs with a phase open, None where it cannot be made.
     unsimulated:
         Why no row was simulated, empty where they were; ``uncounted`` the same of the cycles.
     """
@@ -64,6 +67,7 @@ class FlashComparison:
     rows: tuple[FlashRow, ...]
     without_device: bool
     capacitance: float
+    without_phase: OpenPhasePrice | None = None
     unsimulated: str = "the rows were not simulated"
     uncounted: str = "the cycles were not counted"
 
@@ -132,6 +136,9 @@ def compare_flashing(design: Design, settings: WaveformSettings | None = None) -
         rows=tuple(rows),
         without_device=design.inverter.device is None,
         capacitance=capacitance,
+        without_phase=open_phase_price(machine, "four-leg", chosen.open_phase or "a", torque)
+        if isinstance(machine, PhaseMachine)
+        else None,
     )
 
 

@@ -80,6 +80,7 @@ def flash_tables(design: Design, found: FlashComparison, advice: Advice) -> list
         by = f"by closed form ({found.unsimulated})"
     notes = [
         *advice_lines(advice),
+        *_fault(found),
         f"torque ripple, peak to peak of the means over a PWM period, {by}, with a dead time of "
         f"{1e6 * design.inverter.dead_time:.3g} us; table: with harmonic integrators",
     ]
@@ -107,6 +108,18 @@ def flash_tables(design: Design, found: FlashComparison, advice: Advice) -> list
         if row.ripple_known is not None
     )
     return [main, Table("Torque ripple in % where something is not as assumed", columns, sensitive)]
+
+
+def _fault(found: FlashComparison) -> list[str]:
+    """What speaks for a neutral where a phase may fail."""
+    price = found.without_phase
+    if price is None:
+        return []
+    return [
+        "with a phase open a star's torque vanishes twice a period; with a neutral it stays "
+        f"constant for {price.copper:.3g} times the copper, and the neutral's leg carries "
+        f"{price.neutral:.2g} times the phase peak"
+    ]
 
 
 def _plain_ripple(figures: RippleFigures | None) -> PlainData | None:
@@ -153,7 +166,7 @@ def plain_flash(found: FlashComparison, advice: Advice) -> PlainData:
         "flash": None if chosen is None else {"topology": chosen.topology, "frame": chosen.frame},
         "dq_ripple": advice.dq_ripple,
         "trades": trades,
-        "words": advice_lines(advice),
+        "words": [*advice_lines(advice), *_fault(found)],
         "unsimulated": found.unsimulated,
         "uncounted": found.uncounted,
     }
