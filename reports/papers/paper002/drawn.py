@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from dqforge.reports.papers.paper002.back_emf_components import frame_curves
-from dqforge.reports.papers.paper002.bench_figures import plot_currents, plot_machine
-from dqforge.reports.papers.paper002.control_figures import plot_structures, plot_terms
-from dqforge.reports.papers.paper002.frame_figures import plot_frames
 from dqforge.reports.papers.paper002.recomputed import Reproduction
+from dqforge.reports.papers.paper002_definitions.back_emf_components import frame_curves
+from dqforge.reports.papers.paper002_definitions.bench_figures import plot_currents, plot_machine
+from dqforge.reports.papers.paper002_definitions.control_figures import plot_structures, plot_terms
+from dqforge.reports.papers.paper002_definitions.frame_figures import plot_frames
 from dqforge.reports.papers.paper002_loops.loop_figures import plot_loops, plot_step
 
 if TYPE_CHECKING:

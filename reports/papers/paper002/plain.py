@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-from dqforge.reports.papers.paper002.back_emf_components import ComponentRow
-from dqforge.reports.papers.paper002.bench_currents import HIGHEST_ORDER, BenchCurves
-from dqforge.reports.papers.paper002.compensation import Compensation
 from dqforge.reports.papers.paper002.figure_list import FIGURES
-from dqforge.reports.papers.paper002.misprints import ModelCheck
 from dqforge.reports.papers.paper002.recomputed import Reproduction
+from dqforge.reports.papers.paper002_definitions.back_emf_components import ComponentRow
+from dqforge.reports.papers.paper002_definitions.bench_currents import HIGHEST_ORDER, BenchCurves
+from dqforge.reports.papers.paper002_definitions.compensation import Compensation
+from dqforge.reports.papers.paper002_definitions.misprints import ModelCheck
 from dqforge.reports.papers.paper002_loops.closed_loops import LoopRun
 from dqforge.reports.plain_data import PlainData
 

@@ -9,8 +9,9 @@ import numpy as np
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import VerificationError
-from dqforge.reports.papers.paper002.back_emf_components import ComponentRow, table_3_1
-from dqforge.reports.papers.paper002.bench_currents import (
+from dqforge.reports.papers.paper002.figure_list import PRINTED_CONDITIONS
+from dqforge.reports.papers.paper002_definitions.back_emf_components import ComponentRow, table_3_1
+from dqforge.reports.papers.paper002_definitions.bench_currents import (
     BENCH_TORQUE,
     DESIGN_NAME,
     BenchCurves,
@@ -20,15 +21,14 @@ from dqforge.reports.papers.paper002.bench_currents import (
     curve_figures,
     telling_orders,
 )
-from dqforge.reports.papers.paper002.compensation import (
+from dqforge.reports.papers.paper002_definitions.compensation import (
     TRAPEZOID_FLUX,
     Compensation,
     compensation,
     shipped_machine,
     trapezoid_machine,
 )
-from dqforge.reports.papers.paper002.figure_list import PRINTED_CONDITIONS
-from dqforge.reports.papers.paper002.misprints import ModelCheck, check_model
+from dqforge.reports.papers.paper002_definitions.misprints import ModelCheck, check_model
 from dqforge.reports.papers.paper002_loops.closed_loops import BENCH_SPEED, ClosedLoops, run_loops
 from dqforge.reports.papers.paper002_loops.diode_path import DiodePath, diode_path
 from dqforge.reports.papers.paper002_loops.loss_ratios import LoopRatio, loop_ratios

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dqforge.reports.pages.table import Table
-from dqforge.reports.papers.paper002.back_emf_components import COMPONENTS, ComponentRow
-from dqforge.reports.papers.paper002.bench_currents import CurveFigure
-from dqforge.reports.papers.paper002.compensation import Compensation
 from dqforge.reports.papers.paper002.figure_list import FIGURES
-from dqforge.reports.papers.paper002.misprints import Misprint, ModelCheck
 from dqforge.reports.papers.paper002.recomputed import (
     TERMS_SPEED,
     TERMS_TORQUE,
     Condition,
     Reproduction,
 )
+from dqforge.reports.papers.paper002_definitions.back_emf_components import COMPONENTS, ComponentRow
+from dqforge.reports.papers.paper002_definitions.bench_currents import CurveFigure
+from dqforge.reports.papers.paper002_definitions.compensation import Compensation
+from dqforge.reports.papers.paper002_definitions.misprints import Misprint, ModelCheck
 from dqforge.reports.papers.paper002_loops.loop_tables import left_out_table, loop_tables
 from dqforge.reports.papers.paper002_loops.loss_ratios import SHIPPED
 

@@ -15,7 +15,7 @@ from dqforge.machines.phase_machines.frame_transforms import to_frame
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import Profile, Scenario, constant
 from dqforge.optimizer.waveforms.phase_currents import spectrum
-from dqforge.reports.papers.paper002.bench_currents import BENCH_TORQUE, bench_machine
+from dqforge.reports.papers.paper002_definitions.bench_currents import BENCH_TORQUE, bench_machine
 from dqforge.reports.papers.paper002_loops.loop_cases import (
     CASES,
     LoopCase,

@@ -33,7 +33,7 @@ from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.title import title
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.pages.templating import render
-from dqforge.reports.papers.paper002.bench_currents import DESIGN_NAME
+from dqforge.reports.papers.paper002_definitions.bench_currents import DESIGN_NAME
 from dqforge.reports.phase_control.header import header_context, preamble
 from dqforge.reports.phase_control.plain import Surroundings, plain_phase_control
 

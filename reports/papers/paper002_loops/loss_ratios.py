@@ -12,8 +12,8 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import CurrentFrame, Topology
 from dqforge.machines.phase_machines.frames import thesis_shapes
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.reports.papers.paper002.bench_currents import bench_machine
-from dqforge.reports.papers.paper002.compensation import TRAPEZOID_FLUX
+from dqforge.reports.papers.paper002_definitions.bench_currents import bench_machine
+from dqforge.reports.papers.paper002_definitions.compensation import TRAPEZOID_FLUX
 from dqforge.reports.papers.paper002_loops.closed_loops import AVERAGED, TAIL
 from dqforge.reports.papers.paper002_loops.loop_cases import LoopCase, case_design, controller_files
 from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator

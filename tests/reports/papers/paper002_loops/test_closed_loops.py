@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from dqforge.reports.papers.paper002.bench_currents import bench_curves, bench_machine
+from dqforge.reports.papers.paper002_definitions.bench_currents import bench_curves, bench_machine
 from dqforge.reports.papers.paper002_loops.closed_loops import RPM, LoopRun, run_loops
 from dqforge.reports.papers.paper002_loops.diode_path import diode_path
 from dqforge.reports.papers.paper002_loops.loop_cases import CASES

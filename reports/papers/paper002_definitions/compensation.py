@@ -19,7 +19,7 @@ from dqforge.machines.phase_machines.frame_transforms import spectral_derivative
 from dqforge.machines.phase_machines.frames import thesis_shapes
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.transforms import POWER_INVARIANT
-from dqforge.reports.papers.paper002.model_equations import (
+from dqforge.reports.papers.paper002_definitions.model_equations import (
     FrameQuantities,
     ShapedMachine,
     frame_quantities,
