@@ -26,6 +26,7 @@ from dqforge.reports.phase_control.float32_duties import (
 )
 from dqforge.reports.phase_control.float32_parts import (
     Turn,
+    coupling,
     from_frame,
     harmonic_gain,
     harmonic_share,
@@ -35,8 +36,10 @@ from dqforge.reports.phase_control.float32_parts import (
     reference_at,
     shape_at,
     signed_turn,
+    slope_at,
     to_frame,
     turned,
+    turns_per_rad,
 )
 from dqforge.reports.phase_control.structure import Structure
 
@@ -260,7 +263,26 @@ class PhaseControlModel:
                     for a, one, two, inductance in zip(v, first, second, inductances, strict=True)
                 )
             )
+        elif made.feedforward == "measured":
+            part = self._coupling(state, sample, f)
+            v = Stationary(*(a + b for a, b in zip(v, part, strict=True)))
         return v if made.neutral else v._replace(zero=np.zeros_like(v.zero))
+
+    def _coupling(self, state: PhaseControlState, sample: _Sample, f: Stationary) -> Stationary:
+        """Voltage that the measured currents need, were they constant in their frame."""
+        made, gains, current = self.structure, self.gains, sample.current
+        if not made.follows:
+            x = park(SINGLE, Pair(current.alpha, current.beta), sample.now)
+            omega_e = sample.omega_e
+            turning = -(omega_e * (gains["l_q"] * x.y)), omega_e * (gains["l_d"] * x.x)
+            plane = park_inverse(SINGLE, turning, sample.acting)
+            return Stationary(plane.x, plane.y, np.zeros_like(plane.x))
+        seen = current if made.neutral else current._replace(zero=np.zeros_like(current.zero))
+        inside = to_frame(made.frame, self._shape(state, sample.place), seen, gains["psi_pm"])
+        place = sample.place + (np.float32(1.5) * sample.step)
+        opened = state.open if made.neutral else None
+        slope = slope_at(self.shape, place, opened, made.turns)
+        return coupling(made.frame, gains, f, slope, inside, sample.omega_e)
 
     def _harmonics(self, state: PhaseControlState, sample: _Sample, v: Stationary) -> Stationary:
         """The voltage with that of the harmonic integrators."""
@@ -395,8 +417,3 @@ class PhaseControlModel:
         omega_m = np.ascontiguousarray(measured[:, 4])
         torque = speed_loop(self.gains, self.structure.ratio, state, omega_m, reference)
         return self.torque_control(state, measured, torque)
-
-
-def turns_per_rad(turns: int) -> np.float32:
-    """What turns an angle in rad into lengths of a table over electrical turns."""
-    return np.float32(1.0 / (2.0 * np.pi * turns))
