@@ -46,7 +46,14 @@ SPEED_BANDWIDTH = 50.0
 """Of the speed loop in rad/s, kp = J omega_c and ki = kp omega_c/4; chosen likewise."""
 
 
-_HARMONICS = ((-5, 7, -11, 13), (3, 9), 60.0, 1.0)
+_EQUAL = ((-5, 7, -11, 13), (3, 9))
+
+
+_UNEQUAL = ((-1, 3, -3, -5, 7, -11, 13), (1, 3, 9))
+"""Orders in alpha and beta, and of the zero sequence, where phases are alike and where not."""
+
+
+_RATE, _ERROR_MAX = 60.0, 1.0  # 1/s; A
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,12 +116,18 @@ def _axis(inductance: float) -> AxisGains:
     return AxisGains(omega_c * inductance, 0.1 * omega_c * omega_c * inductance)
 
 
+def _harmonics(neutral: bool, alike: bool, t_s: float) -> HarmonicGains:
+    orders, zero_orders = _EQUAL if alike else _UNEQUAL
+    frequency_max = 1.0 / (6.0 * t_s)
+    return HarmonicGains(orders, zero_orders if neutral else (), _RATE, frequency_max, _ERROR_MAX)
+
+
 def phase_control(case: LoopCase, machine: PhaseMachine, t_s: float) -> PhaseControl:
     """Current control of a case, sampled every ``t_s`` in s."""
     neutral = TOPOLOGIES[case.firmware].neutral
     plane, zero = machine.l_s - machine.m_s, machine.l_s + 2.0 * machine.m_s
-    orders, zero_orders, rate, error_max = _HARMONICS
-    whole = machine.flux[:1] if machine.symmetry != "none" else machine.flux
+    alike = machine.symmetry != "none"
+    whole = machine.flux[:1] if alike else machine.flux
     return PhaseControl(
         frame=case.frame,
         feedforward=case.feedforward,
@@ -125,13 +138,7 @@ def phase_control(case: LoopCase, machine: PhaseMachine, t_s: float) -> PhaseCon
         psi_pm=machine.psi_pm,
         inductances=(plane, plane, zero),
         gains=(_axis(plane), _axis(plane), _axis(zero) if neutral else AxisGains(0.0, 0.0)),
-        harmonics=(
-            HarmonicGains(
-                orders, zero_orders if neutral else (), rate, 1.0 / (6.0 * t_s), error_max
-            )
-            if case.harmonics
-            else None
-        ),
+        harmonics=_harmonics(neutral, alike, t_s) if case.harmonics else None,
         t_s=t_s,
         torque_max=1.5 * machine.pole_pairs * machine.psi_pm * machine.i_max,
         # The midpoint is half of a link that does not move: nothing is balanced, nothing fades.

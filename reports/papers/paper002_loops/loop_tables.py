@@ -48,6 +48,7 @@ def _currents(runs: tuple[LoopRun, ...]) -> Table:
         ),
         tuple(_row(run) for run in runs),
         (
+            "dqy runs on diodes on purpose: designs refuse it there. Averaged: no dead time.",
             "Torque ripple p-p of 1 N m: averaged inverter; means of PWM periods; every instant.",
             f"Dead time 1 us (inferred); {BANDWIDTH:.0f} Hz per axis (chosen: none are printed).",
         ),

@@ -12,6 +12,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import CurrentFrame, Topology
 from dqforge.machines.phase_machines.frames import thesis_shapes
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.plants.scenario import Scenario
 from dqforge.reports.papers.paper002_definitions.bench_currents import bench_machine
 from dqforge.reports.papers.paper002_definitions.compensation import TRAPEZOID_FLUX
 from dqforge.reports.papers.paper002_loops.closed_loops import AVERAGED, TAIL
@@ -23,6 +24,9 @@ _FRAMES: tuple[CurrentFrame, ...] = ("dqx", "dqy")
 
 
 _NODES = 360  # as the shipped machine, with the trapezoid's corners among them
+
+
+_ENOUGH = 50.0  # A
 
 
 SHIPPED = "shipped drive"
@@ -44,7 +48,8 @@ def shaped_machines() -> dict[str, PhaseMachine]:
     """The shapes of the thesis that differ from a sine, and the shipped one, with the shipped
     windings.
     """
-    shipped = bench_machine()
+    # What the shapes make of the torque must not meet the current limit.
+    shipped = replace(bench_machine(), i_max=_ENOUGH)
     shapes = thesis_shapes(_NODES)
     made = {
         name: replace(shipped, flux=TRAPEZOID_FLUX * shape)
@@ -60,33 +65,41 @@ def _shape_bytes(flux: FloatArray) -> bytes:
     return content + bytes(-len(content) % 8)
 
 
-def _found(program: Simulator, drive: Drive) -> tuple[float, float]:
+def _found(program: Simulator, scenario: Scenario, drive: Drive) -> tuple[float, float]:
     """Copper loss in W and mean torque in N m."""
     assert isinstance(drive.phases, PhaseMachine)
     run = simulate(
-        program, drive, AVERAGED, stride=1000, tail=TAIL, shape=_shape_bytes(drive.phases.flux)
+        program, drive, scenario, stride=1000, tail=TAIL, shape=_shape_bytes(drive.phases.flux)
     )
     figures = run.figures
     copper = figures.tail_copper_a + figures.tail_copper_b + figures.tail_copper_c
     return float(copper[0]), float(figures.tail_torque[0])
 
 
-def _of_circuit(topology: Topology, frame: CurrentFrame) -> list[tuple[float, float]]:
+def _of_circuit(
+    topology: Topology, scenario: Scenario, frame: CurrentFrame
+) -> list[tuple[float, float]]:
     """Copper loss and torque of every machine with a frame on a circuit."""
     machines = shaped_machines()
-    case = LoopCase("", "", "", topology, topology, frame, "references")
+    case = LoopCase("", "", "", topology, topology, frame, "references", harmonics=True)
     design = case_design(case)
     # Its phases differ: three rows, into which every other back-EMF fits.
     headers = controller_files(case, design, machines["one phase missing"])
     with simulator(headers, design.export.prefix, topology=topology) as program:
         return [
-            _found(program, Drive(design.machine, design.inverter, design.control.t_s, 1, machine))
+            _found(
+                program,
+                scenario,
+                Drive(design.machine, design.inverter, design.control.t_s, 1, machine),
+            )
             for machine in machines.values()
         ]
 
 
-def loop_ratios(circuit: Topology = "four-leg") -> tuple[LoopRatio, ...]:
-    """All shapes on a circuit, an averaged inverter without dead time at 750 rpm and 1 N m.
+def loop_ratios(
+    circuit: Topology = "four-leg", scenario: Scenario = AVERAGED
+) -> tuple[LoopRatio, ...]:
+    """All shapes on a circuit, by default an averaged inverter without dead time, 750 rpm, 1 N m.
 
     Raises
     ------
@@ -94,7 +107,7 @@ def loop_ratios(circuit: Topology = "four-leg") -> tuple[LoopRatio, ...]:
         There is no compiler.
     """
     with ThreadPoolExecutor(len(_FRAMES)) as pool:
-        of_x, of_y = pool.map(partial(_of_circuit, circuit), _FRAMES)
+        of_x, of_y = pool.map(partial(_of_circuit, circuit, scenario), _FRAMES)
     return tuple(
         LoopRatio(name, circuit, x[0] / y[0], (x[1], y[1]))
         for name, x, y in zip(shaped_machines(), of_x, of_y, strict=True)

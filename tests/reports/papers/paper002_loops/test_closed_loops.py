@@ -4,12 +4,15 @@ what circuits with a path for the neutral current do.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from dqforge.machines.plants.scenario import constant
 from dqforge.reports.papers.paper002_definitions.bench_currents import bench_curves, bench_machine
-from dqforge.reports.papers.paper002_loops.closed_loops import RPM, LoopRun, run_loops
+from dqforge.reports.papers.paper002_loops.closed_loops import RPM, STEADY, LoopRun, run_loops
 from dqforge.reports.papers.paper002_loops.diode_path import diode_path
 from dqforge.reports.papers.paper002_loops.loop_cases import CASES
 from dqforge.reports.papers.paper002_loops.loop_figures import plot_loops, plot_step
@@ -134,3 +137,20 @@ def test_copper_losses_of_dqx_over_dqy_in_the_loop(circuit: str) -> None:
     for row in rows:
         assert row.ratio == pytest.approx(expected[row.shape], abs=2e-4), row.shape
         assert row.torques == pytest.approx((1.0, 1.0), abs=1e-4), row.shape
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("circuit", ["four-leg", "six-leg"])
+def test_copper_losses_with_every_switching_instant(circuit: str) -> None:
+    """At 3 N m, where the ripple of the PWM weighs little, with 1 us of dead time."""
+    expected = {
+        "one phase at half amplitude": 1.0607,
+        "one phase missing": 1.7318,
+        "trapezoid": 1.0419,
+        "shipped drive": 1.0137,
+    }
+    scenario = replace(STEADY, reference=constant(3.0))
+    rows = loop_ratios("four-leg" if circuit == "four-leg" else "six-leg", scenario)
+    for row in rows:
+        assert row.ratio == pytest.approx(expected[row.shape], rel=1.5e-3), row.shape
+        assert row.torques == pytest.approx((3.0, 3.0), rel=5e-3), row.shape
