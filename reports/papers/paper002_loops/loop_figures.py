@@ -41,7 +41,8 @@ def _rows(column: tuple[Axes, ...], run: LoopRun, curves: BenchCurves) -> None:
     found, degrees, wanted = run.curves, np.degrees(run.curves.theta), np.degrees(curves.theta)
     q.plot(degrees, found.dqy[1], color=BLUE, label="i_qy (6.9)")
     q.plot(degrees, found.dqx[1], color=ORANGE, linewidth=0.9, label="i_qx (6.10)")
-    q.set(title=_SHORT[run.case.name], ylim=(1.7, 2.5))
+    q.set_title(_SHORT[run.case.name], fontsize=7.5)
+    q.set(ylim=(1.7, 2.5))
     plane.plot(degrees, found.stationary[0], color=BLUE, label="i_\u03b1 (6.11)")
     plane.plot(degrees, found.stationary[1], color=ORANGE, label="i_\u03b2 (6.12)")
     plane.set(ylim=(-2.2, 3.4))
@@ -72,13 +73,13 @@ def plot_loops(runs: tuple[LoopRun, ...], curves: BenchCurves) -> Figure:
             "paper-002-loops", 10.2, "Currents in the loop: diodes beside four legs, 750 rpm, 1 N m"
         )
         for place, name in enumerate(_BESIDE):
-            across, run = 0.085 + 0.319 * place, by_name[name]
+            across, run = 0.085 + 0.313 * place, by_name[name]
             column = tuple(
-                figure.add_axes((across, 0.855 - 0.148 * row, 0.265, 0.112)) for row in range(4)
+                figure.add_axes((across, 0.855 - 0.148 * row, 0.255, 0.112)) for row in range(4)
             )
             _rows(column, run, curves)
             plane = figure.add_axes((across + 0.03, 0.2, 0.205, 0.141))
-            space = figure.add_axes((across, 0.045, 0.265, 0.09))
+            space = figure.add_axes((across, 0.045, 0.255, 0.09))
             _paths(plane, space, run)
             plane.set_title("Figure 6.14", fontsize=7.0)
             space.set_title("Figure 6.15, seen along \u03b1", fontsize=7.0)
@@ -119,7 +120,7 @@ def plot_step(runs: tuple[LoopRun, ...]) -> Figure:
                 label=_SHORT[name],
             )
         speed.set(
-            title="Figure 6.18: speed in rpm", xlabel="Time in ms", xlim=(-10.0, 300.0),
+            title="Figure 6.18: speed in rpm, all alike", xlabel="Time in ms", xlim=(-10.0, 300.0),
             ylim=(640.0, 790.0),
         )  # fmt: skip
         speed.legend(frameon=False, loc="upper right", fontsize=6.0)
