@@ -233,7 +233,7 @@ def fit_salient_phases(
     Raises
     ------
     InputError
-        A table is asked for.
+        A table is asked for, or the pole pairs differ.
     NoSolutionError
         Constant torque cannot be made at some angle, or no form keeps the error.
     """
@@ -241,6 +241,11 @@ def fit_salient_phases(
         raise InputError(
             "waveform.form: a table over the angle needs currents in proportion to the torque, "
             "which those of a salient machine are not; write harmonics"
+        )
+    if machine.turns > 1:
+        raise InputError(
+            "machine.inductance_harmonics: currents that are not in proportion to the torque, for "
+            "pole pairs that differ, fit no form of the firmware; leave out back_emf.span"
         )
     torque_max = largest_torque(machine, limits)
     lines = _lines(machine, limits, torque_max)

@@ -206,8 +206,8 @@ def map_table(flux_map: FluxMap) -> FloatArray:
 
 
 def emf_table(phases: PhaseMachine, scale: float = 1.0) -> FloatArray:
-    """Harmonics of the back-EMF over electrical speed: order, then cosine and sine of alpha,
-    beta and zero.
+    """Harmonics of the back-EMF over electrical speed: order of the electrical angle, then cosine
+    and sine of alpha, beta and zero.
 
     They are those of the interpolating trigonometric polynomial of the machine's table,
     without what is rounding.
@@ -222,7 +222,7 @@ def emf_table(phases: PhaseMachine, scale: float = 1.0) -> FloatArray:
         np.max(np.abs(spectrum[:, orders]), axis=0) > _NEGLIGIBLE * np.max(np.abs(spectrum))
     ]
     terms = np.empty((kept.size, 7))
-    terms[:, 0] = kept
+    terms[:, 0] = kept / phases.turns
     terms[:, 1::2], terms[:, 2::2] = spectrum[:, kept].real.T, -spectrum[:, kept].imag.T
     return terms.reshape(-1)
 
