@@ -55,7 +55,8 @@ def unit_currents(machine: PhaseMachine, rule: CurrentRule) -> FloatArray:
     """
     flux = machine.flux
     if rule == "dq":
-        turn = np.exp(-1j * machine.theta)
+        places = machine.turns * np.arange(machine.angles)
+        turn = np.exp(-2j * np.pi * places / machine.angles)
         twist = np.exp(2j * np.pi / 3.0 * np.arange(3))[:, np.newaxis]
         # Positive sequence of the fundamental, one phasor for all three phases.
         phasor = 2.0 * np.mean(flux * turn * twist)
