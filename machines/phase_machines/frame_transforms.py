@@ -42,6 +42,7 @@ __all__ = [
     "from_frame",
     "loss_ratio_x_over_y",
     "matrices",
+    "resampled",
     "spectral_derivative",
     "spectral_frame_angles",
     "thesis_shapes",
@@ -85,6 +86,20 @@ def spectral_derivative(waveform: FloatArray, turns: int = 1) -> FloatArray:
     spectrum = 1j * (np.arange(count // 2 + 1) / turns) * np.fft.rfft(waveform)
     # The inverse takes the imaginary part at N/2 for zero.
     return np.asarray(np.fft.irfft(spectrum, n=count), dtype=np.float64)
+
+
+def resampled(waveform: FloatArray, count: int) -> FloatArray:
+    """Trigonometric interpolation of periodic rows at even angles.
+
+    Parameters
+    ----------
+    waveform:
+        Values in any unit, shape (..., N).
+    count:
+        Number of angles wanted.
+    """
+    lines = np.fft.rfft(waveform, axis=-1)
+    return np.asarray(np.fft.irfft(lines, n=count, axis=-1) * (count / waveform.shape[-1]))
 
 
 def amplitude_factor(frame: Frame, shape: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import WaveformForm
+from dqforge.machines.phase_machines.frame_transforms import resampled
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.curves.single_precision import fused_multiply_add, multiply_add
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
@@ -77,12 +78,6 @@ class PhaseFit:
     def chosen(self) -> PhaseCandidate:
         """The candidate that is emitted."""
         return self.candidates[0]
-
-
-def resampled(waveform: FloatArray, count: int) -> FloatArray:
-    """Trigonometric interpolation of periodic rows, shape (..., N), at ``count`` even angles."""
-    lines = np.fft.rfft(waveform, axis=-1)
-    return np.asarray(np.fft.irfft(lines, n=count, axis=-1) * (count / waveform.shape[-1]))
 
 
 def are_equal(waveform: FloatArray) -> bool:

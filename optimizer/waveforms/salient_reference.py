@@ -15,6 +15,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.phase_machines.frame_transforms import resampled
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.curves.single_precision import fused_multiply_add, multiply_add
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
@@ -23,7 +24,6 @@ from dqforge.optimizer.waveforms.firmware_fit import (
     PhaseErrors,
     PhaseFit,
     are_equal,
-    resampled,
 )
 from dqforge.optimizer.waveforms.firmware_form import PhasePolynomials, PhaseReference
 from dqforge.optimizer.waveforms.pointwise_currents import (
