@@ -11,10 +11,14 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.phase_machines.frame_transforms import spectral_derivative, transform
+from dqforge.machines.phase_machines.frame_transforms import (
+    resampled,
+    spectral_derivative,
+    transform,
+)
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, grid
 from dqforge.optimizer.curves.single_precision import fused_multiply_add
-from dqforge.optimizer.frame_tables.exact import COLUMNS, exact_frames, resampled
+from dqforge.optimizer.frame_tables.exact import COLUMNS, exact_frames
 from dqforge.optimizer.frame_tables.fit import (
     errors_of,
     fit_frames,
