@@ -22,11 +22,11 @@ from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.control.header import control_files
 from dqforge.reports.field_weakening.header import weakening_files
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
+from dqforge.reports.phase_control.emitted import emitted_control_files, phase_control_of
 from dqforge.reports.simulation.compiled_plant import (
     Simulation,
     require_compiler,
@@ -146,7 +146,7 @@ def controller_files(solution: Solution) -> dict[str, bytes]:
     InputError
         The current references are in fixed point.
     """
-    files = header_files(solution) | control_files(solution) | observers_of(solution)[0]
+    files = header_files(solution) | emitted_control_files(solution) | observers_of(solution)[0]
     return (
         files
         if solution.weakening is None
@@ -231,8 +231,12 @@ def simulate_design(
     solved = in_float32(whole)
     drive = drive_of(design)
     stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
+    over_angle = phase_control_of(solved)
     with simulator(
-        controller_files(solved), design.export.prefix, observers_of(solved)[1]
+        controller_files(solved),
+        design.export.prefix,
+        observers_of(solved)[1],
+        None if over_angle is None else over_angle.topology,
     ) as program:
         run = simulate(program, drive, scenario, stride=stride, progress=progress)
     return replace(evaluate(design, run), not_simulated=not_simulated(whole))
