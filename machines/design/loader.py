@@ -130,7 +130,7 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     check_operation(file.operation, file.field_weakening is not None, machine, document)
     check_fit(file.fit, file.operation, machine, i_max, document)
     simulated = file.simulation is not None
-    check_waveform(file.waveform, file.machine, file.inverter, simulated, document)
+    check_waveform(file.waveform, file.machine, file.inverter, document)
     check_phase_control(file.control, found.phases, file.inverter.topology, document)
     rated_speed = si_of(file.machine.rated.speed)
     control = read_control(file.control, machine, inverter, i_max, rated_speed, reading)
@@ -164,7 +164,14 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         given=reading.given(),
         weakening=weakening,
         winding=read_winding_heat(file.machine, inverter.coolant_temperature),
-        simulation=read_scenario(file.simulation, machine, inverter, control, reading),
+        simulation=read_scenario(
+            file.simulation,
+            machine,
+            inverter,
+            control,
+            reading,
+            waveform=found.phases is not None,
+        ),
         modulation_choice=choice,
         flux_evidence=tuple(reading.flux_evidence),
         halves=found.halves,

@@ -51,9 +51,7 @@ def has_equal_phases(machine: PhaseMachine) -> bool:
     """Whether b and c are phase a, a third and two thirds of the period later."""
     flux, third = machine.flux, machine.angles // 3
     scale = _SAME * float(np.max(np.abs(flux)))
-    return all(
-        bool(np.max(np.abs(np.roll(flux[0], k * third) - flux[k])) <= scale) for k in (1, 2)
-    )
+    return all(bool(np.max(np.abs(np.roll(flux[0], k * third) - flux[k])) <= scale) for k in (1, 2))
 
 
 def shape_error(machine: PhaseMachine, shape: PhaseShape, *, zero: bool) -> tuple[float, int]:

@@ -15,6 +15,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.plants.scenario import PhaseOpening
 
 TEXT = """\
 dqforge: 1
@@ -237,133 +238,26 @@ def test_saliency_that_makes_no_machine_is_refused_at_its_place(
     assert "\n" not in str(caught.value)
 
 
-def test_a_salient_machine_is_not_simulated() -> None:
-    simulation = "simulation: {duration: 10 ms}\n"
-    with pytest.raises(InputError, match="a machine with inductance_harmonics is not simulated"):
-        loaded(HARMONICS, SALIENT + simulation)
+SPINNING = "simulation: {duration: 10 ms, shaft: {points: [{time: 0 s, speed: 100 rpm}]}, BODY}\n"
+CURRENT = "current: {points: [{time: 0 s, i_d: 0 A, i_q: 1 A}]}"
 
 
-PAIRS = TEXT.replace("pole_pairs: 2", "pole_pairs: 5")
+def test_a_salient_machine_is_simulated() -> None:
+    design = loaded(HARMONICS, SALIENT + SPINNING.replace("BODY", CURRENT))
+    assert isinstance(design.phase_machine, SalientPhaseMachine)
+    assert design.simulation is not None
+    assert design.simulation.mode == "current"
 
 
-def turning_file(folder: Path, periods: float) -> Path:
-    """A capture of five pole pairs, of which one is 8 % stronger, from their beginning."""
-    time = np.arange(int(100 * periods)) / 5000.0
-    theta = 2.0 * np.pi * 50.0 * time + 0.01
-    lag = 2.0 * np.pi / 3.0 * np.arange(3)[:, np.newaxis]
-    # Phases of one fifth of the turn: equal to the phase before by two thirds of the turn.
-    around = np.mod(theta / 5.0 - 2.0 * lag, 2.0 * np.pi)
-    stronger = 1.0 + 0.08 * np.exp(-(((around - 2.0) / 0.5) ** 2))
-    volts = 2.0 * np.pi * 50.0 * 0.2 * -np.sin(theta - 10.0 * lag) * stronger
-    rows = np.column_stack([time, volts.T])
-    path = folder / "turns.csv"
-    np.savetxt(path, rows, delimiter=",", header="t s,a V,b V,c V", comments="", fmt="%.9g")
-    return path
-
-
-def beside(folder: Path, back: str, text: str = PAIRS) -> Design:
-    file = folder / "waves.yaml"
-    file.write_text(text.replace("BACK", back))
-    return load_design(file)
-
-
-def test_a_capture_keeps_its_pole_pairs_over_the_mechanical_span(tmp_path: Path) -> None:
-    turning_file(tmp_path, 20.0)
-    whole = phases(beside(tmp_path, "{file: turns.csv, span: mechanical}"))
-    assert (whole.turns, whole.angles) == (5, 1800)
-    stronger = 1.0 + 0.08 * np.exp(-(((whole.theta / 5.0 - 2.0) / 0.5) ** 2))
-    np.testing.assert_allclose(whole.flux[0], -0.2 * np.sin(whole.theta) * stronger, atol=4e-4)
-    assert whole.symmetry == "none"
-    equal = phases(beside(tmp_path, "{file: turns.csv, span: mechanical, symmetric: true}"))
-    assert equal.symmetry == "third"
-    np.testing.assert_allclose(equal.flux, whole.flux, atol=1e-3)
-
-
-def test_a_capture_that_is_averaged_says_what_its_pole_pairs_differ_by(tmp_path: Path) -> None:
-    turning_file(tmp_path, 20.0)
-    design = beside(tmp_path, "{file: turns.csv}")
-    assert phases(design).turns == 1
-    (remark,) = [text for text in design.assumptions if "The pole pairs differ" in text]
-    assert remark.startswith("turns.csv: The pole pairs differ: within a mechanical turn")
-    assert remark.endswith("back_emf.span: mechanical in a design keeps it.")
-
-
-@pytest.mark.parametrize(
-    ("periods", "back", "text", "message"),
-    [
-        (
-            4.5,
-            "{file: turns.csv, span: mechanical}",
-            PAIRS,
-            (
-                r"waves.yaml:9:37: machine.back_emf.span: turns.csv does not cover a mechanical turn: "
-                r"it shows 4.5 electrical periods of 5; capture a whole turn, or write span: electrical"
-            ),
-        ),
-        (
-            20.0,
-            "{file: turns.csv, span: mechanical}",
-            PAIRS.replace("pole_pairs: 5", "pole_pairs: 1"),
-            "with one pole pair the mechanical turn is the electrical period; leave span out",
-        ),
-        (
-            20.0,
-            "{file: turns.csv, span: mechanical, symmetric: true}",
-            PAIRS.replace("pole_pairs: 5", "pole_pairs: 6"),
-            "phases of 6 different pole pairs lie no third of a mechanical turn apart",
-        ),
-        (
-            20.0,
-            "{span: mechanical, harmonics: [{order: 1, amplitude: 0.2 Wb}]}",
-            PAIRS,
-            "machine.back_emf.span is that of a capture; harmonics of pole pairs that differ are",
-        ),
-        (
-            20.0,
-            "{harmonics: [{order: 1, amplitude: 0.2 Wb}, {order: 2, mechanical_order: 3, share: 1 %}]}",
-            PAIRS,
-            "write either order or mechanical_order of each harmonic",
-        ),
-        (
-            20.0,
-            "{harmonics: [{order: 1, amplitude: 0.2 Wb}, {mechanical_order: 5, share: 1 %}]}",
-            PAIRS,
-            "order 1 is listed twice",
-        ),
-        (
-            20.0,
-            "{harmonics: [{order: 1, amplitude: 0.2 Wb}, {mechanical_order: 1001, share: 1 %}]}",
-            PAIRS,
-            "mechanical_order 1001 is order 200.2 of the electrical angle; write at most 1000",
-        ),
-    ],
-)
-def test_spans_that_cannot_be_are_refused(
-    tmp_path: Path, periods: float, back: str, text: str, message: str
-) -> None:
-    turning_file(tmp_path, periods)
-    with pytest.raises(InputError, match=message):
-        beside(tmp_path, back, text)
-
-
-def test_harmonics_of_the_mechanical_angle_span_the_turn() -> None:
-    """Order 6 of the mechanical angle of five pole pairs is 1.2 of the electrical one."""
-    harmonics = (
-        "{harmonics: [{order: 1, amplitude: 0.2 Wb}, {mechanical_order: 6, share: 10 %, phase: 30 "
-        "deg}]}"
-    )
-    found = phases(loaded(harmonics, PAIRS))
-    assert found.turns == 5
-    wanted = -0.2 * (np.sin(found.theta) + 0.1 * np.sin(1.2 * found.theta - np.pi / 6.0))
-    np.testing.assert_allclose(found.flux[0], wanted, atol=1e-12)
-
-
-def test_a_period_computed_by_others_covers_no_mechanical_turn(
-    tmp_path: Path, shared_data: Path
-) -> None:
-    """Eight poles over 90 mechanical degrees, by finite elements (femagtools)."""
-    name = "femag_test002_noload_3ph_p4_50rps.csv"
-    (tmp_path / name).write_bytes((shared_data / "bemf" / name).read_bytes())
-    text = TEXT.replace("pole_pairs: 2", "pole_pairs: 4")
-    with pytest.raises(InputError, match="it shows 1 electrical periods of 4; capture a whole"):
-        beside(tmp_path, f"{{file: {name}, span: mechanical}}", text)
+def test_an_opening_phase_is_read_and_refused_where_nothing_answers() -> None:
+    opens = CURRENT + ", open_phase: {phase: b, time: 5 ms, detected_after: 1 ms}"
+    wired = TEXT + SPINNING.replace("BODY", opens)
+    text = wired.replace("topology: four-leg", "topology: three-wire")
+    assert text != wired
+    with pytest.raises(InputError, match="detected_after: two phases of three-wire") as caught:
+        loaded(HARMONICS, text)
+    assert caught.value.line is not None
+    scenario = loaded(HARMONICS, wired).simulation
+    assert scenario is not None
+    assert scenario.open_phase == PhaseOpening("b", 5e-3, 1e-3)
+    assert loaded(HARMONICS, text.replace(", detected_after: 1 ms", "")).simulation is not None
