@@ -12,6 +12,7 @@ from dqforge.reports.current_reference.capability import (
     NEGATIVE_REFERENCE,
 )
 from dqforge.reports.field_weakening.capability import WEAKENING
+from dqforge.reports.frame_tables.capability import FRAME_TABLES
 from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS
 from dqforge.reports.losses.capability import LOSSES, MISSION
 from dqforge.reports.modulation_choice.capability import MODULATION_CHOICE
@@ -32,6 +33,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     MISSION,
     WAVEFORMS,
     PHASE_REFERENCE,
+    FRAME_TABLES,
     WEAKENING,
     FLOAT32_CONTROL,
     FIXED_CONTROL,
