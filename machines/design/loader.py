@@ -40,6 +40,10 @@ from dqforge.machines.design.sections.machine.cross_checks import check_halves, 
 from dqforge.machines.design.sections.machine.model import read_machine
 from dqforge.machines.design.sections.modulation_choice import read_choice
 from dqforge.machines.design.sections.operation import check_operation, read_operation
+from dqforge.machines.design.sections.phase_control import (
+    check_phase_control,
+    phase_control_remarks,
+)
 from dqforge.machines.design.sections.simulation.reading import read_scenario
 from dqforge.machines.design.sections.waveform import check_waveform, read_waveform
 from dqforge.machines.design.settings import ControlSettings
@@ -127,12 +131,15 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     check_fit(file.fit, file.operation, machine, i_max, document)
     simulated = file.simulation is not None
     check_waveform(file.waveform, file.machine, file.inverter, simulated, document)
+    check_phase_control(file.control, found.phases, file.inverter.topology, document)
     rated_speed = si_of(file.machine.rated.speed)
     control = read_control(file.control, machine, inverter, i_max, rated_speed, reading)
     needed = bool(file.export.control) or simulated
     named = "control" in file.model_fields_set
     control = replace(control, gains=read_gain_wish(file.control, named, needed, document))
     remarks.extend(_remarks(file, machine, inverter, control))
+    if control.gains != "none":
+        remarks.extend(phase_control_remarks(control.current_loop, found.phases, inverter))
     remarks.extend(bare_speed_remarks(file, file.machine.max_speed or file.machine.rated.speed))
     strategy = file.operation.strategy
     weakening = read_weakening(file.field_weakening, strategy, machine, reading)

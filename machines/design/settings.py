@@ -30,6 +30,15 @@ from dqforge.machines.names import (
 
 LossStrategy = Literal["mtpa", "id0", "least-loss"]
 
+
+PhaseStrategy = Literal["dq", "dqx", "dqy", "limited"]
+
+"""How the currents of a machine with any back-EMF are chosen: sinusoids, constant torque without
+and with zero sequence, and the least copper loss within voltage and current."""
+
+
+AnyStrategy = LossStrategy | PhaseStrategy
+
 """``mtpa``: least copper loss, the field weakened where the voltage asks for it; ``id0``: no d
 current; ``least-loss``: least loss of machine and inverter together, within the same limits."""
 
@@ -119,7 +128,8 @@ class CurrentLoopSettings:
     16 bits best. ``max_sensitivity`` bounds M_s of the method ``optimised``. With ``schedule`` the
     gains follow the inductances of a machine that saturates. The others are for machines whose
     back-EMF is not sinusoidal: ``frame`` None for the one that the machine asks for,
-    ``feedforward``, ``axis_gains`` and whether ``harmonic_integrators`` run.
+    ``feedforward``, ``axis_gains``, whether ``harmonic_integrators`` run, and whether
+    ``limited_waveforms`` go on where the link ends the plain ones.
     """
 
     method: CurrentLoopMethod = "magnitude-optimum"
@@ -136,6 +146,7 @@ class CurrentLoopSettings:
     feedforward: Feedforward = "references"
     axis_gains: AxisGainRule = "own"
     harmonic_integrators: bool = True
+    limited_waveforms: bool = False
 
 
 @dataclass(frozen=True, slots=True)

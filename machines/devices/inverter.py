@@ -38,6 +38,8 @@ class Inverter:
         Series resistance of the DC-link capacitor in Ohm at the carrier frequency.
     neutral_inductance:
         Inductance in H of a choke in the neutral conductor; 0 without one.
+    neutral_resistance:
+        Resistance in Ohm of the neutral's conductor and choke; 0 leaves its loss out.
     midpoint_capacitance:
         Both halves of a split link together, C_1 + C_2 in F; None for a link that is not split.
     """
@@ -52,4 +54,5 @@ class Inverter:
     device_model: DeviceModel | None = None
     capacitor_esr: float = 0.0
     neutral_inductance: float = 0.0
+    neutral_resistance: float = 0.0
     midpoint_capacitance: float | None = None

@@ -42,7 +42,7 @@ _UNIT_WORDS |= {
 }
 
 
-_TURNS = ("U", "r", "tr")
+_OTHERWISE = ("U", "r", "tr", "F")
 
 
 _UNIT_PARTS = re.compile(r"[\s/*·^().-]+|\d+")
@@ -172,10 +172,10 @@ def _units_row(layout: Layout, line: int, kept: IndexArray) -> list[str] | None:
 
 
 def _is_unit(text: str) -> bool:
-    """Whether a text is a unit, or a product or quotient of units; U and r alone
-    name a phase or a radius.
+    """Whether a text is a unit, or a product or quotient of units; alone U is
+    a phase, r a radius and F a force.
     """
-    if text in _TURNS:
+    if text in _OTHERWISE:
         return False
     parts = [part for part in _UNIT_PARTS.split(text) if part]
     known = all(

@@ -64,14 +64,14 @@ class BridgeAverages:
 
 
 def _shares(wave: PhaseWaveforms, *, one_rail: bool) -> dict[str, FloatArray]:
-    """Weights (S, n, angles, 3) of what flows or switches where, for S positions:
+    """Weights (S, n, angles, legs) of what flows or switches where, for S positions:
     one stands for two that are alike.
 
     ``own`` is the share of the carrier period in which a position carries its transistor's current,
     ``back`` in which it carries current backwards; ``events`` and ``recoveries`` are one where it
     switches, or its diode recovers.
     """
-    weight = wave.weight[..., None] / 3.0
+    weight = wave.weight[..., None] / wave.current.shape[-1]
     duty = np.clip(wave.modulation.duty, 0.0, 1.0)
     ahead = wave.current >= 0.0
     free = weight * ~wave.modulation.clamped
@@ -85,15 +85,29 @@ def _shares(wave: PhaseWaveforms, *, one_rail: bool) -> dict[str, FloatArray]:
 
 
 def _mean(shares: FloatArray, values: FloatArray) -> FloatArray:
-    """Weighted sums (S, K, n) of values (K, n, angles, 3) with shares (S, n, angles, 3)."""
+    """Weighted sums (S, K, n) of values (K, n, angles, legs) with shares (S, n, angles, legs)."""
     count = shares.shape[1]
     left = shares.reshape(shares.shape[0], 1, count, 1, -1)
     right = values.reshape(1, values.shape[0], count, -1, 1)
     return np.asarray((left @ right)[..., 0, 0])
 
 
-def _junctions(tables: BridgeTables, wave: PhaseWaveforms, *, one_rail: bool) -> FloatArray:
-    """Conduction, switching and dead time (rows) of transistor and diode, shape (3, S, 2, K, n)."""
+def junction_losses(tables: BridgeTables, wave: PhaseWaveforms, *, one_rail: bool) -> FloatArray:
+    """Conduction, switching and dead time (rows) of transistor and diode, shape (3, S, 2, K, n).
+
+    The mean over the half bridges of the waveforms, three of them or any number: conduction in W,
+    energies of all events of a carrier period in J, and W for the share of 1 in each gap, as in
+    `BridgeAverages`.
+
+    Parameters
+    ----------
+    tables:
+        The device, K temperatures.
+    wave:
+        Duty cycles and currents of n points, the half bridges along the last axis.
+    one_rail:
+        Whether upper and lower positions differ (S = 2); else one stands for both (S = 1).
+    """
     share = _shares(wave, one_rail=one_rail)
     size = np.abs(wave.current)
     channel = tables.channel.at(size) * size
@@ -174,7 +188,7 @@ def bridge_averages(
         v_d, v_q = voltage[:, part]
         i_d, i_q = current[:, part]
         wave = sector_waveforms(modulation, v_d, v_q, i_d, i_q, v_dc)
-        found = _junctions(tables, wave, one_rail=one_rail)
+        found = junction_losses(tables, wave, one_rail=one_rail)
         losses[..., part] = found if tables.separate_diode else np.sum(found, axis=2, keepdims=True)
         link[:, part] = _link(wave)
         if stiffness is not None:

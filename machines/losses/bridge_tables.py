@@ -59,8 +59,8 @@ class BridgeTables:
         Whether the diode has a junction of its own.
     channel, diode:
         Voltages in V; ``diode`` is None where nothing is known of it.
-    switching:
-        Energy of one turn-on and one turn-off in J.
+    turn_on, turn_off:
+        Energies of one turn-on and of one turn-off in J.
     recovery:
         Energy of one recovery in J, lost in the diode of the other position.
     resistances:
@@ -79,13 +79,19 @@ class BridgeTables:
     separate_diode: bool
     channel: CurrentTable
     diode: CurrentTable | None
-    switching: CurrentTable
+    turn_on: CurrentTable
+    turn_off: CurrentTable
     recovery: CurrentTable
     resistances: tuple[float, ...]
     coolant_temperature: float
     max_junction_temperature: float
     current_reach: float
     temperature_reach: tuple[float, float]
+
+    @property
+    def switching(self) -> CurrentTable:
+        """Energy of one turn-on and one turn-off in J."""
+        return self.turn_on.plus(self.turn_off)
 
 
 def _ends(curve: Curve) -> list[float]:
@@ -187,7 +193,8 @@ def bridge_tables(inverter: Inverter) -> BridgeTables:
         separate_diode=len(resistances) > 2,
         channel=_of_family(model.conduction, knots),
         diode=None if diode is None else _of_family(diode, knots),
-        switching=turn_on.plus(turn_off),
+        turn_on=turn_on,
+        turn_off=turn_off,
         recovery=_of_energy(model.recovery, inverter.v_dc, knots),
         resistances=resistances,
         coolant_temperature=inverter.coolant_temperature,

@@ -109,13 +109,24 @@ class MachineBudget:
     v_q: FloatArray
 
 
-def _warm_ratio(
+def warm_ratio(
     heat: WindingHeat, cold_loss: FloatArray, extra: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Resistance over r_s of the steady winding, shape (...), and where it is steady.
 
-    With r = 1 + alpha (T - T_ref) and the copper loss c (r + k / r), where c is `cold_loss` in W
-    and k = `extra` the relative rise of the resistance by eddy currents, which warm copper damps:
+    Parameters
+    ----------
+    heat:
+        How warm the winding becomes.
+    cold_loss:
+        Copper loss c in W with r_s, shape (...).
+    extra:
+        Relative rise k of the resistance by eddy currents in cold copper, shape (...).
+
+    Notes
+    -----
+    With r = 1 + alpha (T - T_ref) and the copper loss c (r + k / r), whose eddy currents
+    warm copper damps:
     (1 - g) r^2 - b r - g k = 0 with g = alpha R_th c and b = 1 + alpha (T_coolant - T_ref).
     """
     gain = heat.coefficient * heat.thermal_resistance * cold_loss
@@ -176,7 +187,7 @@ def machine_budget(
     steady = np.ones(current.shape, dtype=np.bool_)
     ratio, temperature = np.ones(current.shape), np.full(current.shape, np.nan)
     if heat is not None:
-        ratio, steady = _warm_ratio(heat, 1.5 * machine.r_s * current, extra)
+        ratio, steady = warm_ratio(heat, 1.5 * machine.r_s * current, extra)
         temperature = (
             heat.coolant_temperature
             + heat.thermal_resistance * 1.5 * machine.r_s * current * (ratio + extra / ratio)

@@ -106,8 +106,17 @@ def switching_instants(duty: FloatArray, t_s: float = 1.0) -> FloatArray:
 
 
 def flux_moments(duty: FloatArray) -> FloatArray:
-    """Averages < g_j g_k > over a carrier period, shape (..., 3, 3), in (v_dc T)^2,
-    of duty cycles (..., 3).
+    """Averages < g_j g_k > over a carrier period, in (v_dc T)^2.
+
+    Parameters
+    ----------
+    duty:
+        Duty cycles of any number n of legs, shape (..., n), within 0 and 1; of one leg g is the
+        flux of its own potential, and what legs have in common falls out where it does not act.
+
+    Returns
+    -------
+    FloatArray, shape (..., n, n)
     """
     off = 1.0 - duty
     a = np.minimum(off[..., :, None], off[..., None, :])

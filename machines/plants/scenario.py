@@ -12,6 +12,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
+from dqforge.machines.names import OpenPhase
 
 ControlMode = Literal["speed", "torque", "current", "open-loop"]
 
@@ -173,6 +174,27 @@ class PlantErrors:
 
 
 @dataclass(frozen=True, slots=True)
+class PhaseOpening:
+    """A phase that opens while the drive runs.
+
+    Its switches rest from ``time`` in s on; once its diodes have let its current die it is open for
+    good. The controller is told ``detected_after`` s later, never where that is None.
+    """
+
+    phase: OpenPhase
+    time: float
+    detected_after: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse instants before the start."""
+        if not 0.0 <= self.time < np.inf or (self.detected_after or 0.0) < 0.0:
+            raise InputError(
+                f"phase {self.phase} cannot open at {self.time:g} s and be found after "
+                f"{self.detected_after} s; neither may be negative"
+            )
+
+
+@dataclass(frozen=True, slots=True)
 class Scenario:
     """One simulation.
 
@@ -207,6 +229,11 @@ class Scenario:
         When angle and speed come from the position observer; None for never.
     sub_steps:
         Integration steps per control period; None for as many as the accuracy needs.
+    open_phase:
+        Phase that opens; None for none. Phase machines only.
+    duties:
+        Duty cycles of all legs over time for ``open-loop``, in the order of `TOPOLOGIES`, instead
+        of the references; empty for none.
     """
 
     duration: float
@@ -226,3 +253,5 @@ class Scenario:
     seed: int = 1
     sub_steps: int | None = None
     sensorless: Sensorless | None = None
+    open_phase: PhaseOpening | None = None
+    duties: tuple[Profile, ...] = ()

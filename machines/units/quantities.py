@@ -172,7 +172,7 @@ _OUTPUT_SCALE = {"rpm": 30.0 / math.pi, "deg": 180.0 / math.pi, "%": 100.0}
 _PLAIN_FROM = {"Wb": 0.01, "N m": 0.01}
 
 
-_PREFIXED = frozenset({"Ohm", "H", "Wb", "V", "A", "Hz", "s", "W", "J", "N m"})
+_PREFIXED = frozenset({"Ohm", "H", "F", "Wb", "V", "A", "Hz", "s", "W", "J", "N m"})
 
 
 _OUTPUT_PREFIXES = (

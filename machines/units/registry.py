@@ -32,6 +32,7 @@ _BASES = {
     "Ω": ("ohm", "nuµμmkM"),
     "\N{OHM SIGN}": ("ohm", "nuµμmkM"),
     "H": ("henry", "pnuµμm"),
+    "F": ("farad", "pnuµμm"),
     "Wb": ("weber", "uµμm"),
     "V": ("volt", "uµμmkM"),
     "A": ("ampere", "nuµμmkM"),
@@ -124,7 +125,7 @@ ENERGETIC = _prefixed("joule")
 MECHANICAL = _prefixed("joule", "newton", "gram")
 
 
-ELECTRICAL = _prefixed("volt", "weber", "henry")
+ELECTRICAL = _prefixed("volt", "weber", "henry", "farad")
 
 
 # What engineers append to A and V, and which kind of value it tells.

@@ -22,6 +22,7 @@ from dqforge.optimizer.loops.robustness import (
     current_robustness,
     speed_robustness,
     turning_robustness,
+    zero_robustness,
 )
 from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule, schedule_gains
 from dqforge.optimizer.loops.tolerance_box import Axis, drive_box
@@ -32,6 +33,7 @@ from dqforge.optimizer.observers.reduced_order import (
 )
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
+from dqforge.optimizer.phase_control.design import PhaseLoops, judged, phase_control
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,8 @@ class GainSet:
     ``position`` one of the position; a design has at most one.
     ``robust`` is what they keep over the tolerances (the speed loop only without an observer), None
     where the design names none; ``schedule`` the current loops' gains over the current, None where
-    it asks for none.
+    it asks for none. ``phases`` is the current control of a machine whose back-EMF is not
+    sinusoidal, None for all others.
     """
 
     i_d: LoopGains
@@ -56,6 +59,7 @@ class GainSet:
     robust: RobustSet | None = None
     schedule: GainSchedule | None = None
     position: PositionObserver | None = None
+    phases: PhaseLoops | None = None
 
     def responses(self) -> tuple[LoopResponse, ...]:
         """Answers of the loops over time and frequency, for whom wants to draw them."""
@@ -97,15 +101,19 @@ def solve_gains(design: Design) -> GainSet:
         else None
     )
     observer, position = solve_observer(design)
+    phases = None if design.phase_machine is None else phase_control(design, i_d, i_q)
     robust = None
     if named:
+        zero = None if phases is None else phases.zero
         robust = RobustSet(
             current_robustness(box, i_d, "i_d"),
             current_robustness(box, i_q, "i_q"),
             None if speed is None else speed_robustness(box, speed, i_q),
-            turning_robustness(box, i_d, i_q),
+            turning_robustness(box, i_d, i_q) if phases is None else None,
             box.named_limits(),
+            None if zero is None else zero_robustness(box, zero),
         )
+    phases = None if phases is None else judged(design, box, phases)
     wanted = control.current_loop.schedule
     schedule = schedule_gains(design, box if named else None, i_d, i_q) if wanted else None
     if speed is not None and (observer is not None or position is not None):
@@ -115,7 +123,7 @@ def solve_gains(design: Design) -> GainSet:
     slopes = (
         None if observer is None else speed_error_slopes(machine, observer, control.bases.speed)
     )
-    return GainSet(i_d, i_q, speed, scaled, observer, slopes, robust, schedule, position)
+    return GainSet(i_d, i_q, speed, scaled, observer, slopes, robust, schedule, position, phases)
 
 
 def _per_unit(

@@ -78,7 +78,7 @@ def tune_current_loop(
     t_s:
         Sampling period in s.
     loop:
-        Which axis, for the messages: ``i_d`` or ``i_q``.
+        Which axis, for the messages: ``i_d``, ``i_q`` or ``i_0``.
     plants:
         For the method ``optimised`` the plants whose M_s is bounded, such as the corners of a
         tolerance box; None for the winding alone.

@@ -22,7 +22,7 @@ from dqforge.optimizer.sampled_systems import LoopMargins
 ComplexArray = NDArray[np.complex128]
 
 
-LoopName = Literal["i_d", "i_q", "speed"]
+LoopName = Literal["i_d", "i_q", "i_0", "speed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class LoopGains:
     Parameters
     ----------
     loop:
-        ``i_d``, ``i_q`` or ``speed``.
+        ``i_d``, ``i_q``, ``i_0`` (zero sequence) or ``speed``.
     method:
         The tuning method, as in the settings.
     kp, ki:

@@ -79,8 +79,9 @@ class RobustSet:
     """Robustness of both current loops and, where there is one, of the speed loop.
 
     ``turning`` is the largest pole modulus of both current loops together up to the largest speed,
-    None where the machine states none. ``limits`` are the parameters that deviate, with the least
-    and the largest deviation: relative, of the dead time in s.
+    None where the machine states none or is judged in its phases. ``limits`` are the parameters
+    that deviate, with the least and the largest deviation: relative, of the dead time in s.
+    ``i_0`` is the zero-sequence current's, None where nothing drives one.
     """
 
     i_d: LoopRobustness
@@ -88,6 +89,7 @@ class RobustSet:
     speed: LoopRobustness | None
     turning: Worst | None = None
     limits: tuple[tuple[str, float, float], ...] = ()
+    i_0: LoopRobustness | None = None
 
 
 def summarise(margins: BatchMargins, points: BoxPoints) -> LoopRobustness:
@@ -224,6 +226,36 @@ def current_robustness(box: DriveBox, gains: LoopGains, axis: Axis) -> LoopRobus
     corners = plants.some(np.arange(points.corners))
     settings = control.current_loop
     if settings.method == "magnitude-optimum":  # no free parameter: offer the same family with one
+        settings = replace(settings, method="bandwidth", bandwidth=gains.kp / inductance)
+
+    def formula(trial: CurrentLoopSettings) -> tuple[float, float]:
+        if trial.method == "optimised":
+            return optimised_current(r_s, inductance, control.t_s, trial.max_sensitivity, corners)
+        return current_pi(r_s, inductance, control.t_s, trial)
+
+    return _kept("control.current_loop", gains, settings, plants, points, formula)
+
+
+def zero_robustness(box: DriveBox, gains: LoopGains) -> LoopRobustness:
+    """Margins of the loop of the zero-sequence current over the box; raises as
+    `current_robustness`.
+
+    Parameters
+    ----------
+    box:
+        The drive with its tolerances.
+    gains:
+        The loop.
+    """
+    control, r_s, inductance = box.design.control, box.design.machine.r_s, gains.inductance
+    assert inductance is not None
+    points = box.zero_points()
+    plants = box.zero_plants(points, inductance)
+    corners = plants.some(np.arange(points.corners))
+    settings = control.current_loop
+    if gains.method == "given":
+        settings = replace(settings, method="given", kp=gains.kp, ki=gains.ki)
+    elif settings.method == "magnitude-optimum":
         settings = replace(settings, method="bandwidth", bandwidth=gains.kp / inductance)
 
     def formula(trial: CurrentLoopSettings) -> tuple[float, float]:

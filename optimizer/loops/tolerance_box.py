@@ -166,6 +166,35 @@ class DriveBox:
         """The same for both current loops together."""
         return box_points({**self._limits("i_d"), **self._limits("i_q")})
 
+    def zero_limits(self) -> dict[str, tuple[float, float]]:
+        """What the loop of the zero-sequence current depends on.
+
+        Its inductance has no tolerance of its own; it moves as far as that of d or q may, whichever
+        is further.
+        """
+        limits = self._limits("i_q")
+        sides = zip(limits.pop("l_q"), self._limits("i_d")["l_d"], strict=True)
+        (low_q, low_d), (high_q, high_d) = sides
+        return {**limits, "l_0": (min(low_q, low_d), max(high_q, high_d))}
+
+    def zero_points(self) -> BoxPoints:
+        """Corners and points inside of what the loop of the zero-sequence current depends on."""
+        return box_points(self.zero_limits())
+
+    def phase_points(self, *, zero: bool) -> BoxPoints:
+        """The same for all current loops of a phase machine, with or without a zero sequence."""
+        both = {**self._limits("i_d"), **self._limits("i_q")}
+        return box_points({**both, **(self.zero_limits() if zero else {})})
+
+    def zero_plants(self, points: BoxPoints, inductance: float) -> PlantBatch:
+        """Plants of the loop of the zero-sequence current around an inductance in H."""
+        return current_plants(
+            self.resistance(points),
+            inductance * (1.0 + points.of("l_0")),
+            self.design.control.t_s,
+            1.0 + points.of("v_dc"),
+        )
+
     def turning_machines(self, points: BoxPoints, omega_e: FloatArray) -> TurningMachines:
         """Windings at M points, each at S electrical speeds in rad/s, points by speeds in one
         row.

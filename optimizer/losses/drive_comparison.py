@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import BoolArray, FloatArray
-from dqforge.machines.design.settings import LossStrategy
+from dqforge.machines.design.settings import AnyStrategy
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
@@ -55,7 +55,7 @@ _EXCESS, _AIM = 1e-7, 1e-6
 class Alternatives:
     """What is compared: S strategies, M modulators, F carrier frequencies in Hz."""
 
-    strategies: tuple[LossStrategy, ...]
+    strategies: tuple[AnyStrategy, ...]
     modulations: tuple[ModulationName, ...]
     frequencies: tuple[float, ...]
 
@@ -64,7 +64,7 @@ class Alternatives:
         """(S, M, F)."""
         return len(self.strategies), len(self.modulations), len(self.frequencies)
 
-    def label(self, index: int) -> tuple[LossStrategy, ModulationName, float]:
+    def label(self, index: int) -> tuple[AnyStrategy, ModulationName, float]:
         """Strategy, modulator and frequency of a flat index."""
         s, m, f = np.unravel_index(index, self.shape)
         return self.strategies[int(s)], self.modulations[int(m)], self.frequencies[int(f)]
@@ -106,7 +106,7 @@ class DriveComparison:
 
 def strategy_currents(
     machine: Machine,
-    strategy: LossStrategy,
+    strategy: AnyStrategy,
     torque: FloatArray,
     omega_m: FloatArray,
     *,
@@ -260,7 +260,7 @@ def _strategy(
     inverter: Inverter,
     torque: FloatArray,
     omega_m: FloatArray,
-    strategy: LossStrategy,
+    strategy: AnyStrategy,
     alternatives: Alternatives,
     i_max: float,
     options: BudgetOptions,
@@ -309,7 +309,7 @@ def _currents(
     inverter: Inverter,
     torque: FloatArray,
     omega_m: FloatArray,
-    strategy: LossStrategy,
+    strategy: AnyStrategy,
     names: Sequence[ModulationName],
     i_max: float,
     options: BudgetOptions,

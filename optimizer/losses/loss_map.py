@@ -18,6 +18,7 @@ from dqforge.optimizer.losses.drive_comparison import (
     dead_time_share,
     usable_limit,
 )
+from dqforge.optimizer.losses.phase_comparison import PhaseDrive, compare_phases
 from dqforge.optimizer.operating_points.characteristics import characteristics
 from dqforge.optimizer.operating_points.operating_map import (
     VoltageLimit,
@@ -130,14 +131,45 @@ def solve_map(
     torque = np.linspace(0.0, figures.torque_max, torques + 1)[1:]
     omega = np.linspace(0.0, fastest, speeds + 1)[1:]
     wanted, speed = np.meshgrid(torque, omega, indexing="ij")
-    comparison = compare_drives(
+    comparison = compare_alternatives(design, wanted.ravel(), speed.ravel(), alternatives, margin)
+    return LossMap(
+        torque, omega, comparison, dead_time_share(design.inverter, comparison.alternatives)
+    )
+
+
+def compare_alternatives(
+    design: Design,
+    torque: FloatArray,
+    omega_m: FloatArray,
+    alternatives: Alternatives,
+    margin: float,
+) -> DriveComparison:
+    """Budgets of a design's machine by all alternatives, P points.
+
+    Parameters
+    ----------
+    design:
+        The design; one with any back-EMF is compared by the rules of its phase currents.
+    torque, omega_m:
+        In N m and rad/s, shape (P,).
+    alternatives:
+        Strategies, modulators and frequencies.
+    margin:
+        Share of the voltage of 0 to 1 that is kept for control.
+    """
+    options = budget_options(design)
+    if design.phase_machine is not None:
+        drive = PhaseDrive(
+            design.phase_machine, design.machine, design.inverter, design.i_max, options, margin
+        )
+        return compare_phases(drive, torque, omega_m, alternatives).drives
+    return compare_drives(
         design.machine,
         design.inverter,
-        wanted.ravel(),
-        speed.ravel(),
+        torque,
+        omega_m,
         alternatives,
         i_max=design.i_max,
-        options=budget_options(design),
+        options=options,
         margin=margin,
     )
-    return LossMap(torque, omega, comparison, dead_time_share(design.inverter, alternatives))

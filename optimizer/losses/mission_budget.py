@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.settings import LossStrategy
+from dqforge.machines.design.settings import AnyStrategy
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
@@ -80,7 +80,7 @@ class MissionRun:
         interval with its start and end.
     """
 
-    strategy: LossStrategy
+    strategy: AnyStrategy
     modulation: ModulationName
     frequency: float
     energy: dict[str, float]
@@ -198,7 +198,7 @@ def compare_mission(
 
 
 def _runs(
-    drive: _Drive, strategy: LossStrategy, name: ModulationName, frequencies: tuple[float, ...]
+    drive: _Drive, strategy: AnyStrategy, name: ModulationName, frequencies: tuple[float, ...]
 ) -> list[MissionRun]:
     """All frequencies of one strategy with one modulator.
 
@@ -210,7 +210,7 @@ def _runs(
 
 
 def _shared(
-    drive: _Drive, strategy: LossStrategy, name: ModulationName, frequencies: tuple[float, ...]
+    drive: _Drive, strategy: AnyStrategy, name: ModulationName, frequencies: tuple[float, ...]
 ) -> list[MissionRun]:
     found, reached, options = _machine_side(drive, strategy, name, frequencies[0])
     voltage = np.hypot(found.v_d, found.v_q) * (1.0 - _VOLTAGE_ROUNDING)
@@ -303,7 +303,7 @@ def _shared(
 
 
 def _machine_side(
-    drive: _Drive, strategy: LossStrategy, name: ModulationName, frequency: float
+    drive: _Drive, strategy: AnyStrategy, name: ModulationName, frequency: float
 ) -> tuple[MachineBudget, NDArray[np.bool_], BudgetOptions]:
     """Machine at all intervals, what torque is made, and the options with the winding
     as warm as its mean loss.

@@ -15,12 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import BoolArray, FloatArray
-from dqforge.machines.design.settings import LoadPoint, LossSettings, LossStrategy
+from dqforge.machines.design.settings import AnyStrategy, LoadPoint, LossSettings
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.names import ModulationName
+from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget
 from dqforge.optimizer.losses.drive_comparison import Alternatives, compare_drives, least
+from dqforge.optimizer.losses.phase_budget import PhaseBudget
+from dqforge.optimizer.losses.phase_comparison import PhaseDrive, compare_phases
 
 LossScope = Literal["drive", "without-bridge"]
 
@@ -50,9 +53,12 @@ class LossComparison:
         is feasible. Of equally good alternatives the first, in the order of the labels.
     scope:
         What the total counts.
+    legs:
+        Half bridges and neutral of a machine with any back-EMF, arrays (S, M, P) and (S, M, P, L)
+        as in `PhaseBudget`; None for others.
     """
 
-    strategies: tuple[LossStrategy, ...]
+    strategies: tuple[AnyStrategy, ...]
     modulations: tuple[ModulationName, ...]
     points: tuple[LoadPoint, ...]
     budget: DriveBudget
@@ -62,6 +68,7 @@ class LossComparison:
     best_strategy: NDArray[np.intp]
     best_modulation: NDArray[np.intp]
     scope: LossScope = "drive"
+    legs: PhaseBudget | None = None
 
     @property
     def usable(self) -> BoolArray:
@@ -71,7 +78,7 @@ class LossComparison:
         return self.reached & self.budget.feasible
 
     @property
-    def best_labels(self) -> tuple[tuple[LossStrategy, ModulationName] | None, ...]:
+    def best_labels(self) -> tuple[tuple[AnyStrategy, ModulationName] | None, ...]:
         """Strategy and modulator with the least total loss at each point, or
         None where none is feasible.
         """
@@ -89,6 +96,7 @@ def compare_points(
     i_max: float,
     options: BudgetOptions | None = None,
     margin: float = 0.0,
+    phases: AnyPhaseMachine | None = None,
 ) -> LossComparison:
     """Complete budgets of every strategy with every modulator at every point.
 
@@ -104,29 +112,40 @@ def compare_points(
         What is counted beside copper, conduction and switching loss.
     margin:
         Share of the voltage that is kept free for control.
+    phases:
+        The machine in phase quantities where its back-EMF has any shape: its rules take the place
+        of strategies, its topology that of three legs.
     """
     torque = np.array([point.torque for point in losses.points])
     omega_m = np.array([point.omega_m for point in losses.points])
     alternatives = Alternatives(losses.strategies, losses.modulations, (inverter.f_sw,))
-    found = compare_drives(
-        machine,
-        inverter,
-        torque,
-        omega_m,
-        alternatives,
-        i_max=i_max,
-        options=options,
-        margin=margin,
-    )
+    legs: PhaseBudget | None = None
+    if phases is None:
+        found = compare_drives(
+            machine,
+            inverter,
+            torque,
+            omega_m,
+            alternatives,
+            i_max=i_max,
+            options=options,
+            margin=margin,
+        )
+    else:
+        chosen = BudgetOptions() if options is None else options
+        drive = PhaseDrive(phases, machine, inverter, i_max, chosen, margin)
+        both = compare_phases(drive, torque, omega_m, alternatives)
+        found, legs = both.drives, both.legs
+    labels = found.alternatives
     reached = found.reached[:, :, 0]
     made = found.budget.torque[:, :, 0]
     budget = _blanked(found.budget, reached)
     total = np.where(reached & budget.feasible, budget.total, np.inf)
     best = least(total[:, :, None])
-    count = len(losses.modulations)
+    count = len(labels.modulations)
     return LossComparison(
-        strategies=losses.strategies,
-        modulations=losses.modulations,
+        strategies=labels.strategies,
+        modulations=labels.modulations,
         points=losses.points,
         budget=budget,
         reached=reached,
@@ -135,6 +154,26 @@ def compare_points(
         best_strategy=np.where(best >= 0, best // count, -1),
         best_modulation=np.where(best >= 0, best % count, -1),
         scope="drive" if inverter.device is not None else "without-bridge",
+        legs=None if legs is None else _of_one_frequency(legs, budget, reached),
+    )
+
+
+def _of_one_frequency(legs: PhaseBudget, budget: DriveBudget, reached: BoolArray) -> PhaseBudget:
+    """Legs (S, M, 1, P, ...) as (S, M, P, ...), NaN where the torque is out of reach."""
+
+    def kept(values: FloatArray) -> FloatArray:
+        one = values[:, :, 0]
+        mark = reached if one.ndim == reached.ndim else reached[..., None]
+        return np.where(mark, one, np.nan)
+
+    return PhaseBudget(
+        budget=budget,
+        legs=legs.legs,
+        leg_loss=kept(legs.leg_loss),
+        leg_temperature=kept(legs.leg_temperature),
+        neutral_current=kept(legs.neutral_current),
+        neutral_ripple=kept(legs.neutral_ripple),
+        link_demand=kept(legs.link_demand),
     )
 
 

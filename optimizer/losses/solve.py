@@ -28,6 +28,7 @@ def solve_losses(design: Design) -> LossComparison | None:
         i_max=design.i_max,
         options=BudgetOptions(design.machine_loss, design.winding, design.inverter.capacitor_esr),
         margin=design.operation.voltage_margin,
+        phases=design.phase_machine,
     )
 
 

@@ -15,11 +15,12 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Topology
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine, between
 from dqforge.machines.phase_machines.salient_phase_machine import (
     AnyPhaseMachine,
     SalientPhaseMachine,
 )
+from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.operating_points.characteristics import limit_speed
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.waveforms.confirmation import Confirmation, confirm_waveforms
@@ -191,6 +192,10 @@ def compare_waveforms(
         except NoSolutionError as error:
             impossible.append((rule, error.message))
             continue
+        blocked = what_diodes_block(machine, currents, omega_m, limits.topology)
+        if blocked:
+            impossible.append((rule, blocked))
+            continue
         rules.append(_judged(machine, rule, currents, omega_m, limits))
     if isinstance(machine, SalientPhaseMachine):
         found = _salient(machine, torque, omega_m, limits)
@@ -283,7 +288,8 @@ def _judged(
     """Currents with their figures and what they break."""
     found = figures(machine, currents[np.newaxis], np.array([omega_m]), limits.topology)
     obstacles = []
-    if _has_no_neutral(limits.topology) and found.neutral_rms[0] > _EXACT * found.rms[0]:
+    fed = TOPOLOGIES[limits.topology]
+    if not (fed.neutral or fed.diodes) and found.neutral_rms[0] > _EXACT * found.rms[0]:
         obstacles.append("needs the neutral")
     if found.peak[0] > limits.i_max * (1.0 + _EXACT):
         obstacles.append("current limit")
@@ -296,8 +302,29 @@ def _judged(
     )
 
 
-def _has_no_neutral(topology: Topology) -> bool:
-    return topology == "three-wire"
+def what_diodes_block(
+    machine: AnyPhaseMachine, currents: FloatArray, omega_m: float, topology: Topology
+) -> str:
+    """Why phase currents in A, shape (3, N), do not flow where the neutral hangs on diodes; empty
+    where they do, or where it does not.
+
+    A current out of the machine (positive) holds the neutral at the upper rail, so that no phase
+    voltage is positive while it flows, and the other way round.
+    """
+    if not TOPOLOGIES[topology].diodes:
+        return ""
+    # Voltages are those in the middle between two angles.
+    neutral = np.sum(between(currents)[0], axis=0)
+    wanted = np.abs(neutral) > _EXACT * np.max(np.abs(currents))
+    voltages = machine.voltage(currents, machine.pole_pairs * omega_m)
+    passes = np.all(voltages * np.sign(neutral) <= 0.0, axis=0)
+    if not np.any(wanted & ~passes):
+        return ""
+    share = 100.0 * np.count_nonzero(wanted & passes) / np.count_nonzero(wanted)
+    return (
+        "the diodes of the neutral pass a current only while all phase voltages oppose it, which "
+        f"they do at {share:.0f} % of the angles where these currents need it; use dqx"
+    )
 
 
 def with_point(

@@ -13,6 +13,8 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.topologies.regions import VOLTAGE_ROWS, voltage_bounds
+from dqforge.machines.topologies.topology import TOPOLOGIES
 
 OpenPhase = Literal["a", "b", "c"]
 
@@ -20,19 +22,6 @@ OpenPhase = Literal["a", "b", "c"]
 LIMITS = ("voltage", "current", "ripple", "neutral", "slew")
 
 """The kinds of inequalities, in the order of their rows."""
-
-
-# Rows on the three phase voltages: each of them, and the differences between them.
-VOLTAGE_ROWS = np.array(
-    [
-        [1.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0],
-        [0.0, 0.0, 1.0],
-        [1.0, -1.0, 0.0],
-        [0.0, 1.0, -1.0],
-        [-1.0, 0.0, 1.0],
-    ]
-)
 
 
 _RANK = 1e-9
@@ -50,10 +39,9 @@ class WaveformLimits:
     v_dc:
         DC-link voltage in V.
     topology:
-        ``three-wire``: no neutral current, phase voltages differ by at most v_dc. ``four-leg``:
-        that, and each at most v_dc. ``split-capacitor``: each at most v_dc/2, no mean neutral
-        current. ``six-leg``: each at most v_dc. ``diode-neutral``: a neutral current flows only
-        where all three back-EMFs have its sign, which is an inner approximation and may cost more
+        Its voltages are those of `dqforge.machines.topologies.regions`, a neutral current flows
+        where it has a neutral; on ``split-capacitor`` one without a mean. ``diode-neutral``: one
+        flows only against all three back-EMFs, which is an inner approximation and may cost more
         than three-wire; elsewhere as three-wire.
     i_max:
         Largest phase current in A, peak.
@@ -92,17 +80,10 @@ def _voltage_shapes(topology: Topology, flux: FloatArray) -> tuple[FloatArray, F
 
     Flux has the shape (part, 3).
     """
-    one, none = np.ones(3), np.full(3, _INFINITE)
-    high = {
-        "three-wire": np.concatenate([none, one]),
-        "diode-neutral": np.concatenate([none, one]),
-        "four-leg": np.ones(6),
-        "split-capacitor": np.concatenate([0.5 * one, none]),
-        "six-leg": np.concatenate([one, none]),
-    }[topology]
-    upper = np.tile(high, (flux.shape[0], 1))
+    _, high = voltage_bounds(topology)
+    upper = np.tile(np.minimum(high, _INFINITE), (flux.shape[0], 1))
     lower = -upper
-    if topology == "diode-neutral":
+    if TOPOLOGIES[topology].diodes:
         # A current out of the neutral holds it at the upper rail: all phases lie below,
         # and the other way round.
         negative, positive = np.all(flux < 0.0, axis=1), np.all(flux > 0.0, axis=1)
@@ -163,9 +144,9 @@ def angle_by_angle(
 
 def _has_no_neutral(topology: Topology, flux: FloatArray) -> FloatArray:
     """1 at the angles where the phase currents must add to zero, shape (part,)."""
-    if topology == "diode-neutral":
-        return np.where(np.all(flux < 0.0, axis=1) | np.all(flux > 0.0, axis=1), 0.0, 1.0)
-    return np.full(flux.shape[0], 1.0 if topology == "three-wire" else 0.0)
+    one_sided = np.all(flux < 0.0, axis=1) | np.all(flux > 0.0, axis=1)
+    free = one_sided if TOPOLOGIES[topology].diodes else TOPOLOGIES[topology].neutral
+    return np.where(np.broadcast_to(free, one_sided.shape), 0.0, 1.0)
 
 
 def _proportional(machine: PhaseMachine, limits: WaveformLimits, flux: FloatArray) -> FloatArray:
@@ -236,10 +217,10 @@ def all_rows(
         rows.append(_symmetric(2, torque, still, 1.0 / torque_max, limits.ripple / torque_max))
         rows.append(_symmetric(-1, mean @ torque, csr_matrix((1, size)), 1.0 / torque_max, 0.0))
     # With mirrored half waves the neutral current has no mean anyway.
-    if limits.topology == "split-capacitor" and 6 * part > machine.angles:
+    if TOPOLOGIES[limits.topology].midpoint and 6 * part > machine.angles:
         rows.append(_symmetric(-1, mean @ neutral, csr_matrix((1, size)), 0.0, 0.0))
     most = _INFINITE if limits.neutral is None else limits.neutral / limits.i_max
-    if limits.topology == "diode-neutral":
+    if TOPOLOGIES[limits.topology].diodes:
         lower = np.where(np.all(flux > 0.0, axis=1), -most, 0.0)
         upper = np.where(np.all(flux < 0.0, axis=1), most, 0.0)
         rows.append(_Rows(3, neutral, still, lower, upper))

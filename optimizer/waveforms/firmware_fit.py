@@ -14,6 +14,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import WaveformForm
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.curves.single_precision import fused_multiply_add, multiply_add
+from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
 from dqforge.optimizer.waveforms.firmware_form import (
     PhaseForm,
@@ -179,6 +180,8 @@ def fit_phases(
     NoSolutionError
         Constant torque cannot be made at some angle, or no form keeps the error.
     """
+    if TOPOLOGIES[limits.topology].diodes:  # what they pass depends on torque and motion
+        limits = replace(limits, topology="three-wire")
     problem = make_problem(machine, replace(limits, ripple=0.0, neutral=None, slew=None))
     unit = problem.currents(np.ones(1), np.zeros((1, problem.unknowns)))[0]
     torque_max = limits.i_max / float(np.max(np.abs(unit)))

@@ -19,6 +19,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.topologies.regions import link_demand
 from dqforge.machines.transforms import DOUBLES, park_inverse
 
 CurrentRule = Literal["dq", "dqx", "dqy"]
@@ -74,25 +75,10 @@ def unit_currents(machine: PhaseMachine, rule: CurrentRule) -> FloatArray:
 
 
 def bus_demand(voltages: FloatArray, topology: Topology) -> FloatArray:
-    """Least dc-link voltage in V, shape (...), for phase voltages in V, shape (..., 3, N).
-
-    Three-wire: the largest difference between two phases. Four-leg: that, and the largest phase
-    voltage. Split capacitor: twice the largest phase voltage. Six-leg: the largest phase voltage;
-    isolated, of each link: half the largest difference. Diode neutral: as three-wire.
+    """Least dc-link voltage in V, shape (...), for phase voltages in V, shape (..., 3, N);
+    of two isolated links, of each.
     """
-    size = np.max(np.abs(voltages), axis=(-2, -1))
-    between = np.max(np.max(voltages, axis=-2) - np.min(voltages, axis=-2), axis=-1)
-    match topology:
-        case "three-wire" | "diode-neutral":
-            return np.asarray(between)
-        case "four-leg":
-            return np.asarray(np.maximum(size, between))
-        case "split-capacitor":
-            return np.asarray(2.0 * size)
-        case "six-leg":
-            return np.asarray(size)
-        case "six-leg-isolated":
-            return np.asarray(0.5 * between)
+    return link_demand(voltages, topology)
 
 
 def dq_waveform(i_d: float, i_q: float, angles: int) -> FloatArray:

@@ -17,6 +17,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.waveforms.constraint_rows import OpenPhase
 
 _STEPS = 200
@@ -56,7 +57,7 @@ class PointwiseTorque:
 def free_currents(topology: Topology, open_phase: OpenPhase | None) -> FloatArray:
     """Orthonormal basis of the phase currents that topology and open phase permit, shape (3, r)."""
     rows = []
-    if topology == "three-wire":
+    if not TOPOLOGIES[topology].neutral:
         rows.append(np.ones(3))
     if open_phase is not None:
         rows.append(np.eye(3)["abc".index(open_phase)])

@@ -25,8 +25,8 @@ from dqforge.machines.phase_machines.phase_machine import (
     SLOPE,
     PhaseMachine,
 )
+from dqforge.machines.topologies.regions import VOLTAGE_ROWS
 from dqforge.optimizer.waveforms.constraint_rows import (
-    VOLTAGE_ROWS,
     WaveformLimits,
     all_rows,
     angle_by_angle,

@@ -27,6 +27,7 @@ from dqforge.machines.phase_machines.phase_machine import (
     between,
 )
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.waveforms.constraint_rows import LIMITS, WaveformLimits
 from dqforge.optimizer.waveforms.phase_currents import unit_currents
 from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
@@ -43,13 +44,7 @@ _MOST_ITERATIONS = 500
 _BINDING = 1e-6
 
 
-# Share of v_dc that each phase voltage, and each difference between two, may reach.
-_BUS: dict[Topology, tuple[float | None, float | None]] = {
-    "three-wire": (None, 1.0),
-    "four-leg": (1.0, 1.0),
-    "split-capacitor": (0.5, None),
-    "six-leg": (1.0, None),
-}
+_OFFERED = tuple(name for name, rule in TOPOLOGIES.items() if not rule.diodes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,9 +109,9 @@ def solve_salient(
     """
     if not np.all(np.isfinite([torque, omega_m])):
         raise InputError("torque and speed must be finite; got nan or inf")
-    if limits.topology not in _BUS:
+    if limits.topology not in _OFFERED:
         raise InputError(
-            f"salient machines: {limits.topology} is not offered; use one of {', '.join(_BUS)}"
+            f"salient machines: {limits.topology} is not offered; use one of {', '.join(_OFFERED)}"
         )
     casadi = _casadi()
     part, shift = _part_and_shift(machine, limits)
@@ -322,7 +317,7 @@ def _add_torque(
 
 
 def _add_bus(rows: _Rows, casadi: Any, volts: Any, topology: Topology) -> None:
-    single, between = _BUS[topology]
+    single, between = TOPOLOGIES[topology].phase, TOPOLOGIES[topology].between
     if single is not None:
         rows.add("voltage", volts, -single, single)
     if between is not None:
@@ -335,12 +330,12 @@ def _add_bus(rows: _Rows, casadi: Any, volts: Any, topology: Topology) -> None:
 def _add_neutral(
     rows: _Rows, casadi: Any, neutral: Any, limits: WaveformLimits, parts: int
 ) -> None:
-    if limits.topology == "three-wire":
+    if not TOPOLOGIES[limits.topology].neutral:
         rows.add(None, neutral, 0.0, 0.0)
         return
     # With mirrored half waves the neutral current has no mean anyway,
     # though it has one over the sixth.
-    if limits.topology == "split-capacitor" and parts < 6:
+    if TOPOLOGIES[limits.topology].midpoint and parts < 6:
         rows.add(None, casadi.sum2(neutral) / neutral.numel(), 0.0, 0.0)
     if limits.neutral is not None:
         most = limits.neutral / limits.i_max

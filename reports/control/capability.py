@@ -1,4 +1,4 @@
-"""Control functions in single precision and in fixed point, as records."""
+"""Control functions in fixed point, as a record."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dqforge.optimizer.fixed_control.design import FixedControlFit
 from dqforge.optimizer.fixed_control.step import FixedControl
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind
-from dqforge.reports.capability import Capability, Outcome, ReportPart
+from dqforge.reports.capability import Capability, ReportPart
 from dqforge.reports.control.fixed_header import (
     control_fixed_files,
     control_fixed_programme,
@@ -17,37 +17,10 @@ from dqforge.reports.control.fixed_header import (
 )
 from dqforge.reports.control.fixed_reading import fixed_control_from
 from dqforge.reports.control.fixed_tables import control_fixed_html, control_fixed_tables
-from dqforge.reports.control.header import (
-    control_files,
-    control_from,
-    control_programme,
-    plain_control,
-)
 from dqforge.reports.pages.chapters import LOOPS
 from dqforge.reports.plain_data import PlainData
 
 Fits = tuple[FixedControlFit, ...]
-
-
-def _float32(outcome: Outcome) -> Solution | None:
-    return outcome.solution if "float32" in outcome.design.export.control else None
-
-
-FLOAT32_CONTROL = Capability(
-    name="control",
-    title="control functions in single precision",
-    of=_float32,
-    headers=(
-        HeaderKind(
-            name="control",
-            files=lambda solution, _: control_files(solution),
-            plain=lambda solution, _: plain_control(solution),
-            read=control_from,
-            programme=control_programme,
-            vectors=False,
-        ),
-    ),
-)
 
 
 def _fit(fits: Fits, width: int) -> FixedControlFit | None:

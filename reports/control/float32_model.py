@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,27 +85,7 @@ class ControlModel:
         self, voltage: Pair[SingleArray], v_dc: SingleArray, current: Pair[SingleArray]
     ) -> Singles:
         """Duty cycles of a voltage in V and currents in A, both alpha and beta."""
-        v = clarke_inverse(SINGLE, voltage)
-        i = (
-            clarke_inverse(SINGLE, current)
-            if MODULATORS[self.modulation].compared == "currents"
-            else v
-        )
-        turn = self._turn(voltage, current)
-        zero = zero_sequence_of(SINGLE, self.modulation, v, i, v_dc, voltage, turn)
-        powered = v_dc > _ZERO
-        scale = np.where(powered, _ONE / np.where(powered, v_dc, _ONE), _ZERO)
-        duty = (np.where(powered, (phase + zero) * scale, _HALF) for phase in v)
-        return tuple(np.where(one > _ONE, _ONE, np.where(one > _ZERO, one, _ZERO)) for one in duty)
-
-    def _turn(
-        self, voltage: Pair[SingleArray], current: Pair[SingleArray]
-    ) -> Pair[SingleArray] | None:
-        """Delay at which the references are compared, None where they are compared as they are."""
-        rule = MODULATORS[self.modulation]
-        if rule.delay is not None:
-            return Pair(*(np.full_like(voltage.x, value) for value in rule.delay))
-        return load_turn(voltage, current) if rule.compared == "load angle" else None
+        return three_leg_duties(self.modulation, voltage, v_dc, current)
 
     def current_control(
         self, state: ControlState, measured: SingleArray, reference: Singles
@@ -161,19 +141,7 @@ class ControlModel:
         self, state: ControlState, omega_m: SingleArray, reference: SingleArray
     ) -> SingleArray:
         """Torque reference in N m for a speed in rad/s."""
-        _, ki_ts, tracking = self.gains["speed"]
-        most = self.gains["torque_max"]
-        filtered = state.omega_m + (self.gains["speed_filter"] * (omega_m - state.omega_m))
-        state.omega_m = np.where(np.abs(omega_m) < _UNKNOWN, filtered, state.omega_m)
-        due = (state.count == 0) & (np.abs(reference) < _UNKNOWN)
-        error = reference - state.omega_m
-        wanted = _pi_output(self.gains["speed"], state.speed, error)
-        limited = np.where(wanted > most, most, np.where(wanted < -most, -most, wanted))
-        step = state.speed + ((ki_ts * error) + (tracking * (limited - wanted)))
-        state.torque = np.where(due, limited, state.torque)
-        state.speed = np.where(due, step, state.speed)
-        state.count = np.where(state.count + 1 < self.ratio, state.count + 1, 0).astype(np.uint32)
-        return state.torque
+        return speed_loop(self.gains, self.ratio, state, omega_m, reference)
 
     def speed_control(
         self, state: ControlState, measured: SingleArray, reference: SingleArray
@@ -181,6 +149,88 @@ class ControlModel:
         """Duty cycles for a speed in rad/s."""
         omega_m = np.ascontiguousarray(measured[:, 4])
         return self.torque_control(state, measured, self.speed_loop(state, omega_m, reference))
+
+
+class SpeedLoopState(Protocol):
+    """What the speed loop keeps, arrays of shape (N,)."""
+
+    speed: SingleArray
+    omega_m: SingleArray
+    torque: SingleArray
+    count: NDArray[np.uint32]
+
+
+def speed_loop(
+    gains: Mapping[str, Any],
+    ratio: int,
+    state: SpeedLoopState,
+    omega_m: SingleArray,
+    reference: SingleArray,
+) -> SingleArray:
+    """Torque reference in N m, as ``<prefix>_speed_loop``.
+
+    Parameters
+    ----------
+    gains:
+        As of `ControlModel`: ``speed``, ``torque_max`` and ``speed_filter``.
+    ratio:
+        Current samples per speed sample.
+    state:
+        What the loop keeps; it is changed.
+    omega_m, reference:
+        Mechanical speed and its reference in rad/s, shape (N,).
+    """
+    _, ki_ts, tracking = gains["speed"]
+    most = gains["torque_max"]
+    filtered = state.omega_m + (gains["speed_filter"] * (omega_m - state.omega_m))
+    state.omega_m = np.where(np.abs(omega_m) < _UNKNOWN, filtered, state.omega_m)
+    due = (state.count == 0) & (np.abs(reference) < _UNKNOWN)
+    error = reference - state.omega_m
+    wanted = _pi_output(gains["speed"], state.speed, error)
+    limited = np.where(wanted > most, most, np.where(wanted < -most, -most, wanted))
+    step = state.speed + ((ki_ts * error) + (tracking * (limited - wanted)))
+    state.torque = np.where(due, limited, state.torque)
+    state.speed = np.where(due, step, state.speed)
+    state.count = np.where(state.count + 1 < ratio, state.count + 1, 0).astype(np.uint32)
+    return state.torque
+
+
+def three_leg_duties(
+    modulation: ModulationName,
+    voltage: Pair[SingleArray],
+    v_dc: SingleArray,
+    current: Pair[SingleArray],
+) -> Singles:
+    """Duty cycles of three legs, as ``<prefix>_duties``.
+
+    Parameters
+    ----------
+    modulation:
+        The modulator.
+    voltage, current:
+        Alpha and beta in V and A, shape (N,).
+    v_dc:
+        DC-link voltage in V, shape (N,).
+    """
+    v = clarke_inverse(SINGLE, voltage)
+    compares_currents = MODULATORS[modulation].compared == "currents"
+    i = clarke_inverse(SINGLE, current) if compares_currents else v
+    turn = _turn(modulation, voltage, current)
+    zero = zero_sequence_of(SINGLE, modulation, v, i, v_dc, voltage, turn)
+    powered = v_dc > _ZERO
+    scale = np.where(powered, _ONE / np.where(powered, v_dc, _ONE), _ZERO)
+    duty = (np.where(powered, (phase + zero) * scale, _HALF) for phase in v)
+    return tuple(np.where(one > _ONE, _ONE, np.where(one > _ZERO, one, _ZERO)) for one in duty)
+
+
+def _turn(
+    modulation: ModulationName, voltage: Pair[SingleArray], current: Pair[SingleArray]
+) -> Pair[SingleArray] | None:
+    """Delay at which the references are compared, None where they are compared as they are."""
+    rule = MODULATORS[modulation]
+    if rule.delay is not None:
+        return Pair(*(np.full_like(voltage.x, value) for value in rule.delay))
+    return load_turn(voltage, current) if rule.compared == "load angle" else None
 
 
 def _pi_output(gains: Singles, integral: SingleArray, error: SingleArray) -> SingleArray:

@@ -10,6 +10,7 @@ from dqforge.optimizer.losses.drive_budget import PARTS
 from dqforge.optimizer.losses.mission_budget import MissionComparison, MissionRun
 from dqforge.optimizer.losses.point_comparison import LossComparison
 from dqforge.reports.losses.figures import POINTS_SHOWN
+from dqforge.reports.losses.leg_texts import leg_notes
 from dqforge.reports.losses.map_tables import mission_mark, mission_tables
 from dqforge.reports.pages.html_table import HtmlTable, Row, heading_cells
 from dqforge.reports.pages.html_text import (
@@ -152,6 +153,7 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
             point_text(point),
             friction_text(comparison, p),
             "" if comparison.scope == "drive" else WITHOUT_BRIDGE,
+            *leg_notes(comparison, p),
         ]
         title = ". ".join(note for note in notes if note)
         tables.append(HtmlTable(title, heading_cells(*columns), tuple(rows)))

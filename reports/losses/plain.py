@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dqforge.optimizer.losses.point_comparison import LossComparison
+from dqforge.reports.losses.leg_texts import plain_legs
 from dqforge.reports.pages.labels import obstacle
 from dqforge.reports.plain_data import PlainData
 
@@ -37,6 +38,7 @@ def plain_losses(comparison: LossComparison | None) -> PlainData | None:
             "obstacle": obstacle(comparison, index),
             "saving_percent": comparison.saving[index],
         }
+        | ({} if comparison.legs is None else plain_legs(comparison.legs, index))
         for p, point in enumerate(comparison.points)
         for s, strategy in enumerate(comparison.strategies)
         for m, modulation in enumerate(comparison.modulations)

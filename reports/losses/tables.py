@@ -6,6 +6,7 @@ import math
 
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.losses.point_comparison import LossComparison
+from dqforge.reports.losses.leg_texts import leg_notes
 from dqforge.reports.pages.labels import (
     WITHOUT_BRIDGE,
     friction_text,
@@ -46,6 +47,7 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
         notes = [
             friction_text(comparison, p),
             WITHOUT_BRIDGE if comparison.scope != "drive" else "",
+            *leg_notes(comparison, p),
         ]
         tables.append(Table(title, columns, tuple(rows), tuple(note for note in notes if note)))
     return tables

@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 _SPACE = "\u00a0"  # does not break
 
 
-STRATEGY_LABELS = {"mtpa": "MTPA", "id0": "$i_d$ = 0", "least-loss": "least loss"}
+_PHASES = {"dq": "dq", "dqx": "dqx", "dqy": "dqy", "limited": "limited"}
+
+
+STRATEGY_LABELS = {"mtpa": "MTPA", "id0": "$i_d$ = 0", "least-loss": "least loss"} | _PHASES
 
 
 def modulation_label(name: str) -> str:
@@ -150,7 +153,7 @@ def letter(index: int) -> str:
     return letters[index] if index < len(letters) else str(index + 1)
 
 
-STRATEGY_TEXT = {"mtpa": "MTPA", "id0": "i_d = 0", "least-loss": "least loss"}
+STRATEGY_TEXT = {"mtpa": "MTPA", "id0": "i_d = 0", "least-loss": "least loss"} | _PHASES
 
 
 NEGLIGIBLE = 1e-9

@@ -62,21 +62,23 @@ def _paper001(*, figures: bool) -> Reproduced:
 
 
 def _paper002(*, figures: bool) -> Reproduced:
-    from dqforge.reports.papers import paper002, paper002_tables
+    from dqforge.reports.papers.paper002 import plain, recomputed, tables
 
-    found = paper002.reproduce_paper()
+    found = recomputed.reproduce_paper()
     drawn: dict[str, Callable[[], Figure]] = {}
     if figures:
-        from dqforge.reports.papers.paper002_figures import plot_drive, plot_frames
+        from dqforge.reports.papers.paper002 import bench_figures, control_figures, frame_figures
+        from dqforge.reports.papers.paper002.back_emf_components import frame_curves
 
-        frames = paper002.frame_curves()
+        frames = frame_curves()
         drawn = {
-            "figures-2.3-to-3.2.svg": lambda: plot_frames(frames),
-            "figures-6.4-to-6.9.svg": lambda: plot_drive(found.drive),
+            "figures-2.3-to-3.2.svg": lambda: frame_figures.plot_frames(frames),
+            "figures-4.1-to-4.3.svg": control_figures.plot_structures,
+            "figure-4.3-terms.svg": lambda: control_figures.plot_terms(found.terms),
+            "figures-6.2-to-6.7.svg": lambda: bench_figures.plot_machine(found.curves),
+            "figures-6.9-to-6.16.svg": lambda: bench_figures.plot_currents(found.curves),
         }
-    return Reproduced(
-        paper002_tables.reproduction_tables(found), paper002_tables.plain_reproduction(found), drawn
-    )
+    return Reproduced(tables.reproduction_tables(found), plain.plain_reproduction(found), drawn)
 
 
 def reproduce(paper: str, *, figures: bool) -> Reproduced:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.settings import LoadPoint, LossSettings, LossStrategy
+from dqforge.machines.design.settings import AnyStrategy, LoadPoint, LossSettings, LossStrategy
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
@@ -59,7 +59,7 @@ class Losses(DrawnResult):
     found: LossComparison
 
     @property
-    def strategies(self) -> tuple[LossStrategy, ...]:
+    def strategies(self) -> tuple[AnyStrategy, ...]:
         """Labels of the first axis."""
         return self.found.strategies
 
@@ -79,7 +79,7 @@ class Losses(DrawnResult):
         return self.found.usable
 
     @property
-    def best(self) -> tuple[tuple[LossStrategy, ModulationName] | None, ...]:
+    def best(self) -> tuple[tuple[AnyStrategy, ModulationName] | None, ...]:
         """Who loses least at each point, None where none is usable."""
         return self.found.best_labels
 
@@ -115,7 +115,7 @@ class LossMap(DrawnResult):
         return self.found.omega_m
 
     @property
-    def labels(self) -> tuple[tuple[LossStrategy, ModulationName, float], ...]:
+    def labels(self) -> tuple[tuple[AnyStrategy, ModulationName, float], ...]:
         """Strategy, modulator and switching frequency in Hz of each of the A alternatives."""
         alternatives = self.found.comparison.alternatives
         return tuple(alternatives.label(k) for k in range(int(np.prod(alternatives.shape))))
@@ -283,6 +283,7 @@ def losses(
             i_max=design.i_max,
             options=budget_options(design),
             margin=share,
+            phases=design.phase_machine,
         )
     return Losses(design, found)
 

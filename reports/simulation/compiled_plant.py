@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.names import Topology
 from dqforge.machines.plants.scenario import Scenario
+from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.reports.observers.speed_header import REDUCED_ORDER
 from dqforge.reports.pages.templating import render
 from dqforge.reports.simulation.plant_input import (
@@ -51,6 +53,7 @@ _EXITS = {
     2: "its input is too short",
     3: "the gains are not those of its header",
     4: "there is not enough memory",
+    6: "the back-EMF given is not that of its header",
 }
 
 
@@ -68,6 +71,13 @@ class Summary:
     and ``torque`` are those at the end. Integrals over the run: ``i_square`` of the mean square of
     the phase currents in A^2 s, and in J the energy from the inverter (``e_in``), into copper, from
     the air gap (``e_shaft``), into the load and into friction.
+
+    Of phase machines alone, 0 for others: the energy at the end in the inductances (a choke in the
+    neutral included) and in the midpoint of a split link off its half, in J; and over the last part
+    of the run the mean torque in N m, the peak to peak of its means over control periods
+    (``tail_ripple_means``) and of itself (``tail_ripple``), the neutral's current in A r.m.s., the
+    mean copper loss of each phase in W, and the largest distance of the midpoint from half the
+    link in V.
     """
 
     status: NDArray[np.intp]
@@ -85,6 +95,16 @@ class Summary:
     e_shaft: FloatArray
     e_load: FloatArray
     e_friction: FloatArray
+    e_magnetic: FloatArray
+    e_midpoint: FloatArray
+    tail_torque: FloatArray
+    tail_ripple_means: FloatArray
+    tail_ripple: FloatArray
+    tail_neutral_rms: FloatArray
+    tail_copper_a: FloatArray
+    tail_copper_b: FloatArray
+    tail_copper_c: FloatArray
+    tail_midpoint: FloatArray
 
     @property
     def bounded(self) -> NDArray[np.bool_]:
@@ -95,6 +115,23 @@ class Summary:
     def rms_current(self) -> FloatArray:
         """Root mean square of the phase currents in A, shape (N,)."""
         return np.sqrt(self.i_square / np.maximum(self.t, 1e-300))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhaseRecord:
+    """What is recorded of a phase machine besides, arrays of shape (N,) at the sampling instants.
+
+    ``duty_legs`` has the shape (N, legs), in the order of `TOPOLOGIES`, and acts until the next
+    sample; ``i_phases`` (N, 3) are the true currents of a, b and c in A, ``i_neutral`` is their sum
+    where a neutral is connected. ``v_midpoint`` in V lies above the negative rail, nan where the
+    link is not split. ``torque_mean`` in N m is the mean over the control period that ends.
+    """
+
+    duty_legs: FloatArray
+    i_phases: FloatArray
+    i_neutral: FloatArray
+    v_midpoint: FloatArray
+    torque_mean: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +148,7 @@ class Simulation:
     design's observers (nan where there is none) from the measured currents and ``v_alpha``,
     ``v_beta`` in V, which the controller made over the period that ends; ``sensorless`` is 1 where
     the controller ran on them, and then ``theta_e_measured`` and ``omega_m_measured`` are theirs.
-    ``figures`` are those of the one run.
+    ``figures`` are those of the one run, ``phases`` what phase machines have besides.
     """
 
     scenario: Scenario
@@ -139,6 +176,7 @@ class Simulation:
     omega_m_observed: FloatArray
     sensorless: FloatArray
     figures: Summary
+    phases: PhaseRecord | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,12 +184,14 @@ class Simulator:
     """A compiled program; ``prefix`` is that of the controller, empty where there is none.
 
     ``observers`` are the names in C of those that run in it: at most one of the position,
-    and ``reduced_order``.
+    and ``reduced_order``. ``topology`` is that of a controller for phase machines, None for one
+    that drives three legs, or none.
     """
 
     program: Path
     prefix: str
     observers: tuple[str, ...] = ()
+    topology: Topology | None = None
 
 
 def require_compiler() -> str:
@@ -169,6 +209,7 @@ def compile_simulator(
     files: Mapping[str, bytes] | None = None,
     prefix: str = "",
     observers: tuple[str, ...] = (),
+    topology: Topology | None = None,
 ) -> Simulator:
     """Compile the plant around a controller.
 
@@ -185,6 +226,9 @@ def compile_simulator(
     observers:
         Names in C of the observers to run: ``reduced_order`` of ``<prefix>_speed_observer.h``, any
         other of ``<prefix>_observer.h``.
+    topology:
+        That of the header where it controls a phase machine (duty cycles by the names of legs, a
+        back-EMF to swap); None for the control of machines with a sinusoidal back-EMF.
 
     Raises
     ------
@@ -197,6 +241,10 @@ def compile_simulator(
         "prefix": controller,
         "position": next((name for name in observers if name != REDUCED_ORDER), ""),
         "reduced": REDUCED_ORDER in observers,
+        "topology": topology or "",
+        "legs": TOPOLOGIES[topology or "three-wire"].legs,
+        "neutral": topology is not None and TOPOLOGIES[topology].neutral,
+        "midpoint": topology is not None and TOPOLOGIES[topology].midpoint,
         "parameters": PARAMETERS,
         "columns": COLUMNS,
         "summary": SUMMARY,
@@ -204,6 +252,7 @@ def compile_simulator(
     }
     sources = {
         "plant.c": render("simulation/plant.c.j2", context),
+        "phase_plant.c": render("simulation/phase_plant.c.j2", context),
         "main.c": render("simulation/simulate_main.c.j2", context),
     }
     for name, content in (files or {}).items():
@@ -226,19 +275,22 @@ def compile_simulator(
         lines = done.stderr.decode("utf-8", "replace").splitlines()
         first = next((line for line in lines if "error" in line), "; ".join(lines)[:200])
         raise VerificationError(f"the simulation does not compile with {_COMPILER}: {first}")
-    return Simulator(program, controller, observers)
+    return Simulator(program, controller, observers, topology)
 
 
 @contextmanager
 def simulator(
-    files: Mapping[str, bytes] | None = None, prefix: str = "", observers: tuple[str, ...] = ()
+    files: Mapping[str, bytes] | None = None,
+    prefix: str = "",
+    observers: tuple[str, ...] = (),
+    topology: Topology | None = None,
 ) -> Iterator[Simulator]:
     """A compiled program in a folder that goes with the block.
 
     Parameters and errors as `compile_simulator`.
     """
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        yield compile_simulator(Path(name), files, prefix, observers)
+        yield compile_simulator(Path(name), files, prefix, observers, topology)
 
 
 def _execute(program: Path, content: bytes, progress: Progress | None) -> bytes:
@@ -312,6 +364,7 @@ def simulate(
     stride: int = 1,
     tail: float = 0.9,
     gains: bytes = b"",
+    shape: bytes = b"",
     progress: Progress | None = None,
 ) -> Simulation:
     """Run one drive through a scenario.
@@ -327,7 +380,10 @@ def simulate(
     tail:
         Share of the duration from which `Summary.tail_error` counts.
     gains:
-        Bytes of the controller's C structure of gains; empty for those in its header.
+        Bytes of the controller's C structure of gains; empty for those in its header. Where it
+        ends with a pointer to the back-EMF, the program fills that in.
+    shape:
+        Bytes of its C structure of the back-EMF; empty for that in its header.
     progress:
         Called with the share that is done.
 
@@ -339,14 +395,52 @@ def simulate(
         The program cannot be run.
     """
     _require_controller(simulator, scenario)
-    run = run_input(drive, scenario, stride=stride, tail=tail, gains=gains)
+    topology = _topology(simulator, drive, scenario)
+    run = run_input(
+        drive, scenario, stride=stride, tail=tail, gains=gains, shape=shape, topology=topology
+    )
     ((figures, rows),) = _runs(simulator, [run], progress)
     columns = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(COLUMNS)}
     duty = np.stack([columns.pop(f"duty_{phase}") for phase in "abc"], axis=1)
     measured = np.stack([columns.pop(f"i_{phase}_measured") for phase in "abc"], axis=1)
+    phases = _phase_record(columns, duty, None if drive.phases is None else topology)
     return Simulation(
-        scenario=scenario, duty=duty, i_measured=measured, figures=_summary([figures]), **columns
+        scenario=scenario,
+        duty=duty,
+        i_measured=measured,
+        figures=_summary([figures]),
+        phases=phases,
+        **columns,
     )
+
+
+def _phase_record(
+    columns: dict[str, FloatArray], duty: FloatArray, topology: Topology | None
+) -> PhaseRecord | None:
+    """Takes the columns of phase machines out; None where there is no topology."""
+    more = {name: columns.pop(name) for name in COLUMNS[-10:]}
+    if topology is None:
+        return None
+    rule = TOPOLOGIES[topology]
+    return PhaseRecord(
+        duty_legs=np.column_stack([duty, *(more[f"duty_{leg}"] for leg in rule.legs[3:])]),
+        i_phases=np.stack([more[f"i_{phase}"] for phase in "abc"], axis=1),
+        i_neutral=more["i_n"],
+        v_midpoint=more["v_m"] if rule.midpoint else np.full_like(more["v_m"], np.nan),
+        torque_mean=more["torque_mean"],
+    )
+
+
+def _topology(simulator: Simulator, drive: Drive, scenario: Scenario) -> Topology:
+    """How the phases are fed: legs that the controller does not know of are not connected."""
+    wanted = drive.inverter.topology
+    if scenario.mode == "open-loop":
+        return wanted
+    if simulator.topology is not None:
+        if wanted != simulator.topology:
+            raise ValueError(f"a controller for {simulator.topology} cannot drive {wanted}")
+        return wanted
+    return wanted if len(TOPOLOGIES[wanted].legs) == 3 else "three-wire"
 
 
 def simulate_many(
@@ -354,19 +448,31 @@ def simulate_many(
     runs: Sequence[tuple[Drive, Scenario, bytes]],
     *,
     tail: float = 0.9,
+    shapes: Sequence[bytes] | None = None,
     progress: Progress | None = None,
 ) -> Summary:
     """Figures of many runs (drive, scenario, bytes of the gains) in one process.
 
-    Nothing is recorded.
+    Nothing is recorded. ``shapes`` are the bytes of `simulate` of each run; None for those in the
+    header.
 
     Parameters and errors as `simulate`.
     """
     for _, scenario, _ in runs:
         _require_controller(simulator, scenario)
     inputs = [
-        run_input(drive, scenario, stride=0, tail=tail, gains=gains)
-        for drive, scenario, gains in runs
+        run_input(
+            drive,
+            scenario,
+            stride=0,
+            tail=tail,
+            gains=gains,
+            shape=shape,
+            topology=_topology(simulator, drive, scenario),
+        )
+        for (drive, scenario, gains), shape in zip(
+            runs, shapes or [b""] * len(runs), strict=True
+        )
     ]
     return _summary([figures for figures, _ in _runs(simulator, inputs, progress)])
 

@@ -16,9 +16,19 @@ from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.names import Topology
+from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.plants.scenario import ControlMode, Profile, Scenario
-from dqforge.machines.transforms import clarke_matrix
+from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.reports.simulation.phase_plant_input import (
+    duty_table,
+    emf_table,
+    highest_order,
+    inductance_table,
+    least_inductance,
+    no_phase_parameters,
+    phase_parameters,
+)
 
 STATES = (
     "i_x",
@@ -32,7 +42,16 @@ STATES = (
     "e_load",
     "e_friction",
     "i_square",
+    "torque",
+    "v_midpoint",
+    "neutral_square",
+    "e_copper_a",
+    "e_copper_b",
+    "e_copper_c",
 )
+
+"""States of the plant; those from ``torque`` on serve phase machines, ``torque`` being the integral
+of the torque and ``v_midpoint`` the voltage of a split link's midpoint above its half."""
 
 
 PARAMETERS = (
@@ -44,8 +63,6 @@ PARAMETERS = (
         "l_d",
         "l_q",
         "psi_pm",
-        "l_zero",
-        "neutral",
         "scale_d",
         "scale_q",
         "scale_pm",
@@ -66,6 +83,8 @@ PARAMETERS = (
     ),
     *("v_bits", "v_full_scale"),
     *("observed_speed", "sensorless", "sensor_above", "sensor_below"),
+    *("legs", "second", "neutral", "capacitance", "l_own", "l_mutual", "l_neutral", "turns"),
+    *("i_nothing", "open_phase", "open_time", "aware_time"),
 )
 
 """Fields of the C structure ``parameters_t``, all doubles, in this order."""
@@ -88,6 +107,7 @@ COLUMNS = (
     *("v_dc", "reference", "reference_d", "i_a_measured", "i_b_measured", "i_c_measured"),
     *("theta_e_measured", "omega_m_measured", "i_d_reference", "i_q_reference", "torque_reference"),
     *("v_alpha", "v_beta", "theta_e_observed", "omega_m_observed", "sensorless"),
+    *("duty_n", "duty_a2", "duty_b2", "duty_c2", "i_a", "i_b", "i_c", "i_n", "v_m", "torque_mean"),
 )
 
 """What is recorded at a sampling instant, in this order."""
@@ -107,12 +127,14 @@ SUMMARY = (
         "i_square",
     ),
     *("e_in", "e_copper", "e_shaft", "e_load", "e_friction"),
+    *("e_magnetic", "e_midpoint", "tail_torque", "tail_ripple_means", "tail_ripple"),
+    *("tail_neutral_rms", "tail_copper_a", "tail_copper_b", "tail_copper_c", "tail_midpoint"),
 )
 
 """Figures of a run, in this order."""
 
 
-TABLES = 8
+TABLES = 11
 
 
 _MODES: dict[ControlMode, float] = {"speed": 0.0, "torque": 1.0, "current": 2.0, "open-loop": 3.0}
@@ -132,9 +154,6 @@ _MOST_STEPS = 200
 
 
 _STOP = 100.0
-
-
-_NEGLIGIBLE = 1e-13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,7 +180,7 @@ class Drive:
     inverter: Inverter
     t_s: float
     ratio: int = 10
-    phases: PhaseMachine | None = None
+    phases: AnyPhaseMachine | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,55 +224,23 @@ def map_table(flux_map: FluxMap) -> FloatArray:
     return np.concatenate([[float(rows), float(columns)], corners, cells])
 
 
-def emf_table(phases: PhaseMachine, scale: float = 1.0) -> FloatArray:
-    """Harmonics of the back-EMF over electrical speed: order, then cosine and sine of alpha,
-    beta and zero.
-
-    They are those of the interpolating trigonometric polynomial of the machine's table,
-    without what is rounding.
-    """
-    stator = clarke_matrix() @ (phases.flux * scale)
-    spectrum = np.fft.rfft(stator, axis=1) * (2.0 / phases.angles)
-    spectrum[:, 0] *= 0.5
-    orders = np.arange(
-        (phases.angles + 1) // 2
-    )  # without the highest, whose phase the table does not tell
-    kept = orders[
-        np.max(np.abs(spectrum[:, orders]), axis=0) > _NEGLIGIBLE * np.max(np.abs(spectrum))
-    ]
-    terms = np.empty((kept.size, 7))
-    terms[:, 0] = kept
-    terms[:, 1::2], terms[:, 2::2] = spectrum[:, kept].real.T, -spectrum[:, kept].imag.T
-    return terms.reshape(-1)
-
-
-def _machine_parameters(drive: Drive, scenario: Scenario) -> dict[str, float]:
+def _machine_parameters(drive: Drive, scenario: Scenario, topology: Topology) -> dict[str, float]:
     """Electrical constants of the plant, the relative errors applied."""
     machine, errors, phases = drive.machine, scenario.errors, drive.phases
     scale_d, scale_q = 1.0 + errors.l_d, 1.0 + errors.l_q
-    values = {
+    values = no_phase_parameters() | {
         "pole_pairs": float(machine.pole_pairs),
         "r_s": machine.r_s * (1.0 + errors.r_s),
         "l_d": machine.l_d * scale_d,
         "l_q": machine.l_q * scale_q,
         "psi_pm": machine.psi_pm,
-        "l_zero": 1.0,
-        "neutral": 0.0,
         "scale_d": scale_d,
         "scale_q": scale_q,
         "scale_pm": 1.0 + errors.psi_pm,
     }
     if phases is not None:
-        inductance = (phases.l_s - phases.m_s) * scale_d
-        wired = drive.inverter.topology == "split-capacitor"
-        zero = (phases.l_s + 2.0 * phases.m_s) * scale_d
-        return values | {
-            "kind": 2.0,
-            "l_d": inductance,
-            "l_q": inductance,
-            "l_zero": zero,
-            "neutral": 1.0 if wired else 0.0,
-        }
+        wired = phase_parameters(phases, drive.inverter, topology, scenario, machine.i_max)
+        return values | wired | {"kind": 2.0}
     if isinstance(machine, SaturatedMachine):
         return values | {"kind": 1.0}
     if not isinstance(machine, LinearMachine):
@@ -311,13 +298,20 @@ def sub_steps(drive: Drive, scenario: Scenario) -> int:
         turning = max(turning, machine.pole_pairs * scenario.shaft.largest)
     if drive.phases is not None:
         # Harmonics above the thirteenth are small wherever a machine turns fast.
-        turning *= min(13.0, float(emf_table(drive.phases)[::7].max()))
-    rate = max(
-        machine.r_s * (1.0 + scenario.errors.r_s) / min(_least_inductances(drive.machine)), turning
-    )
+        turning *= min(13.0, highest_order(drive.phases))
+    rate = max(machine.r_s * (1.0 + scenario.errors.r_s) / _least_inductance(drive), turning)
     dead_time = drive.inverter.dead_time if scenario.dead_time is None else scenario.dead_time
     least = _DEAD_STEPS if dead_time > 0.0 else _LEAST_STEPS
+    if drive.phases is not None and len(TOPOLOGIES[drive.inverter.topology].legs) > 3:
+        least *= 2  # a current meets two legs
     return int(min(max(math.ceil(rate * drive.t_s / _RELATIVE_STEP), least), _MOST_STEPS))
+
+
+def _least_inductance(drive: Drive) -> float:
+    """Least inductance in H that a current of the drive meets."""
+    if drive.phases is not None:
+        return least_inductance(drive.phases, drive.inverter.topology)
+    return min(_least_inductances(drive.machine))
 
 
 def _least_inductances(machine: Machine) -> tuple[float, float]:
@@ -331,7 +325,14 @@ def _least_inductances(machine: Machine) -> tuple[float, float]:
 
 
 def run_input(
-    drive: Drive, scenario: Scenario, *, stride: int = 1, tail: float = 0.9, gains: bytes = b""
+    drive: Drive,
+    scenario: Scenario,
+    *,
+    stride: int = 1,
+    tail: float = 0.9,
+    gains: bytes = b"",
+    shape: bytes = b"",
+    topology: Topology | None = None,
 ) -> RunInput:
     """Numbers of one run.
 
@@ -345,6 +346,11 @@ def run_input(
         Share of the duration from which the largest error and current are kept.
     gains:
         Bytes of the C structure of gains; empty for those of the header.
+    shape:
+        Bytes of the C structure of the back-EMF that the controller knows; empty for that of the
+        header.
+    topology:
+        How the phases are fed; None for that of the inverter.
 
     Raises
     ------
@@ -359,7 +365,8 @@ def run_input(
     v_dc = drive.inverter.v_dc
     dead_time = drive.inverter.dead_time if scenario.dead_time is None else scenario.dead_time
     samples = max(1, round(scenario.duration / drive.t_s))
-    electrical = _machine_parameters(drive, scenario)
+    topology = topology or drive.inverter.topology
+    electrical = _machine_parameters(drive, scenario, topology)
     inductance = (
         _least_inductances(machine)
         if drive.phases is None
@@ -421,9 +428,16 @@ def run_input(
         profile_table(link),
         np.zeros(0) if flux_map is None else map_table(flux_map),
         np.zeros(0) if drive.phases is None else emf_table(drive.phases, 1.0 + errors.psi_pm),
-        np.frombuffer(gains + bytes(-len(gains) % 8), dtype=np.float64),
+        _doubles(gains),
+        np.zeros(0) if drive.phases is None else inductance_table(drive.phases, 1.0 + errors.l_d),
+        duty_table([profile_table(duty) for duty in scenario.duties]),
+        _doubles(shape),
     )
     return RunInput(parameters, tables)
+
+
+def _doubles(content: bytes) -> FloatArray:
+    return np.frombuffer(content + bytes(-len(content) % 8), dtype=np.float64)
 
 
 def share_tables(runs: list[RunInput]) -> list[RunInput]:

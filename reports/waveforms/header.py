@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dqforge.machines.design.design import Design
+from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.waveforms.firmware_fit import PhaseFit
 from dqforge.optimizer.waveforms.firmware_form import HALF_ROOT_3, PhasePolynomials, PhaseReference
 from dqforge.reports.c_code.harness import Programme
@@ -136,7 +137,7 @@ def _polynomial_context(form: PhasePolynomials) -> PlainData:
 
 def _context(design: Design, fit: PhaseFit) -> PlainData:
     plain = plain_phase_reference(fit.reference)
-    rule = "without" if design.inverter.topology == "three-wire" else "with"
+    rule = "with" if TOPOLOGIES[design.inverter.topology].neutral else "without"
     angle = (
         (
             "turn: electrical angle of the d axis from phase a over 2 pi, 0 to below 1; others "

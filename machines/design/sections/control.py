@@ -122,6 +122,13 @@ class CurrentLoopSection(Section):
             "time and back-EMF"
         ),
     )
+    limited_waveforms: bool = Field(
+        default=_CURRENT.limited_waveforms,
+        description=(
+            "for machines of model: waveform, frame table: currents over torque, speed and angle "
+            "where the link limits them, instead of less torque"
+        ),
+    )
 
 
 class SpeedLoopSection(Section):

@@ -63,6 +63,10 @@ class InverterSection(Section):
     neutral_inductance: ChokeInductance | None = Field(
         default=None, description="choke in the neutral of four legs (H); default: none"
     )
+    neutral_resistance: OnResistance | None = Field(
+        default=None,
+        description="conductor and choke of the neutral (Ohm) for its copper loss; default 0",
+    )
     midpoint_capacitance: Capacitance | None = Field(
         default=None,
         description="both halves of a split link together, C_1 + C_2 (F), for split-capacitor",
@@ -271,6 +275,7 @@ def read_inverter(section: InverterSection, machine_limit: float, reading: Readi
         device_model=model,
         capacitor_esr=si_of(section.capacitor_esr) or 0.0,
         neutral_inductance=si_of(section.neutral_inductance) or 0.0,
+        neutral_resistance=si_of(section.neutral_resistance) or 0.0,
         midpoint_capacitance=si_of(section.midpoint_capacitance),
     )
 

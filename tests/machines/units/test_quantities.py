@@ -23,6 +23,14 @@ READ = [
     ("242 µH", "inductance", 242e-6),
     ("242 \N{GREEK SMALL LETTER MU}H", "inductance", 242e-6),
     ("36 mH", "inductance", 0.036),
+    ("1.5 F", "capacitance", 1.5),
+    ("4.7 mF", "capacitance", 4.7e-3),
+    ("4700 uF", "capacitance", 4.7e-3),
+    ("4700 µF", "capacitance", 4.7e-3),
+    ("4700 \N{GREEK SMALL LETTER MU}F", "capacitance", 4.7e-3),
+    ("470nF", "capacitance", 470e-9),
+    ("2 A s/V", "capacitance", 2.0),
+    ("2 s/Ohm", "capacitance", 2.0),
     ("2 mOhm", "resistance", 2e-3),
     ("2 mΩ", "resistance", 2e-3),
     ("2 m\N{OHM SIGN}", "resistance", 2e-3),
@@ -117,6 +125,14 @@ REFUSED = [
     ("2 mohm", "resistance", "did you mean 'mOhm'?"),
     ("2 nm", "torque", "did you mean 'Nm'?"),
     ("2 mHz", "inductance", "which is a frequency"),
+    ("2 mH", "capacitance", "which is an inductance"),
+    ("2 mF", "inductance", "which is a capacitance"),
+    ("2 mf", "capacitance", "did you mean 'mF'?"),
+    ("2 MF", "capacitance", "did you mean"),
+    ("2 mfd", "capacitance", "unknown unit 'mfd'"),
+    ("70 degF", "temperature", "unknown unit 'degF'"),
+    ("70 °F", "temperature", "got '70 °F'"),
+    ("70 F", "temperature", "which is a capacitance"),
     ("2 Rpm", "speed", "did you mean 'rpm'?"),
     ("2 furlong", "inductance", "write e.g. '1.61 mH'"),
     ("1,61 mH", "inductance", "write 1.61 mH"),
@@ -220,6 +236,8 @@ WRITTEN = [
     (0.0012, "Wb", "1.2 mWb"),
     (0.47, "N m", "0.47 N m"),
     (1e-15, "H", "0.001 pH"),
+    (4.7e-3, "F", "4.7 mF"),
+    (4.7e-7, "F", "470 nF"),
     (-3.2e-3, "A", "-3.2 mA"),
     (0.0, "H", "0 H"),
     (2e-4, "kg m^2", "0.0002 kg m^2"),
@@ -242,7 +260,7 @@ def test_writes_for_people(value: float, unit: str, expected: str) -> None:
 
 @given(
     st.floats(min_value=1e-9, max_value=1e9),
-    st.sampled_from(["H", "Ohm", "Wb", "V", "A", "Hz", "s", "W", "J"]),
+    st.sampled_from(["H", "F", "Ohm", "Wb", "V", "A", "Hz", "s", "W", "J"]),
 )
 @settings(deadline=None)
 def test_what_is_written_reads_back(value: float, unit: str) -> None:

@@ -36,6 +36,7 @@ _UNIT: dict[str, tuple[float, tuple[int, ...], int]] = {
     "Ω": (1.0, (1, 2, -3, -2, 0), 0),
     "\N{OHM SIGN}": (1.0, (1, 2, -3, -2, 0), 0),
     "H": (1.0, (1, 2, -2, -2, 0), 0),
+    "F": (1.0, (-1, -2, 4, 2, 0), 0),
     "Wb": (1.0, (1, 2, -2, -1, 0), 0),
     "V": (1.0, (1, 2, -3, -1, 0), 0),
     "A": (1.0, (0, 0, 0, 1, 0), 0),
@@ -69,6 +70,7 @@ _UNIT: dict[str, tuple[float, tuple[int, ...], int]] = {
 _DIMENSION: dict[str, tuple[int, ...]] = {
     "resistance": (1, 2, -3, -2, 0),
     "inductance": (1, 2, -2, -2, 0),
+    "capacitance": (-1, -2, 4, 2, 0),
     "flux": (1, 2, -2, -1, 0),
     "back-emf": (1, 2, -2, -1, 0),
     "torque-constant": (1, 2, -2, -1, 0),

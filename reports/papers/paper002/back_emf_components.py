@@ -1,5 +1,4 @@
-"""Paper 002 recomputed: Table 3.1 beside the printed values, copper losses,
-and the figures of frames and currents.
+"""Table 3.1 of paper 002 beside the printed values, copper losses, and Figures 2.3 to 3.2.
 
 The printed values are facts of the thesis; where they contain misprints the
 notes say how they are read.
@@ -12,22 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design import catalogue
 from dqforge.machines.phase_machines.frames import (
     Frame,
-    FrameAngles,
-    frame_angles,
     frame_rms,
     loss_ratio_x_over_y,
     thesis_shapes,
     transform,
 )
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
-from dqforge.optimizer.waveforms.comparison import require_phases
-from dqforge.optimizer.waveforms.phase_currents import spectrum, unit_currents
-
-DESIGN_NAME = "paper002-phase-waveforms"
-
 
 ANGLES = 7200
 
@@ -61,9 +51,6 @@ FRAMES: dict[str, Frame | None] = {
 _FRAME_POINTS = 720
 
 
-_TORQUE = 1.0
-
-
 @dataclass(frozen=True, slots=True)
 class ComponentRow:
     """One row of Table 3.1: printed and recomputed r.m.s. by component, and the
@@ -74,29 +61,6 @@ class ComponentRow:
     printed: dict[str, float]
     found: dict[str, float]
     loss_ratio: float
-
-
-@dataclass(frozen=True, slots=True)
-class DriveCurves:
-    """Figures 6.4 to 6.9 for the shipped drive: frame angles, and the current of phase
-    a at 1 N m by dqx and dqy.
-
-    ``currents`` in A, shape (2, N), first dqx; ``harmonics`` in A (peak), shape (2, H), of orders
-    0..H-1; ``i_qy`` in A is the constant q current of dqy (power-invariant, as in the thesis).
-    """
-
-    angles: FrameAngles
-    currents: FloatArray
-    harmonics: FloatArray
-    i_qy: float
-
-
-@dataclass(frozen=True, slots=True)
-class Reproduction:
-    """The table and the drive's curves."""
-
-    rows: tuple[ComponentRow, ...]
-    drive: DriveCurves
 
 
 def table_3_1() -> tuple[ComponentRow, ...]:
@@ -127,20 +91,3 @@ def frame_curves() -> dict[str, dict[str, FloatArray]]:
         number: {name: components(frame, shape) for name, shape in shapes.items()}
         for number, frame in FRAMES.items()
     }
-
-
-def drive_curves() -> DriveCurves:
-    """Curves of the shipped drive at 1 N m."""
-    drive = require_phases(catalogue.load(DESIGN_NAME))
-    machine = drive.phases if isinstance(drive, SalientPhaseMachine) else drive
-    phi_m = float(np.max(np.abs(machine.flux)))
-    currents = np.stack([_TORQUE * unit_currents(machine, rule)[0] for rule in ("dqx", "dqy")])
-    i_qy = _TORQUE / (machine.pole_pairs * phi_m * np.sqrt(1.5))
-    return DriveCurves(
-        frame_angles(machine.flux / phi_m), currents, spectrum(currents)[0], float(i_qy)
-    )
-
-
-def reproduce_paper() -> Reproduction:
-    """Recompute everything."""
-    return Reproduction(table_3_1(), drive_curves())

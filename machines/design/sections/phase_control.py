@@ -1,0 +1,103 @@
+"""The keys of ``control.current_loop`` that are for machines with any back-EMF: what they need,
+and what is said of them.
+"""
+
+from __future__ import annotations
+
+from dqforge.machines.design.sections.control import ControlSection
+from dqforge.machines.design.settings import CurrentLoopSettings
+from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.files.positioned_yaml import YamlDocument
+from dqforge.machines.names import Topology
+from dqforge.machines.phase_machines.frame_choice import (
+    FrameChoice,
+    choose_frame,
+    controlled_frame,
+    frame_obstacle,
+    uses_zero_sequence,
+)
+from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.topologies.topology import TOPOLOGIES
+
+PHASE_KEYS = ("frame", "feedforward", "axis_gains", "harmonic_integrators", "limited_waveforms")
+
+"""Keys of ``control.current_loop`` that other machines have no use for."""
+
+
+_MODULATORS: dict[Topology, str] = {
+    "three-wire": "duty cycles centred between the highest and the lowest phase voltage",
+    "four-leg": "duty cycles centred between the highest and the lowest of all phase voltages and "
+    "zero, the neutral's leg with them",
+    "six-leg": "each phase on a full bridge of its own, half its voltage on either leg",
+    "six-leg-isolated": "full bridges on links of their own, voltages centred between the highest "
+    "and the lowest",
+    "split-capacitor": "each leg against the midpoint, whose measured voltage enters",
+    "diode-neutral": "duty cycles as without a neutral, whose diodes carry no wanted current",
+}
+
+
+def check_phase_control(
+    section: ControlSection,
+    machine: AnyPhaseMachine | None,
+    topology: Topology,
+    document: YamlDocument,
+) -> None:
+    """Check the keys that are for machines with any back-EMF.
+
+    ``machine`` is None for all others. Raises `InputError` with a position.
+    """
+    loop, path = section.current_loop, ("control", "current_loop")
+    if machine is None:
+        for key in PHASE_KEYS:
+            if key in loop.model_fields_set:
+                raise document.error(
+                    f"control.current_loop.{key} serves machines of model: waveform; remove it",
+                    (*path, key),
+                    key=True,
+                )
+        return
+    if loop.frame is not None:
+        obstacle = frame_obstacle(loop.frame, machine, topology)
+        if obstacle:
+            message = f"control.current_loop.frame: {obstacle}"
+            raise document.error(message, (*path, "frame"))
+    frame = controlled_frame(loop.frame, machine, topology)
+    if loop.limited_waveforms and frame != "table":
+        raise document.error(
+            "control.current_loop.limited_waveforms: currents that the link limits are a table "
+            f"over the angle, the frame is {frame}; write frame: table, or remove it",
+            (*path, "limited_waveforms"),
+            key=True,
+        )
+
+
+def phase_control_remarks(
+    loop: CurrentLoopSettings, machine: AnyPhaseMachine | None, inverter: Inverter
+) -> list[str]:
+    """Sentences on the frame, the modulator and the zero sequence of a machine with any back-EMF.
+
+    Empty for all others.
+    """
+    if machine is None:
+        return []
+    topology = inverter.topology
+    choice = choose_frame(machine, topology)
+    if loop.frame is not None:
+        choice = FrameChoice(loop.frame, "as written")
+    remarks = [
+        f"control.current_loop.frame is {choice.frame}: {choice.reason}",
+        f"inverter.topology {topology}: {_MODULATORS[topology]}",
+    ]
+    if TOPOLOGIES[topology].neutral:
+        current = (
+            "follows the reference of the torque"
+            if uses_zero_sequence(choice.frame, topology)
+            else "is held at zero"
+        )
+        gains = "gains of its own" if loop.axis_gains == "own" else "the gains of the q axis"
+        remarks.append(f"the zero-sequence current {current}, by a PI controller with {gains}")
+    if TOPOLOGIES[topology].midpoint and inverter.midpoint_capacitance is None:
+        remarks.append(
+            "inverter.midpoint_capacitance is not given: the midpoint of the link is taken as held"
+        )
+    return remarks

@@ -1,0 +1,402 @@
+"""The C functions of ``phase_control.h.j2`` on numpy arrays of float32, many drives side by side:
+same operations, same bits.
+
+The compiled code equals it bit for bit without contraction of products and
+sums (-ffp-contract=off).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.transforms import Pair, Triple, clarke, park, park_inverse
+from dqforge.optimizer.current_reference.forms import FloatReference
+from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.reports.c_code.float32_functions import SINGLE, rotation, wrap
+from dqforge.reports.control.float32_model import speed_loop, three_leg_duties
+from dqforge.reports.phase_control.float32_duties import (
+    Stationary,
+    topology_duties,
+    voltage_share,
+)
+from dqforge.reports.phase_control.float32_parts import (
+    Turn,
+    from_frame,
+    harmonic_gain,
+    harmonic_share,
+    largest_torque,
+    mean_of_phases,
+    multiples_of,
+    reference_at,
+    shape_at,
+    signed_turn,
+    to_frame,
+    turned,
+)
+from dqforge.reports.phase_control.structure import Structure
+
+Singles = tuple[SingleArray, ...]
+
+_UNKNOWN, _FAR = np.float32(1.0e15), np.float32(65536.0)  # beyond, and not-a-number
+_HALF, _ZERO, _ONE = np.float32(0.5), np.float32(0.0), np.float32(1.0)
+
+
+@dataclass(slots=True)
+class PhaseControlState:
+    """State of N drives, arrays of shape (N,), as ``<prefix>_control_t``.
+
+    ``harmonic`` and ``harmonic_zero`` hold real and imaginary parts by order.
+    """
+
+    d: SingleArray
+    q: SingleArray
+    zero: SingleArray
+    speed: SingleArray
+    reference: Singles
+    v: Singles
+    v_0: SingleArray
+    omega_m: SingleArray
+    torque: SingleArray
+    count: NDArray[np.uint32]
+    open: NDArray[np.uint32]
+    harmonic: dict[int, Singles] = field(default_factory=dict)
+    harmonic_zero: dict[int, Singles] = field(default_factory=dict)
+
+    @classmethod
+    def start(cls, count: int, structure: Structure) -> PhaseControlState:
+        """Everything at rest."""
+
+        def rest() -> SingleArray:
+            return np.zeros(count, dtype=np.float32)
+
+        words = np.zeros((2, count), dtype=np.uint32)
+        return cls(
+            rest(), rest(), rest(), rest(), (rest(), rest()), (rest(), rest()), rest(), rest(),
+            rest(), words[0], words[1],
+            {order: (rest(), rest()) for order in structure.plane},
+            {order: (rest(), rest()) for order in structure.zero},
+        )  # fmt: skip
+
+    def open_phase(self, phase: NDArray[np.uint32], chosen: NDArray[np.bool_]) -> None:
+        """Let a phase of the chosen drives carry no current from now on, 0 for none."""
+        phase = np.where(phase > 3, 0, phase).astype(np.uint32)
+        self.open = np.where(chosen, phase, self.open).astype(np.uint32)
+
+        def reset(value: SingleArray) -> SingleArray:
+            return np.where(chosen, _ZERO, value)
+
+        self.d, self.q, self.zero = reset(self.d), reset(self.q), reset(self.zero)
+        for kept in (self.harmonic, self.harmonic_zero):
+            for order, parts in kept.items():
+                kept[order] = tuple(reset(part) for part in parts)
+
+
+@dataclass(frozen=True, slots=True)
+class _Sample:
+    """One sample of N drives: what is measured, and the angles that belong to it."""
+
+    current: Stationary
+    omega_e: SingleArray
+    theta: SingleArray
+    v_dc: SingleArray
+    v_m: SingleArray | None
+    now: Turn
+    next: Turn
+    acting: Turn
+    last: Turn
+    place: SingleArray
+    step: SingleArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhaseControlModel:
+    """The control functions of one header.
+
+    Parameters
+    ----------
+    structure:
+        What its code is made of.
+    gains:
+        Members of ``<prefix>_control_gains_t`` by name, float32: ``d``, ``q``, ``zero`` and
+        ``speed`` are (kp, ki_ts, tracking); numbers, or arrays of shape (N,) where drives differ.
+    shape:
+        Back-EMF over electrical speed in Wb, shape (1 or 3, nodes + 1).
+    reference:
+        Current references of the torque in the frame dq, else None.
+    limit:
+        Electrical speeds in rad/s, voltages in V and torques in N m; None without a table.
+    """
+
+    structure: Structure
+    gains: Mapping[str, Any]
+    shape: SingleArray
+    reference: FloatReference | None = None
+    limit: tuple[SingleArray, SingleArray, SingleArray] | None = None
+
+    def _sample(self, measured: SingleArray) -> _Sample:
+        columns = [np.ascontiguousarray(column) for column in measured.T]
+        i, theta, omega_m, v_dc = Triple(*columns[:3]), columns[3], columns[4], columns[5]
+        omega_e, t_s = self.gains["pole_pairs"] * omega_m, self.gains["t_s"]
+        angle = wrap(theta)
+        now = rotation(angle)
+        half = rotation(wrap(_HALF * (omega_e * t_s)))
+        following = turned(turned(now, half), half)
+        acting = turned(following, half)
+        plane = clarke(SINGLE, i)
+        per_rad = turns_per_rad(self.structure.turns)
+        return _Sample(
+            Stationary(plane.x, plane.y, mean_of_phases(i)),
+            omega_e, theta, v_dc, columns[6] if self.structure.midpoint else None,
+            now, following, acting, turned(acting, half),
+            (angle if self.structure.turns == 1 else theta) * per_rad,
+            (omega_e * t_s) * per_rad,
+        )  # fmt: skip
+
+    def _shape(self, state: PhaseControlState, place: SingleArray) -> Stationary:
+        return shape_at(self.shape, place, state.open if self.structure.neutral else None)
+
+    def _wanted(
+        self,
+        state: PhaseControlState,
+        sample: _Sample,
+        place: SingleArray,
+        turn: Turn,
+        reference: Singles,
+        torque: SingleArray,
+    ) -> Stationary:
+        """Currents in A that belong to an angle."""
+        made, opened = self.structure, state.open != 0
+        one = np.ones_like(torque)
+        if made.by_torque:
+            fade = self.gains["fade_end"] - (self.gains["fade"] * np.abs(sample.omega_e))
+            fade = np.where(fade > _ONE, _ONE, np.where(fade > _ZERO, fade, _ZERO))
+            fade = np.where(opened, _ONE, fade) if made.neutral else fade
+            found = reference_at(
+                self.gains, self._shape(state, place), turn, torque, reference[0], fade,
+                self._zero_share(state, sample),
+            )  # fmt: skip
+        else:
+            plane = park_inverse(SINGLE, (reference[0], reference[1]), turn)
+            found = Stationary(plane.x, plane.y, np.zeros_like(torque))
+            if made.neutral:
+                none, shape = np.zeros_like(torque), self._shape(state, place)
+                other = reference_at(self.gains, shape, turn, torque, none, one, one)
+                found = Stationary(
+                    *(np.where(opened, a, b) for a, b in zip(other, found, strict=True))
+                )
+        if sample.v_m is None:
+            return found
+        balance = self.gains["balance"] * (sample.v_m - (_HALF * sample.v_dc))
+        return found._replace(zero=found.zero - balance)
+
+    def _zero_share(self, state: PhaseControlState, sample: _Sample) -> SingleArray:
+        """Share of the shape's zero sequence in the references."""
+        made, one = self.structure, np.ones_like(sample.omega_e)
+        if not made.has_balance_share:
+            return one if made.neutral else one - one
+        share = (
+            np.zeros_like(one)
+            if made.frame == "dqx"
+            else self.gains["zero_fade"] * np.abs(sample.omega_e)
+        )
+        return np.where((share > _ONE) | (state.open != 0), _ONE, share)
+
+    def _controllers(
+        self, state: PhaseControlState, sample: _Sample, error: Stationary
+    ) -> tuple[Stationary, Stationary]:
+        """Voltages of the PI controllers, and their integrals after this sample."""
+        made, gains = self.structure, self.gains
+        d, q = park(SINGLE, Pair(error.alpha, error.beta), sample.now)
+        if made.follows:
+            seen = to_frame(made.frame, self._shape(state, sample.place), error, gains["psi_pm"])
+            integral = Stationary(
+                state.d + (gains["d"][1] * seen.alpha),
+                state.q + (gains["q"][1] * seen.beta),
+                state.zero + (gains["zero"][1] * seen.zero) if made.neutral else np.zeros_like(d),
+            )
+            shape = self._shape(state, sample.place + (np.float32(1.5) * sample.step))
+            kept = from_frame(made.frame, shape, integral, gains["psi_pm"])
+        else:
+            integral = Stationary(
+                state.d + (gains["d"][1] * d),
+                state.q + (gains["q"][1] * q),
+                state.zero + (gains["zero"][1] * error.zero),
+            )
+            plane = park_inverse(SINGLE, (integral.alpha, integral.beta), sample.acting)
+            kept = Stationary(plane.x, plane.y, integral.zero)
+        part = park_inverse(SINGLE, (gains["d"][0] * d, gains["q"][0] * q), sample.now)
+        zero = kept.zero + (gains["zero"][0] * error.zero) if made.neutral else np.zeros_like(d)
+        return Stationary(kept.alpha + part.x, kept.beta + part.y, zero), integral
+
+    def _fed(
+        self,
+        state: PhaseControlState,
+        sample: _Sample,
+        v: Stationary,
+        reference: Singles,
+        torque: SingleArray,
+    ) -> Stationary:
+        """The voltage with what is fed forward."""
+        made, gains = self.structure, self.gains
+        if made.feedforward == "none":
+            return v
+        f = self._shape(state, sample.place + (np.float32(1.5) * sample.step))
+        v = Stationary(*(a + (sample.omega_e * b) for a, b in zip(v, f, strict=True)))
+        if made.feedforward == "references":
+            places = sample.place + sample.step, sample.place + (np.float32(2.0) * sample.step)
+            first = self._wanted(state, sample, places[0], sample.next, reference, torque)
+            second = self._wanted(state, sample, places[1], sample.last, reference, torque)
+            rate = gains["sampling"]
+            half = _HALF * gains["r_s"]
+            inductances = (gains["l_q"], gains["l_q"], gains["l_0"])
+            v = Stationary(
+                *(
+                    (a + (half * (one + two))) + ((inductance * rate) * (two - one))
+                    for a, one, two, inductance in zip(v, first, second, inductances, strict=True)
+                )
+            )
+        return v if made.neutral else v._replace(zero=np.zeros_like(v.zero))
+
+    def _harmonics(self, state: PhaseControlState, sample: _Sample, v: Stationary) -> Stationary:
+        """The voltage with that of the harmonic integrators."""
+        made, gains = self.structure, self.gains
+        now = multiples_of(sample.now, made.multiples)
+        acting = multiples_of(sample.acting, made.multiples)
+        alpha, beta, zero = v
+        kp = _HALF * (gains["d"][0] + gains["q"][0]) if made.plane else _ZERO
+        inductance = _HALF * (gains["l_d"] + gains["l_q"])
+        for order in made.plane:
+            share = harmonic_share(gains, order, sample.omega_e)
+            reactance = (np.float32(order) * sample.omega_e) * inductance
+            turns = signed_turn(now, order), signed_turn(acting, order)
+            x, y = harmonic_gain(kp, gains["r_s"], reactance, *turns)
+            r = state.harmonic[order]
+            alpha = alpha + (share * ((r[0] * x) - (r[1] * y)))
+            beta = beta + (share * ((r[0] * y) + (r[1] * x)))
+        for order in made.zero:
+            share = harmonic_share(gains, order, sample.omega_e)
+            reactance = (np.float32(order) * sample.omega_e) * gains["l_0"]
+            x, y = harmonic_gain(
+                gains["zero"][0], gains["r_s"], reactance, now[order], acting[order]
+            )
+            r = state.harmonic_zero[order]
+            zero = zero + (share * ((r[0] * x) - (r[1] * y)))
+        return Stationary(alpha, beta, zero)
+
+    def _learn(
+        self,
+        state: PhaseControlState,
+        sample: _Sample,
+        error: Stationary,
+        learning: NDArray[np.bool_],
+    ) -> None:
+        """The step of the harmonic integrators."""
+        made, gains = self.structure, self.gains
+        size = (np.abs(error.alpha) + np.abs(error.beta)) + np.abs(error.zero)
+        learning = learning & (size <= gains["harmonic_error_max"])
+        now = multiples_of(sample.now, made.multiples)
+        for order in made.plane:
+            cosine, sine = signed_turn(now, order)
+            rate = gains["harmonic_rate"] * harmonic_share(gains, order, sample.omega_e)
+            r = state.harmonic[order]
+            x = r[0] + (rate * ((error.alpha * cosine) + (error.beta * sine)))
+            y = r[1] + (rate * ((error.beta * cosine) - (error.alpha * sine)))
+            state.harmonic[order] = np.where(learning, x, r[0]), np.where(learning, y, r[1])
+        for order in made.zero:
+            cosine, sine = now[order]
+            rate = gains["harmonic_rate"] * harmonic_share(gains, order, sample.omega_e)
+            r = state.harmonic_zero[order]
+            x, y = r[0] + (rate * (error.zero * cosine)), r[1] - (rate * (error.zero * sine))
+            state.harmonic_zero[order] = np.where(learning, x, r[0]), np.where(learning, y, r[1])
+
+    def control_step(
+        self,
+        state: PhaseControlState,
+        measured: SingleArray,
+        reference: Singles,
+        torque: SingleArray,
+    ) -> Singles:
+        """Duty cycles from samples (N, 6 or 7): i_a, i_b, i_c, theta_e, omega_m, v_dc, v_m."""
+        made, gains = self.structure, self.gains
+        sample = self._sample(measured)
+        wanted = self._wanted(state, sample, sample.place, sample.now, reference, torque)
+        error = Stationary(*(a - b for a, b in zip(wanted, sample.current, strict=True)))
+        if not made.neutral:
+            error = error._replace(zero=np.zeros_like(error.zero))
+        v, integral = self._controllers(state, sample, error)
+        v = self._fed(state, sample, v, reference, torque)
+        if made.multiples:
+            v = self._harmonics(state, sample, v)
+        size = (np.abs(v.alpha) + np.abs(v.beta)) + np.abs(v.zero)
+        share = voltage_share(
+            v, gains["voltage_share"], sample.v_dc, sample.v_m, made.topology, made.modulation
+        )
+        known = (size < _UNKNOWN) & (share >= _ZERO)
+        known &= (np.abs(sample.theta) < _FAR) & (np.abs(sample.omega_e) < _UNKNOWN)
+        free = share >= _ONE
+        learning = known & free
+        state.d = np.where(learning, integral.alpha, state.d)
+        state.q = np.where(learning, integral.beta, state.q)
+        if made.neutral:
+            state.zero = np.where(learning, integral.zero, state.zero)
+        if made.multiples:
+            self._learn(state, sample, error, learning)
+        v = Stationary(*(np.where(known, np.where(free, part, share * part), _ZERO) for part in v))
+        state.reference, state.v, state.v_0 = reference, (v.alpha, v.beta), v.zero
+        if not made.modulated:
+            return topology_duties(v, sample.v_dc, sample.v_m, made.topology)
+        current = Pair(sample.current.alpha, sample.current.beta)
+        return three_leg_duties(made.modulation, Pair(v.alpha, v.beta), sample.v_dc, current)
+
+    def limited_torque(self, torque: SingleArray, measured: SingleArray) -> SingleArray:
+        """A torque in N m within the limits at samples as of `control_step`."""
+        most = self.gains["torque_max"]
+        if self.limit is not None:
+            speeds, voltages, table = self.limit
+            omega_e = np.abs(self.gains["pole_pairs"] * measured[:, 4])
+            permitted = largest_torque((speeds, voltages), table, omega_e, measured[:, 5])
+            most = np.where(permitted < most, permitted, most)
+        low = np.where(torque < -most, -most, _ZERO)
+        return np.where(torque > most, most, np.where(torque >= -most, torque, low))
+
+    def current_control(
+        self, state: PhaseControlState, measured: SingleArray, reference: Singles
+    ) -> Singles:
+        """Duty cycles for references (d, q) in A."""
+        made, gains = self.structure, self.gains
+        if not (made.by_torque or made.neutral):
+            return self.control_step(state, measured, reference, np.zeros_like(reference[0]))
+        per_ampere = (np.float32(1.5) * gains["pole_pairs"]) * gains["psi_pm"]
+        torque = self.limited_torque(per_ampere * reference[1], measured)
+        return self.control_step(state, measured, reference, torque)
+
+    def torque_control(
+        self, state: PhaseControlState, measured: SingleArray, torque: SingleArray
+    ) -> Singles:
+        """Duty cycles for a torque in N m."""
+        limited = self.limited_torque(torque, measured)
+        if self.reference is None:
+            per_ampere = (np.float32(1.5) * self.gains["pole_pairs"]) * self.gains["psi_pm"]
+            reference: Singles = (np.zeros_like(limited), limited / per_ampere)
+        else:
+            reference = tuple(self.reference.currents(limited))
+        state.torque = torque
+        return self.control_step(state, measured, reference, limited)
+
+    def speed_control(
+        self, state: PhaseControlState, measured: SingleArray, reference: SingleArray
+    ) -> Singles:
+        """Duty cycles for a speed in rad/s."""
+        omega_m = np.ascontiguousarray(measured[:, 4])
+        torque = speed_loop(self.gains, self.structure.ratio, state, omega_m, reference)
+        return self.torque_control(state, measured, torque)
+
+
+def turns_per_rad(turns: int) -> np.float32:
+    """What turns an angle in rad into lengths of a table over electrical turns."""
+    return np.float32(1.0 / (2.0 * np.pi * turns))

@@ -1,0 +1,118 @@
+"""Control of phase machines: what each topology and frame gets, against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dqforge.machines.design import catalogue
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.loader import load_text
+from dqforge.machines.errors import DqforgeError, NoSolutionError
+from dqforge.machines.names import Topology
+from dqforge.optimizer.control_design.gain_set import solve_gains
+from dqforge.optimizer.phase_control.design import PhaseLoops
+
+P = "paper002-phase-waveforms"
+
+
+def design(*settings: str, drive: str = P) -> Design:
+    return load_text(catalogue.read_text(drive), f"{drive}.yaml", None, list(settings))
+
+
+def loops(*settings: str, drive: str = P) -> PhaseLoops:
+    found = solve_gains(design(*settings, drive=drive)).phases
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(
+    ("topology", "neutral"),
+    [
+        ("three-wire", False),
+        ("four-leg", True),
+        ("six-leg", True),
+        ("six-leg-isolated", False),
+        ("split-capacitor", True),
+        ("diode-neutral", False),
+    ],
+)
+def test_every_topology_gets_the_table(topology: Topology, neutral: bool) -> None:
+    found = loops(f"inverter.topology={topology}").control
+    assert (found.frame, found.topology) == ("table", topology)
+    assert found.inductances == pytest.approx((8e-3, 8e-3, 5e-3), rel=1e-9)
+    omega, r_s = 2.0 * np.pi * 300.0, 1.0
+    for gains, inductance in zip(found.gains[:2], found.inductances[:2], strict=True):
+        assert (gains.kp, gains.ki) == pytest.approx((omega * inductance, omega * r_s), rel=1e-9)
+    zero = (omega * 5e-3, omega * r_s) if neutral else (0.0, 0.0)
+    assert (found.gains[2].kp, found.gains[2].ki) == pytest.approx(zero, rel=1e-9)
+    assert found.harmonics is not None
+    assert found.harmonics.plane == (-5, 7, -11, 13)
+    assert found.harmonics.zero == ((3, 9) if neutral else ())
+    assert found.harmonics.frequency_max == pytest.approx(10e3 / 6.0)
+    assert found.harmonics.error_max == pytest.approx(1.0, abs=0.02)
+
+
+def test_the_largest_torque_is_that_of_the_phase_with_the_largest_current() -> None:
+    # F of P from its printed harmonics, on angles of the test's own.
+    theta = 2.0 * np.pi * np.arange(100_000) / 100_000
+    flux = np.zeros((3, theta.size))
+    for order, share in ((1, 1.0), (3, 0.12), (5, 0.03), (7, 0.01)):
+        for k in range(3):
+            flux[k] -= 0.2233 * share * np.sin(order * (theta - 2.0 * np.pi * k / 3.0))
+    i_max = 4.2 * np.sqrt(2.0)
+    unit = flux / (2.0 * np.sum(flux**2, axis=0))
+    # The table lies 0.1 % off at most.
+    assert loops().control.torque_max == pytest.approx(i_max / np.max(np.abs(unit)), rel=1e-3)
+    flux = flux - np.mean(flux, axis=0)
+    unit = flux / (2.0 * np.sum(flux**2, axis=0))
+    found = loops("inverter.topology=three-wire").control
+    assert found.torque_max == pytest.approx(i_max / np.max(np.abs(unit)), rel=1e-3)
+
+
+def test_a_choke_in_the_neutral_counts_three_times() -> None:
+    found = loops("inverter.neutral_inductance=1 mH").control
+    assert found.inductances[2] == pytest.approx(8e-3, rel=1e-9)
+
+
+def test_a_sine_gets_dq() -> None:
+    found = loops("machine.back_emf.harmonics=[{order: 1, amplitude: 0.2 Wb}]").control
+    assert found.frame == "dq"
+
+
+def test_saliency_gets_dq_with_both_inductances() -> None:
+    found = loops(drive="salient-phase-waveforms").control
+    assert found.frame == "dq"
+    assert found.inductances == pytest.approx((5.3e-3, 10.7e-3, 5e-3), rel=1e-6)
+
+
+def test_one_gain_is_refused_from_the_ratio_of_the_page_on() -> None:
+    # L_ab/L_0 = (7 + m)/(7 - 2 m) mH; at 500 Hz and 10 kHz the limit is 3.18.
+    fast = ("control.current_loop.bandwidth=500 Hz", "control.current_loop.phase_margin_min=1 deg")
+    one = (*fast, "control.current_loop.axis_gains=one")
+    limit = 10e3 / (2.0 * np.pi * 500.0)
+    for ratio, holds in ((3.0, True), (0.999 * limit, True), (1.001 * limit, False)):
+        mutual = 7.0 * (ratio - 1.0) / (1.0 + 2.0 * ratio)
+        machine = f"machine.mutual_inductance={-mutual:.9f} mH"
+        if holds:
+            try:
+                found = loops(*one, machine)
+            except NoSolutionError as error:
+                assert "i_0 loop" in error.message  # the margin, not the rule
+            else:
+                assert found.control.gains[2] == found.control.gains[1]
+        else:
+            with pytest.raises(DqforgeError, match=r"permits 3.18; write own"):
+                loops(*one, machine)
+        assert loops(*fast, machine).control.gains[2].kp > 0.0
+
+
+def test_given_gains_scale_with_the_inductance() -> None:
+    text = catalogue.read_text(P).replace(
+        b"    method: bandwidth\n    bandwidth: 300 Hz\n",
+        b"    method: given\n    kp: 16 V/A\n    ki: 800 V/(A s)\n",
+    )
+    found = solve_gains(load_text(text, "given.yaml")).phases
+    assert found is not None
+    zero = found.control.gains[2]
+    assert (zero.kp, zero.ki) == pytest.approx((10.0, 500.0))

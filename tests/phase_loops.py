@@ -1,0 +1,77 @@
+"""Current control of the machines that the tests of phase machines share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dqforge.machines.names import CurrentFrame, Feedforward, Topology
+from dqforge.optimizer.phase_control.periodic_step import PhasePlants
+from dqforge.optimizer.phase_control.phase_controller import (
+    AxisGains,
+    HarmonicGains,
+    PhaseControl,
+    PhaseShape,
+)
+
+T_S = 1e-4
+R = 1.0
+INDUCTANCES = (8e-3, 8e-3, 5e-3)
+PSI = 0.2233
+SHARES = ((1, 1.0), (3, 0.12), (5, 0.03), (7, 0.01))
+HARMONICS = HarmonicGains((-5, 7, -11, 13), (3, 9), 60.0, 1.0 / (6.0 * T_S), 1.0)
+
+
+def harmonic_shape(nodes: int = 360) -> PhaseShape:
+    """Back-EMF of paper 002's machine."""
+    theta = 2.0 * np.pi * np.arange(nodes) / nodes
+    return PhaseShape(np.array([-PSI * sum(s * np.sin(h * theta) for h, s in SHARES)]))
+
+
+def page_control(
+    frame: CurrentFrame = "table",
+    feedforward: Feedforward = "references",
+    *,
+    topology: Topology = "four-leg",
+    bandwidth: float = 500.0,
+    inductances: tuple[float, float, float] = INDUCTANCES,
+    harmonics: HarmonicGains | None = None,
+) -> PhaseControl:
+    """Control with kp = omega_c L and ki = kp omega_c/10 of each axis, ``bandwidth`` in Hz."""
+    omega = 2.0 * np.pi * bandwidth
+    d, q, zero = (AxisGains(omega * size, omega * size * omega / 10.0) for size in inductances)
+    return PhaseControl(
+        frame,
+        feedforward,
+        topology,
+        harmonic_shape(),
+        pole_pairs=2,
+        r_s=R,
+        psi_pm=PSI,
+        inductances=inductances,
+        gains=(d, q, zero),
+        harmonics=harmonics,
+        t_s=T_S,
+        torque_max=3.5,
+    )
+
+
+def with_one_gain(control: PhaseControl) -> PhaseControl:
+    """The same with the gains of the plane on the 0 axis too."""
+    d, q, _ = control.gains
+    return replace(control, gains=(d, q, d))
+
+
+def plants_of(
+    control: PhaseControl, share: float = 1.0, capacitance: float | None = None
+) -> PhasePlants:
+    """One winding, its inductances a share of those that the control is made for."""
+    l_d, l_q, l_0 = (np.array([share * size]) for size in control.inductances)
+    held = None if capacitance is None else np.array([capacitance])
+    return PhasePlants(np.array([control.r_s]), l_d, l_q, l_0, np.ones(1), held)
+
+
+def speed_of(samples: float) -> float:
+    """Electrical speed in rad/s of so many samples per period."""
+    return 2.0 * np.pi / (samples * T_S)
