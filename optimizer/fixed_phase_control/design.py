@@ -69,6 +69,11 @@ def fit_phase_control(design: Design, control: PhaseControl, width: int = 16) ->
     NoSolutionError
         A quantity can overflow, or a gain has no format.
     """
+    if control.feedforward == "measured":
+        raise InputError(
+            "control.current_loop.feedforward: measured is not there in fixed point; write "
+            "references, or export.control: float32"
+        )
     _require_bases(design, control)
     bases = design.control.bases
     flux_base = _flux_base(control.shape.flux)

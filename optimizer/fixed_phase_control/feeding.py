@@ -69,7 +69,8 @@ def within_region(
     """A voltage shortened along its direction into what the legs can make, and whether it was."""
     codes, bits = Codes(o, control.width), control.width - 1
     coarse = [codes.saturated(o.shifted(x, _COARSE)) for x in asked]
-    demand = larger(o, link_demand(o, control, phase_voltages(o, control, *coarse)), o.const(1))
+    # A range does not know that the larger of two is positive; 8 full scales are never passed.
+    demand = o.clamp(link_demand(o, control, phase_voltages(o, control, *coarse)), 1, 8 << bits)
     most = o.clamp(o.shifted(link_voltage(o, control, v_dc, v_m), _COARSE), 0, (1 << bits) - 1)
     limited = o.at_least(demand, most)
     share = o.quotient("region: share", o.product("region: link", most, o.const(1 << bits)), demand)

@@ -13,8 +13,8 @@ from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import WaveformForm
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.curves.single_precision import fused_multiply_add, multiply_add
 from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.optimizer.curves.single_precision import fused_multiply_add, multiply_add
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
 from dqforge.optimizer.waveforms.firmware_form import (
     PhaseForm,

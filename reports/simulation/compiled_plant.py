@@ -470,9 +470,7 @@ def simulate_many(
             shape=shape,
             topology=_topology(simulator, drive, scenario),
         )
-        for (drive, scenario, gains), shape in zip(
-            runs, shapes or [b""] * len(runs), strict=True
-        )
+        for (drive, scenario, gains), shape in zip(runs, shapes or [b""] * len(runs), strict=True)
     ]
     return _summary([figures for figures, _ in _runs(simulator, inputs, progress)])
 
