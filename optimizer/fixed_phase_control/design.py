@@ -10,6 +10,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Reach
 from dqforge.optimizer.fixed_control.design import DC_HEADROOM
@@ -112,9 +113,10 @@ def _require_bases(design: Design, control: PhaseControl) -> None:
             f"but the largest speed is {speed * rpm:.5g} rpm; write speed: "
             f"{speed * rpm * 1.25:.4g} rpm"
         )
-    share = {"six-leg": 1.0, "six-leg-isolated": 4.0 / 3.0, "four-leg": 1.0}.get(
-        control.topology, 2.0 / 3.0
-    )
+    rule = TOPOLOGIES[control.topology]
+    # Two thirds of the largest difference, or the largest phase voltage.
+    share = 1.0 if rule.neutral else 2.0 / 3.0 * (rule.between or 1.0)
+    share = 2.0 / 3.0 if rule.midpoint else share
     needed = share * design.inverter.v_dc
     if bases.voltage < needed * (1.0 - 1e-9):
         raise InputError(

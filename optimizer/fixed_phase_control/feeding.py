@@ -46,12 +46,13 @@ def ends(o: Arithmetic[N, Any], values: tuple[N, ...]) -> tuple[N, N]:
 def link_demand(o: Arithmetic[N, Any], control: FixedPhaseControl, phases: tuple[N, N, N]) -> N:
     """What phase voltages ask of the link (of half of it where it is split), as their codes."""
     high, low = ends(o, phases)
-    if control.topology in ("split-capacitor", "six-leg"):
+    rule = TOPOLOGIES[control.topology]
+    if rule.between is None:
         return larger(o, high, o.negative(low))
-    if control.topology == "four-leg":
+    if rule.neutral:
         high, low = larger(o, high, o.const(0)), smaller(o, low, o.const(0))
     spread = o.total("demand: spread", high, o.negative(low))
-    return o.shifted(spread, 1) if control.topology == "six-leg-isolated" else spread
+    return spread if rule.between == 1.0 else o.shifted(spread, 1)
 
 
 def link_voltage(o: Arithmetic[N, Any], control: FixedPhaseControl, v_dc: N, v_m: N) -> N:
@@ -98,8 +99,9 @@ def leg_duties(
     codes, one = Codes(o, control.width), 1 << (control.width - 1)
     factor = o.const(one >> control.dc_scale)
     phases = phase_voltages(o, control, voltage.alpha, voltage.beta, voltage.zero)
-    topology = control.topology
-    if topology == "six-leg-isolated":
+    rule = TOPOLOGIES[control.topology]
+    bridges = len(rule.legs) == 6
+    if bridges and not rule.neutral:
         high, low = ends(o, phases)
         middle = o.shifted(o.total("duties: ends", high, low), 1)
         phases = centred(o, phases, middle)
@@ -114,15 +116,15 @@ def leg_duties(
     def limited(*terms: N) -> N:
         return o.clamp(o.total("duties: sum", *terms), 0, one)
 
-    if topology in ("six-leg", "six-leg-isolated"):
+    if bridges:
         halves = [o.shifted(x, 1) for x in share]
         first = [limited(half, x) for x in halves]
         return (*first, *(limited(half, o.negative(x)) for x in halves))
-    if topology == "split-capacitor":
+    if rule.midpoint:
         wide = o.product("duties: v_m", v_m, o.const(one))
         zero = o.clamp(o.quotient("duties: v_m / v_dc", wide, v_dc), 0, one)
         return tuple(limited(x, zero) for x in share)
-    high, low = ends(o, share if topology != "four-leg" else (*share, o.const(0)))
+    high, low = ends(o, (*share, o.const(0)) if rule.neutral else share)
     zero = o.shifted(o.total("duties: offset", o.const(one), o.negative(high), o.negative(low)), 1)
     legs = tuple(limited(x, zero) for x in share)
-    return legs if len(TOPOLOGIES[topology].legs) == 3 else (*legs, limited(zero))
+    return (*legs, limited(zero)) if rule.neutral else legs

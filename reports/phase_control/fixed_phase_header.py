@@ -206,6 +206,7 @@ def phase_fixed_context(design: Design, fit: FixedPhaseFit) -> PlainData:
         "width": control.width,
         "top": control.top,
         "control": control,
+        "rule": TOPOLOGIES[control.topology],
         "legs": TOPOLOGIES[control.topology].legs,
         "preamble": _preamble(fit, design),
         "scales": scales,
