@@ -117,7 +117,7 @@ def highest_order(phases: AnyPhaseMachine) -> float:
 
 def turns_of(phases: AnyPhaseMachine) -> int:
     """Electrical periods after which the waveforms repeat."""
-    return int(getattr(phases, "turns", 1))
+    return phases.turns
 
 
 def neutral_end(topology: Topology) -> int:
