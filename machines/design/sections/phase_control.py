@@ -19,7 +19,7 @@ from dqforge.machines.phase_machines.frame_choice import (
     uses_zero_sequence,
     zero_sequence_inductance,
 )
-from dqforge.machines.phase_machines.neutral_balance import neutral_balance
+from dqforge.machines.losses.neutral_balance import neutral_balance
 from dqforge.machines.phase_machines.salient_phase_machine import (
     AnyPhaseMachine,
     SalientPhaseMachine,
