@@ -21,6 +21,7 @@ import figures_observers
 import figures_operating_points
 import figures_phase_design
 import figures_simulation
+import figures_stability
 import figures_waveforms
 import figures_weakening
 
@@ -56,6 +57,7 @@ def main() -> None:
     figures_losses.loss_map(folder / "loss-map.svg")
     figures_simulation.bench(folder / "simulation.svg")
     figures_simulation.dead_time(folder / "dead-time.svg")
+    figures_stability.periodic_stability(folder / "periodic-stability.svg")
     figures_losses.modulation_choice(folder / "modulation-choice.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")

@@ -98,7 +98,7 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
     l_d, l_q = design.machine.l_d, design.machine.l_q
     l_0 = zero_sequence_inductance(machine, inverter.neutral_inductance)
     zero = zero_loop(control, i_q, machine.r_s, l_q, l_0) if neutral else None
-    turns = 1
+    turns = phases.turns
     fit = fit_shape(phases, zero=uses_zero, turns=turns, currents=frame != "dq")
     angle = 2.0 * np.pi * turns * np.arange(_ANGLES * turns) / (_ANGLES * turns)
     flux = flux_at(fit.shape, angle)
