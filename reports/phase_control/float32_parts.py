@@ -243,7 +243,7 @@ def equal_load(
     there = v_dc > _ZERO
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = omega_e * (v_nominal / np.where(there, v_dc, _ONE))
-    return np.where(there, scaled, last)
+    return np.asarray(np.where(there, scaled, last), dtype=np.float32)
 
 
 def to_frame(frame: str, f: Stationary, x: Stationary, psi_pm: Any) -> Stationary:
