@@ -59,7 +59,7 @@ def test_json_has_every_figure(gains: GainSet) -> None:
     assert plain["i_0"]["kp"] == pytest.approx(gains.i_q.kp * 5.0 / 8.0)
     found = plain["currents"]
     assert found["radius"] == max(speed["worst"]["value"] for speed in found["speeds"])
-    assert (found["frame"], found["corners"], found["inside"]) == ("table", 2, 400)
+    assert (found["frame"], found["corners"], found["inside"]) == ("table", 2, 0)
     assert found["midpoint_time_s"] == pytest.approx(0.05, rel=0.05)
     still, *_, last = found["speeds"]
     assert still["samples_per_period"] is None
