@@ -19,6 +19,7 @@ import figures_losses
 import figures_modulation
 import figures_observers
 import figures_operating_points
+import figures_phase_design
 import figures_simulation
 import figures_stability
 import figures_waveforms
@@ -60,6 +61,7 @@ def main() -> None:
     figures_losses.modulation_choice(folder / "modulation-choice.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")
+    figures_phase_design.torque_and_currents(folder / "phase-design.svg")
     figures_weakening.weakening_errors(folder / "weakening-errors.svg")
     figures_certificates.proven_bounds(folder / "certificate.svg")
 

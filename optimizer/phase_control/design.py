@@ -8,17 +8,15 @@ from functools import partial
 import numpy as np
 
 from dqforge.machines.design.design import Design
-from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.frame_choice import (
     controlled_frame,
     frame_obstacle,
     uses_zero_sequence,
+    zero_sequence_inductance,
 )
-from dqforge.machines.phase_machines.salient_phase_machine import (
-    AnyPhaseMachine,
-    SalientPhaseMachine,
-)
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.tolerance_box import DriveBox
@@ -26,6 +24,7 @@ from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.phase_control.axis_gains import axis_gains, zero_loop
 from dqforge.optimizer.phase_control.harmonic_orders import harmonic_gains, harmonic_orders
 from dqforge.optimizer.phase_control.judged_box import JudgedLoops, judge_loops
+from dqforge.optimizer.phase_control.limited_shapes import LimitedFit, fit_limited
 from dqforge.optimizer.phase_control.midpoint_balance import SWING, midpoint_gains
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl, TorqueLimit
 from dqforge.optimizer.phase_control.salient_limit import salient_torques
@@ -53,6 +52,8 @@ class PhaseLoops:
         Its table of the back-EMF and what that errs by.
     zero:
         The loop of the zero-sequence current, None where nothing drives one.
+    limited:
+        The currents beyond the torque limit, None where none are asked for or the link ends none.
     judged:
         How fast all of it forgets a disturbance over speeds and tolerances; None until judged.
     """
@@ -60,19 +61,8 @@ class PhaseLoops:
     control: PhaseControl
     shape: ShapeFit
     zero: LoopGains | None
+    limited: LimitedFit | None = None
     judged: JudgedLoops | None = None
-
-
-def zero_sequence_inductance(machine: AnyPhaseMachine, inverter: Inverter) -> float:
-    """Inductance L_0 in H that a zero-sequence current meets: L_s + 2 M_s, and 3 L_n of a choke.
-
-    That of a salient machine is the mean over the angle.
-    """
-    if isinstance(machine, SalientPhaseMachine):
-        own = float(np.mean(np.sum(machine.inductance, axis=(1, 2))) / 3.0)
-    else:
-        own = machine.l_s + 2.0 * machine.m_s
-    return own + 3.0 * inverter.neutral_inductance
 
 
 def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
@@ -106,9 +96,9 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
     neutral = TOPOLOGIES[topology].neutral
     uses_zero = uses_zero_sequence(frame, topology)
     l_d, l_q = design.machine.l_d, design.machine.l_q
-    l_0 = zero_sequence_inductance(machine, inverter)
+    l_0 = zero_sequence_inductance(machine, inverter.neutral_inductance)
     zero = zero_loop(control, i_q, machine.r_s, l_q, l_0) if neutral else None
-    turns = 1
+    turns = phases.turns
     fit = fit_shape(phases, zero=uses_zero, turns=turns, currents=frame != "dq")
     angle = 2.0 * np.pi * turns * np.arange(_ANGLES * turns) / (_ANGLES * turns)
     flux = flux_at(fit.shape, angle)
@@ -152,17 +142,20 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
         torque_max=torque_max,
         midpoint=midpoint,
     )
-    limit = _torque_limit(design, unlimited)
-    return PhaseLoops(replace(unlimited, torque_limit=limit), fit, zero)
+    found = replace(unlimited, torque_limit=_torque_limit(design, unlimited))
+    limited = _limited(design, phases, found) if settings.limited_waveforms else None
+    found = replace(found, limited=None if limited is None else limited.shapes)
+    return PhaseLoops(found, fit, zero, limited)
 
 
 def voltage_margin(design: Design) -> float:
     """Share of the voltage region that steady currents leave free, of 0 to 1.
 
-    What the design keeps for control, at least `MARGIN`, and what dead time takes off either end.
+    What the firmware leaves free by the design, `MARGIN` for its PI controllers, and what dead time
+    takes off either end.
     """
     inverter = design.inverter
-    return max(design.operation.voltage_margin, MARGIN) + 2.0 * inverter.dead_time * inverter.f_sw
+    return design.operation.voltage_margin + MARGIN + 2.0 * inverter.dead_time * inverter.f_sw
 
 
 def _torque_limit(design: Design, control: PhaseControl) -> TorqueLimit:
@@ -177,6 +170,14 @@ def _torque_limit(design: Design, control: PhaseControl) -> TorqueLimit:
     else:
         largest = partial(largest_torques, control, margin=margin)
     return torque_limit(v_dc, last, largest)
+
+
+def _limited(design: Design, machine: PhaseMachine, control: PhaseControl) -> LimitedFit | None:
+    """Currents beyond the torque limit."""
+    omega_m = design.machine.omega_m_max
+    top = None if omega_m is None else machine.pole_pairs * omega_m
+    margin = voltage_margin(design)
+    return fit_limited(control, machine, design.inverter.v_dc, design.i_max, top, margin)
 
 
 def judged(design: Design, box: DriveBox, loops: PhaseLoops) -> PhaseLoops:

@@ -41,13 +41,15 @@ def salient_torques(
         (float(d), sign * float(q)) for sign in (1.0, -1.0) for d, q in zip(i_d, i_q, strict=True)
     ]
     currents = np.stack([dq_waveform(i_d, i_q, machine.angles) for i_d, i_q in pairs])
+    # Bounds are alike for all phases and both signs: what repeats needs no second look.
+    part = machine.angles // {"sixth": 6, "third": 3, "none": 1}[machine.symmetry]
     low, high = voltage_bounds(topology, 1.0 - margin)
     limited = np.isfinite(high)
     # Voltages are straight in the speed: one set at rest and one per speed tell all.
     at_rest = machine.voltage(currents, np.zeros(len(pairs)))
     per_speed = machine.voltage(currents, np.ones(len(pairs))) - at_rest
     still, moving = (
-        np.einsum("rk,jkn->jrn", VOLTAGE_ROWS[limited], v) for v in (at_rest, per_speed)
+        np.einsum("rk,jkn->jrn", VOLTAGE_ROWS[limited], v[..., :part]) for v in (at_rest, per_speed)
     )
     low, high = low[limited, np.newaxis], high[limited, np.newaxis]
 

@@ -8,6 +8,7 @@ Everything is amplitude-invariant, 0 is the mean of the phases. For 1 N m with l
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.frame_choice import uses_zero_sequence
@@ -22,6 +23,40 @@ PHASES = np.linalg.inv(clarke_matrix())
 """Matrix (3, 3) from alpha, beta and 0 to the phases."""
 
 
+def phase_rows(
+    table: FloatArray,
+    turns: int,
+    angle: FloatArray,
+    which: tuple[NDArray[np.intp], ...] = (),
+) -> FloatArray:
+    """Values of the three phases at angles in rad, by straight lines between nodes, shape (3, ...).
+
+    Parameters
+    ----------
+    table:
+        Nodes of phase a, shape (1, ..., N), of which b and c lag by a third and two thirds of an
+        electrical period, or of all phases, shape (3, ..., N).
+    turns:
+        Electrical periods that the nodes span.
+    angle:
+        Electrical angles in rad, any shape.
+    which:
+        Indices of the axes between the first and the last one, each of the angles' shape.
+    """
+    equal = table.shape[0] == 1
+    period, count = 2.0 * np.pi * turns, table.shape[-1]
+    phases = []
+    for phase in range(3):
+        row = table[0 if equal else phase]
+        place = np.mod((angle - _TURN * phase * equal) * (count / period), count)
+        # The remainder of a tiny negative number is the divisor itself.
+        left = np.minimum(place.astype(np.intp), count - 1)
+        part = place - left
+        here, after = row[(*which, left)], row[(*which, (left + 1) % count)]
+        phases.append(here + part * (after - here))
+    return np.stack(phases)
+
+
 def flux_at(shape: PhaseShape, angle: FloatArray) -> FloatArray:
     """Back-EMF over electrical speed in Wb on alpha, beta and 0, shape (3, ...).
 
@@ -32,17 +67,8 @@ def flux_at(shape: PhaseShape, angle: FloatArray) -> FloatArray:
     angle:
         Electrical angles in rad, any shape.
     """
-    rows = shape.flux if shape.flux.shape[0] == 3 else np.repeat(shape.flux, 3, axis=0)
-    lags = np.zeros(3) if shape.flux.shape[0] == 3 else _TURN * np.arange(3)
-    period, count = 2.0 * np.pi * shape.turns, rows.shape[1]
-    phases = []
-    for row, lag in zip(rows, lags, strict=True):
-        place = np.mod((angle - lag) * (count / period), count)
-        # The remainder of a tiny negative number is the divisor itself.
-        left = np.minimum(place.astype(np.intp), count - 1)
-        part = place - left
-        phases.append(row[left] + part * (row[(left + 1) % count] - row[left]))
-    return np.asarray(np.einsum("jk,k...->j...", clarke_matrix(), np.stack(phases)))
+    phases = phase_rows(shape.flux, shape.turns, angle)
+    return np.asarray(np.einsum("jk,k...->j...", clarke_matrix(), phases))
 
 
 def unit_currents(flux: FloatArray, pole_pairs: int, *, zero: bool) -> FloatArray:
@@ -63,7 +89,8 @@ def unit_currents(flux: FloatArray, pole_pairs: int, *, zero: bool) -> FloatArra
 
 
 def fade_share(control: PhaseControl, omega_e: FloatArray) -> FloatArray:
-    """How much of the harmonics the references keep at electrical speeds in rad/s, 0 to 1.
+    """How much of the harmonics the references keep at electrical speeds in rad/s, 0 to 1: straight
+    in the speed between the ends of the fading.
 
     Parameters
     ----------
@@ -72,12 +99,9 @@ def fade_share(control: PhaseControl, omega_e: FloatArray) -> FloatArray:
     omega_e:
         Electrical speeds in rad/s, any shape.
     """
-    begin, end = control.fade
-    # Samples per period, of which the inverse does not overflow at rest.
+    begin, end = (1.0 / samples for samples in control.fade)
     fraction = np.abs(omega_e) * control.t_s / (2.0 * np.pi)
-    return np.asarray(
-        np.clip((1.0 - end * fraction) / ((begin - end) * np.maximum(fraction, 1e-12)), 0.0, 1.0)
-    )
+    return np.asarray(np.clip((end - fraction) / (end - begin), 0.0, 1.0))
 
 
 def reference_flux(control: PhaseControl, angle: FloatArray, omega_e: FloatArray) -> FloatArray:

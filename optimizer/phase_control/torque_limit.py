@@ -31,7 +31,7 @@ MARGIN = 0.02
 """Share of the region that is left to the PI controllers."""
 
 
-LINKS = (0.0, 0.25, 0.5, 1.0)
+LINKS = (0.0, 0.3, 0.6, 0.8, 1.0)
 
 """Nodes of the table over the nominal link voltage. At 0 there is no torque, so that the table
 holds down to any voltage; above the nominal one it holds too, but for the resistance there would
@@ -46,7 +46,7 @@ SPEEDS = 17
 _FINE = (4, 9)
 
 
-_ANGLES = 720
+_ANGLES = 192
 
 
 _SAFE = 1e-3
@@ -55,11 +55,9 @@ _SAFE = 1e-3
 _SCAN = 241
 
 
-def steady_voltages(
-    control: PhaseControl, omega_e: FloatArray, angle: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def steady_voltages(control: PhaseControl, omega_e: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Phase voltages of the control law in the steady state: per torque in V/(N m), and at none
-    in V, both of shape (W, A, 3).
+    in V, both of shape (W, A, 3), at the angles of `voltage_angles`.
 
     Without a neutral the mean of the phases is left out, which the legs do not make.
 
@@ -69,9 +67,8 @@ def steady_voltages(
         The control; its references are in proportion to the torque.
     omega_e:
         Electrical speeds in rad/s, shape (W,).
-    angle:
-        Electrical angles at the sample in rad, shape (A,).
     """
+    angle = voltage_angles(control, omega_e)
     omega = omega_e[:, np.newaxis]
     step = omega * control.t_s
     l_d, l_q, l_0 = control.inductances
@@ -104,21 +101,21 @@ def largest_torques(
     """
     if v_dc <= 0.0:
         return np.zeros_like(omega_e)
-    angle = _angles(control)
-    low, high, rows = _region(control, v_dc, margin)
-    low, high = np.tile(low, angle.size), np.tile(high, angle.size)
+    count = voltage_angles(control, omega_e[:1]).size
+    low, high, rows = link_region(control, v_dc, margin)
+    low, high = np.tile(low, count), np.tile(high, count)
     found = np.full(omega_e.size, control.torque_max)
-    for sense in (1.0,) if _is_odd(control) else (1.0, -1.0):
+    for sense in (1.0,) if is_odd(control) else (1.0, -1.0):
         slope, start = (
             (v @ rows.T).reshape(omega_e.size, -1)
-            for v in steady_voltages(control, sense * omega_e, angle)
+            for v in steady_voltages(control, sense * omega_e)
         )
         found = np.minimum(found, _end(slope, start, high))
         found = np.minimum(found, _end(-slope, -start, -low))
     return np.maximum(found, 0.0)
 
 
-def _region(
+def link_region(
     control: PhaseControl, v_dc: float, margin: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Bounds in V, shape (r,), and rows on the phase voltages, shape (r, 3), that limit at all."""
@@ -127,7 +124,7 @@ def _region(
     return low[limited], high[limited], VOLTAGE_ROWS[limited]
 
 
-def _is_odd(control: PhaseControl) -> bool:
+def is_odd(control: PhaseControl) -> bool:
     """Whether both senses of rotation are alike: equal phases whose back-EMF is odd about the
     magnets' axis.
     """
@@ -137,13 +134,26 @@ def _is_odd(control: PhaseControl) -> bool:
     return flux.shape[0] == 1 and bool(np.max(np.abs(flux + mirrored)) <= scale)
 
 
-def _angles(control: PhaseControl) -> FloatArray:
-    """Angles at which the voltages are looked at in rad, shape (A,); nodes of most tables are
-    among them. A third of a period tells all of equal phases.
+def voltage_angles(control: PhaseControl, omega_e: FloatArray) -> FloatArray:
+    """Angles at which the voltages are looked at in rad, shape (W, A).
+
+    The corners of the voltages are among them: where one of the three angles that they depend on
+    is a node of the table. A third of a period tells all of equal phases.
+
+    Parameters
+    ----------
+    control:
+        The control.
+    omega_e:
+        Electrical speeds in rad/s, shape (W,).
     """
-    count = _ANGLES * control.shape.turns
-    part = count // (3 * control.shape.turns) if control.shape.flux.shape[0] == 1 else count
-    return np.asarray(2.0 * np.pi * control.shape.turns / count * np.arange(part))
+    rows, nodes = control.shape.flux.shape
+    count = nodes * max(1, _ANGLES * control.shape.turns // nodes)
+    part = count // 3 if rows == 1 and control.shape.turns == 1 else count
+    even = 2.0 * np.pi * control.shape.turns / count * np.arange(part)
+    ahead = np.array([1.0, 1.5, 2.0])[:, np.newaxis] * control.t_s
+    moved = even - ahead * omega_e[:, np.newaxis, np.newaxis]
+    return np.asarray(moved.reshape(omega_e.size, -1))
 
 
 def _end(slope: FloatArray, start: FloatArray, bound: FloatArray) -> FloatArray:
@@ -177,7 +187,8 @@ def torque_limit(v_dc: float, last: float, largest: Largest) -> TorqueLimit:
     truth = _by_link(fine_speeds, fine_links, largest)
     truth *= np.where(truth < np.max(truth), 1.0 - _SAFE, 1.0)
     truth[-1] = 0.0
-    return TorqueLimit(speeds, links, _lower_nodes(speeds, links, fine_speeds, fine_links, truth))
+    nodes = _lower_nodes(speeds, links, fine_speeds, fine_links, truth)
+    return TorqueLimit(speeds, links, nodes, v_dc)
 
 
 def _by_link(omega_e: FloatArray, v_dc: FloatArray, largest: Largest) -> FloatArray:
@@ -200,8 +211,8 @@ def no_load_speed(control: PhaseControl, v_dc: float, margin: float) -> float:
     margin:
         Share of the region that is left free, of 0 to 1.
     """
-    _, per_speed = steady_voltages(control, np.ones(1), _angles(control))
-    low, high, rows = _region(control, v_dc, margin)
+    _, per_speed = steady_voltages(control, np.ones(1))
+    low, high, rows = link_region(control, v_dc, margin)
     found = per_speed[0] @ rows.T
     return 1.0 / float(np.max(np.maximum(found / high, found / low)))
 
@@ -220,9 +231,11 @@ def limit_at(limit: TorqueLimit, omega_e: FloatArray, v_dc: FloatArray) -> Float
     v_dc:
         Link voltages in V.
     """
-    load = np.abs(omega_e) * limit.v_nominal / np.maximum(v_dc, 1e-9 * limit.v_nominal)
-    rows, above = _place(limit.omega_e, load)
-    columns, beside = _place(limit.v_dc, v_dc)
+    load = np.abs(omega_e)
+    if limit.v_nominal is not None:
+        load = load * limit.v_nominal / np.maximum(v_dc, 1e-9 * limit.v_nominal)
+    rows, above = node_place(limit.omega_e, load)
+    columns, beside = node_place(limit.v_dc, v_dc)
     corner = limit.torque
     left = corner[rows, columns] + beside * (corner[rows, columns + 1] - corner[rows, columns])
     after = corner[rows + 1, columns]
@@ -230,7 +243,7 @@ def limit_at(limit: TorqueLimit, omega_e: FloatArray, v_dc: FloatArray) -> Float
     return np.asarray(left + above * (right - left))
 
 
-def _place(nodes: FloatArray, value: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+def node_place(nodes: FloatArray, value: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
     """Interval of each value and its place in it, 0 to 1."""
     inside = np.clip(value, nodes[0], nodes[-1])
     left = np.clip(np.searchsorted(nodes, inside, side="right") - 1, 0, nodes.size - 2)

@@ -210,6 +210,27 @@ def largest_torque(
     return low + (x * (high - low))
 
 
+def equal_load(
+    omega_e: SingleArray, v_dc: SingleArray, v_nominal: np.float32, last: np.float32
+) -> SingleArray:
+    """Electrical speeds in rad/s that load the nominal link as much as these do the link there is,
+    shape (N,).
+
+    Parameters
+    ----------
+    omega_e, v_dc:
+        Speeds in rad/s, positive, and voltages in V.
+    v_nominal:
+        Nominal link voltage in V.
+    last:
+        The speed in rad/s where there is no link.
+    """
+    there = v_dc > _ZERO
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = omega_e * (v_nominal / np.where(there, v_dc, _ONE))
+    return np.where(there, scaled, last)
+
+
 def to_frame(frame: str, f: Stationary, x: Stationary, psi_pm: Any) -> Stationary:
     """Coordinates d, q and 0 of dqx or dqy, over its amplitude factor.
 
