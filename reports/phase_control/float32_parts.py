@@ -165,20 +165,21 @@ def balanced(
     balance:
         What the zero sequence is lowered by, in A.
     opened:
-        Phase without current, 1 to 3, 0 for none; the others share the balance.
+        Phase without current, 1 to 3, 0 for none; two phases take the balance where one is open.
     """
-    square = (f.alpha * f.alpha) + (f.beta * f.beta)
-    there = square > _LEAST_SQUARE
-    more = (np.float32(2.0) * (f.zero * balance)) / np.where(there, square, _ONE)
-    scale = np.where(there, more, _ZERO)
+    plane, triple = np.float32(1.5), np.float32(3.0)
+    square = (plane * ((f.alpha * f.alpha) + (f.beta * f.beta))) + (triple * (f.zero * f.zero))
     x = np.where(opened == 1, _ONE, np.float32(-0.5))
     y = np.where(opened == 2, np.float32(0.8660254), np.float32(-0.8660254))
     y = np.where(opened == 1, _ZERO, y)
-    whole = opened == 0
+    alpha, beta = (np.where(opened > 0, balance * part, _ZERO) for part in (x, y))
+    scale = (plane * ((f.alpha * alpha) + (f.beta * beta))) - (triple * (f.zero * balance))
+    there = square > _LEAST_SQUARE
+    scale = np.where(there, scale / np.where(there, square, _ONE), _ZERO)
     return Stationary(
-        i.alpha + np.where(whole, scale * f.alpha, balance * x),
-        i.beta + np.where(whole, scale * f.beta, balance * y),
-        i.zero - balance,
+        i.alpha + (alpha - (scale * f.alpha)),
+        i.beta + (beta - (scale * f.beta)),
+        i.zero - (balance + (scale * f.zero)),
     )
 
 
