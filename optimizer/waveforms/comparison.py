@@ -20,6 +20,7 @@ from dqforge.machines.phase_machines.salient_phase_machine import (
     AnyPhaseMachine,
     SalientPhaseMachine,
 )
+from dqforge.machines.topologies.regions import sine_share
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.operating_points.characteristics import limit_speed
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
@@ -57,7 +58,8 @@ class RuleCurrents:
     ``currents`` in A, shape (3, N); ``torque`` in N m, shape (N,); ``figures`` hold arrays of shape
     (1,). ``obstacles`` names what the currents break: no neutral for the zero sequence, the current
     limit, or the dc link. ``harmonics`` are the amplitudes of the currents in A (peak), shape (3,
-    H), of orders 0 to H - 1.
+    H), of ``orders`` of the electrical angle, shape (H,): 0, 1, 2 and so on, or multiples of a part
+    where the waveforms span several electrical periods.
     """
 
     rule: Rule
@@ -66,6 +68,7 @@ class RuleCurrents:
     figures: WaveformFigures
     obstacles: tuple[str, ...]
     harmonics: FloatArray
+    orders: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,9 +157,8 @@ def operating_point(design: Design, settings: WaveformSettings) -> tuple[float, 
         )
     if omega_m is None:
         i_d, i_q = (np.array([current]) for current in _dq_currents(design, torque))
-        omega_m = float(
-            limit_speed(design.machine, i_d, i_q, design.inverter.v_dc / math.sqrt(3.0))[0]
-        )
+        volts = design.inverter.v_dc * sine_share(design.inverter.topology)
+        omega_m = float(limit_speed(design.machine, i_d, i_q, volts)[0])
     return torque, omega_m
 
 
@@ -244,7 +246,7 @@ def _by_rule(
     if rule != "dq":
         topology: Topology = "three-wire" if rule == "dqx" else "six-leg"
         return np.asarray(pointwise_currents(machine, np.array([torque]), topology)[0])
-    return dq_waveform(*_dq_currents(design, torque), machine.angles)
+    return dq_waveform(*_dq_currents(design, torque), machine.angles, machine.turns)
 
 
 def _quadratic(
@@ -310,8 +312,9 @@ def _judged(
         obstacles.append("dc link")
     if limits.open_phase is not None and np.any(currents["abc".index(limits.open_phase)]):
         obstacles.append("open phase")
+    lines, orders = spectrum(currents, machine.turns)
     return RuleCurrents(
-        rule, currents, machine.torque(currents), found, tuple(obstacles), spectrum(currents)[0]
+        rule, currents, machine.torque(currents), found, tuple(obstacles), lines, orders
     )
 
 

@@ -28,7 +28,7 @@ EmittedModel = ControlModel | PhaseControlModel
 
 def phase_control_of(solution: Solution) -> PhaseControl | None:
     """The current control over the angle, None for machines with a sinusoidal back-EMF."""
-    loops = getattr(solution.gains, "phases", None)
+    loops = solution.gains.phases
     return None if loops is None else loops.control
 
 

@@ -24,19 +24,21 @@ from dqforge.reports.phase_control.float32_duties import (
     topology_duties,
     voltage_share,
 )
+from dqforge.reports.phase_control.float32_harmonics import Turning
 from dqforge.reports.phase_control.float32_parts import (
     Turn,
+    balanced,
+    coupling,
+    equal_load,
     from_frame,
-    harmonic_gain,
-    harmonic_share,
     largest_torque,
     mean_of_phases,
-    multiples_of,
     reference_at,
     shape_at,
-    signed_turn,
+    slope_at,
     to_frame,
     turned,
+    turns_per_rad,
 )
 from dqforge.reports.phase_control.structure import Structure
 
@@ -130,6 +132,8 @@ class PhaseControlModel:
         Current references of the torque in the frame dq, else None.
     limit:
         Electrical speeds in rad/s, voltages in V and torques in N m; None without a table.
+    v_nominal:
+        Link voltage in V at which those speeds are the drive's; None where they are at any.
     """
 
     structure: Structure
@@ -137,6 +141,7 @@ class PhaseControlModel:
     shape: SingleArray
     reference: FloatReference | None = None
     limit: tuple[SingleArray, SingleArray, SingleArray] | None = None
+    v_nominal: np.float32 | None = None
 
     def _sample(self, measured: SingleArray) -> _Sample:
         columns = [np.ascontiguousarray(column) for column in measured.T]
@@ -192,7 +197,7 @@ class PhaseControlModel:
         if sample.v_m is None:
             return found
         balance = self.gains["balance"] * (sample.v_m - (_HALF * sample.v_dc))
-        return found._replace(zero=found.zero - balance)
+        return balanced(found, self._shape(state, place), balance, state.open)
 
     def _zero_share(self, state: PhaseControlState, sample: _Sample) -> SingleArray:
         """Share of the shape's zero sequence in the references."""
@@ -251,68 +256,52 @@ class PhaseControlModel:
             places = sample.place + sample.step, sample.place + (np.float32(2.0) * sample.step)
             first = self._wanted(state, sample, places[0], sample.next, reference, torque)
             second = self._wanted(state, sample, places[1], sample.last, reference, torque)
-            rate = gains["sampling"]
             half = _HALF * gains["r_s"]
-            inductances = (gains["l_q"], gains["l_q"], gains["l_0"])
+            risen = self._risen(first, second, sample)
             v = Stationary(
                 *(
-                    (a + (half * (one + two))) + ((inductance * rate) * (two - one))
-                    for a, one, two, inductance in zip(v, first, second, inductances, strict=True)
+                    (a + (half * (one + two))) + change
+                    for a, one, two, change in zip(v, first, second, risen, strict=True)
                 )
             )
+        elif made.feedforward == "measured":
+            part = self._coupling(state, sample, f)
+            v = Stationary(*(a + b for a, b in zip(v, part, strict=True)))
         return v if made.neutral else v._replace(zero=np.zeros_like(v.zero))
 
-    def _harmonics(self, state: PhaseControlState, sample: _Sample, v: Stationary) -> Stationary:
-        """The voltage with that of the harmonic integrators."""
-        made, gains = self.structure, self.gains
-        now = multiples_of(sample.now, made.multiples)
-        acting = multiples_of(sample.acting, made.multiples)
-        alpha, beta, zero = v
-        kp = _HALF * (gains["d"][0] + gains["q"][0]) if made.plane else _ZERO
-        inductance = _HALF * (gains["l_d"] + gains["l_q"])
-        for order in made.plane:
-            share = harmonic_share(gains, order, sample.omega_e)
-            reactance = (np.float32(order) * sample.omega_e) * inductance
-            turns = signed_turn(now, order), signed_turn(acting, order)
-            x, y = harmonic_gain(kp, gains["r_s"], reactance, *turns)
-            r = state.harmonic[order]
-            alpha = alpha + (share * ((r[0] * x) - (r[1] * y)))
-            beta = beta + (share * ((r[0] * y) + (r[1] * x)))
-        for order in made.zero:
-            share = harmonic_share(gains, order, sample.omega_e)
-            reactance = (np.float32(order) * sample.omega_e) * gains["l_0"]
-            x, y = harmonic_gain(
-                gains["zero"][0], gains["r_s"], reactance, now[order], acting[order]
-            )
-            r = state.harmonic_zero[order]
-            zero = zero + (share * ((r[0] * x) - (r[1] * y)))
-        return Stationary(alpha, beta, zero)
+    def _risen(self, first: Stationary, second: Stationary, sample: _Sample) -> Stationary:
+        """Voltage that takes the flux linkage of the references from one sample to the next."""
+        gains, rate = self.gains, self.gains["sampling"]
+        zero = (gains["l_0"] * rate) * (second.zero - first.zero)
+        if not self.structure.salient:
+            per_ampere = gains["l_q"] * rate
+            alpha, beta = (per_ampere * (b - a) for a, b in zip(first[:2], second[:2], strict=True))
+            return Stationary(alpha, beta, zero)
+        before, after = (
+            self._linkage(i, turn) for i, turn in ((first, sample.next), (second, sample.last))
+        )
+        return Stationary(rate * (after.x - before.x), rate * (after.y - before.y), zero)
 
-    def _learn(
-        self,
-        state: PhaseControlState,
-        sample: _Sample,
-        error: Stationary,
-        learning: NDArray[np.bool_],
-    ) -> None:
-        """The step of the harmonic integrators."""
-        made, gains = self.structure, self.gains
-        size = (np.abs(error.alpha) + np.abs(error.beta)) + np.abs(error.zero)
-        learning = learning & (size <= gains["harmonic_error_max"])
-        now = multiples_of(sample.now, made.multiples)
-        for order in made.plane:
-            cosine, sine = signed_turn(now, order)
-            rate = gains["harmonic_rate"] * harmonic_share(gains, order, sample.omega_e)
-            r = state.harmonic[order]
-            x = r[0] + (rate * ((error.alpha * cosine) + (error.beta * sine)))
-            y = r[1] + (rate * ((error.beta * cosine) - (error.alpha * sine)))
-            state.harmonic[order] = np.where(learning, x, r[0]), np.where(learning, y, r[1])
-        for order in made.zero:
-            cosine, sine = now[order]
-            rate = gains["harmonic_rate"] * harmonic_share(gains, order, sample.omega_e)
-            r = state.harmonic_zero[order]
-            x, y = r[0] + (rate * (error.zero * cosine)), r[1] - (rate * (error.zero * sine))
-            state.harmonic_zero[order] = np.where(learning, x, r[0]), np.where(learning, y, r[1])
+    def _linkage(self, i: Stationary, turn: Turn) -> Pair[SingleArray]:
+        """Flux linkage in Wb of currents in A."""
+        d, q = park(SINGLE, Pair(i.alpha, i.beta), turn)
+        return park_inverse(SINGLE, (self.gains["l_d"] * d, self.gains["l_q"] * q), turn)
+
+    def _coupling(self, state: PhaseControlState, sample: _Sample, f: Stationary) -> Stationary:
+        """Voltage that the measured currents need, were they constant in their frame."""
+        made, gains, current = self.structure, self.gains, sample.current
+        if not made.follows:
+            x = park(SINGLE, Pair(current.alpha, current.beta), sample.now)
+            omega_e = sample.omega_e
+            turning = -(omega_e * (gains["l_q"] * x.y)), omega_e * (gains["l_d"] * x.x)
+            plane = park_inverse(SINGLE, turning, sample.acting)
+            return Stationary(plane.x, plane.y, np.zeros_like(plane.x))
+        seen = current if made.neutral else current._replace(zero=np.zeros_like(current.zero))
+        inside = to_frame(made.frame, self._shape(state, sample.place), seen, gains["psi_pm"])
+        place = sample.place + (np.float32(1.5) * sample.step)
+        opened = state.open if made.neutral else None
+        slope = slope_at(self.shape, place, opened, made.turns)
+        return coupling(made.frame, gains, f, slope, inside, sample.omega_e)
 
     def control_step(
         self,
@@ -330,8 +319,9 @@ class PhaseControlModel:
             error = error._replace(zero=np.zeros_like(error.zero))
         v, integral = self._controllers(state, sample, error)
         v = self._fed(state, sample, v, reference, torque)
+        turning = Turning(gains, made, sample.omega_e, sample.now, sample.acting)
         if made.multiples:
-            v = self._harmonics(state, sample, v)
+            v = turning.voltage(state, v)
         size = (np.abs(v.alpha) + np.abs(v.beta)) + np.abs(v.zero)
         share = voltage_share(
             v, gains["voltage_share"], sample.v_dc, sample.v_m, made.topology, made.modulation
@@ -345,7 +335,7 @@ class PhaseControlModel:
         if made.neutral:
             state.zero = np.where(learning, integral.zero, state.zero)
         if made.multiples:
-            self._learn(state, sample, error, learning)
+            turning.learn(state, error, learning)
         v = Stationary(*(np.where(known, np.where(free, part, share * part), _ZERO) for part in v))
         state.reference, state.v, state.v_0 = reference, (v.alpha, v.beta), v.zero
         if not made.modulated:
@@ -359,7 +349,10 @@ class PhaseControlModel:
         if self.limit is not None:
             speeds, voltages, table = self.limit
             omega_e = np.abs(self.gains["pole_pairs"] * measured[:, 4])
-            permitted = largest_torque((speeds, voltages), table, omega_e, measured[:, 5])
+            v_dc = measured[:, 5]
+            if self.v_nominal is not None:
+                omega_e = equal_load(omega_e, v_dc, self.v_nominal, speeds[-1])
+            permitted = largest_torque((speeds, voltages), table, omega_e, v_dc)
             most = np.where(permitted < most, permitted, most)
         low = np.where(torque < -most, -most, _ZERO)
         return np.where(torque > most, most, np.where(torque >= -most, torque, low))
@@ -395,8 +388,3 @@ class PhaseControlModel:
         omega_m = np.ascontiguousarray(measured[:, 4])
         torque = speed_loop(self.gains, self.structure.ratio, state, omega_m, reference)
         return self.torque_control(state, measured, torque)
-
-
-def turns_per_rad(turns: int) -> np.float32:
-    """What turns an angle in rad into lengths of a table over electrical turns."""
-    return np.float32(1.0 / (2.0 * np.pi * turns))

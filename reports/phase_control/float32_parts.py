@@ -1,10 +1,10 @@
-"""Shape, references, frames and harmonic integrators of the control of phase machines on numpy
-arrays of float32: as ``references.j2``, ``frame.j2`` and ``harmonics.j2``, same bits.
+"""Shape, references and frames of the control of phase machines on numpy arrays of float32: as
+``references.j2``, ``frame.j2`` and ``coupling.j2``, same bits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -49,22 +49,65 @@ def shape_at(
     opened:
         Phase without current, 1 to 3, 0 for none; None where no phase can be open.
     """
+    k, share = _node(shape, place)
+    rows = _rows(shape, k)
+    return _seen([here + (share * (there - here)) for here, there in rows], opened)
+
+
+def slope_at(
+    shape: SingleArray, place: SingleArray, opened: NDArray[np.uint32] | None, turns: int
+) -> Stationary:
+    """Derivative of `shape_at` by the electrical angle in Wb/rad; arguments as there.
+
+    ``turns`` are the electrical periods of the table.
+    """
+    k, _ = _node(shape, place)
+    steps = steps_per_rad(shape.shape[1] - 1, turns)
+    return _seen([steps * (there - here) for here, there in _rows(shape, k)], opened)
+
+
+def turns_per_rad(turns: int) -> np.float32:
+    """What turns an angle in rad into lengths of a table over electrical turns."""
+    return np.float32(1.0 / (2.0 * np.pi * turns))
+
+
+def steps_per_rad(nodes: int, turns: int) -> np.float32:
+    """Intervals of a table of ``nodes`` intervals over electrical turns per rad."""
+    return np.float32(nodes / (2.0 * np.pi * turns))
+
+
+def _node(shape: SingleArray, place: SingleArray) -> tuple[NDArray[np.int64], SingleArray]:
+    """Interval of a table, and the share of it that is passed."""
     nodes = shape.shape[1] - 1
     known = (place < _FAR) & (place > -_FAR)
     x = np.where(known, place, _ZERO)
     x = x - x.astype(np.int64).astype(np.float32)
     x = np.where(x < _ZERO, x + _ONE, x) * np.float32(nodes)
     k = np.minimum(x.astype(np.int64), nodes - 1)
-    share = x - k.astype(np.float32)
-    f = []
+    return k, x - k.astype(np.float32)
+
+
+def _rows(shape: SingleArray, k: NDArray[np.int64]) -> list[tuple[SingleArray, SingleArray]]:
+    """Both ends of an interval for the phases a, b, c."""
+    nodes, equal = shape.shape[1] - 1, shape.shape[0] == 1
+    found = []
     for phase in range(3):
-        row = shape[phase if shape.shape[0] == 3 else 0]
-        here = k if shape.shape[0] == 3 else (k + (nodes - nodes * phase // 3)) % nodes
-        value = row[here] + (share * (row[here + 1] - row[here]))
-        f.append(value if opened is None else np.where(opened == phase + 1, _ZERO, value))
-    phases = Triple(*f)
-    plane = clarke(SINGLE, phases)
-    return Stationary(plane.x, plane.y, mean_of_phases(phases))
+        row = shape[0 if equal else phase]
+        here = (k + (nodes - nodes * phase // 3)) % nodes if equal else k
+        found.append((row[here], row[here + 1]))
+    return found
+
+
+def _seen(values: list[SingleArray], opened: NDArray[np.uint32] | None) -> Stationary:
+    """Stationary coordinates of phase values, of which that of an open phase counts as none."""
+    f = Triple(
+        *(
+            value if opened is None else np.where(opened == phase, _ZERO, value)
+            for phase, value in enumerate(values, start=1)
+        )
+    )
+    plane = clarke(SINGLE, f)
+    return Stationary(plane.x, plane.y, mean_of_phases(f))
 
 
 def reference_at(
@@ -108,6 +151,37 @@ def reference_at(
     )
 
 
+def balanced(
+    i: Stationary, f: Stationary, balance: SingleArray, opened: NDArray[np.uint32]
+) -> Stationary:
+    """Currents less a zero sequence that balances the midpoint, at the same torque.
+
+    Parameters
+    ----------
+    i:
+        Currents in A.
+    f:
+        Shape in Wb.
+    balance:
+        What the zero sequence is lowered by, in A.
+    opened:
+        Phase without current, 1 to 3, 0 for none; the others share the balance.
+    """
+    square = (f.alpha * f.alpha) + (f.beta * f.beta)
+    there = square > _LEAST_SQUARE
+    more = (np.float32(2.0) * (f.zero * balance)) / np.where(there, square, _ONE)
+    scale = np.where(there, more, _ZERO)
+    x = np.where(opened == 1, _ONE, np.float32(-0.5))
+    y = np.where(opened == 2, np.float32(0.8660254), np.float32(-0.8660254))
+    y = np.where(opened == 1, _ZERO, y)
+    whole = opened == 0
+    return Stationary(
+        i.alpha + np.where(whole, scale * f.alpha, balance * x),
+        i.beta + np.where(whole, scale * f.beta, balance * y),
+        i.zero - balance,
+    )
+
+
 def largest_torque(
     nodes: tuple[SingleArray, SingleArray], torque: SingleArray, omega_e: SingleArray,
     v_dc: SingleArray,
@@ -134,6 +208,27 @@ def largest_torque(
     low = torque[j, k] + (y * (torque[j, k + 1] - torque[j, k]))
     high = torque[j + 1, k] + (y * (torque[j + 1, k + 1] - torque[j + 1, k]))
     return low + (x * (high - low))
+
+
+def equal_load(
+    omega_e: SingleArray, v_dc: SingleArray, v_nominal: np.float32, last: np.float32
+) -> SingleArray:
+    """Electrical speeds in rad/s that load the nominal link as much as these do the link there is,
+    shape (N,).
+
+    Parameters
+    ----------
+    omega_e, v_dc:
+        Speeds in rad/s, positive, and voltages in V.
+    v_nominal:
+        Nominal link voltage in V.
+    last:
+        The speed in rad/s where there is no link.
+    """
+    there = v_dc > _ZERO
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = omega_e * (v_nominal / np.where(there, v_dc, _ONE))
+    return np.where(there, scaled, last)
 
 
 def to_frame(frame: str, f: Stationary, x: Stationary, psi_pm: Any) -> Stationary:
@@ -193,45 +288,52 @@ def from_frame(frame: str, f: Stationary, x: Stationary, psi_pm: Any) -> Station
     )
 
 
-def multiples_of(turn: Turn, orders: Sequence[int]) -> dict[int, Turn]:
-    """Cosine and sine of multiples of an angle, ascending, by recurrence."""
-    twice, x, reached, found = turned(turn, turn), turn, 1, {}
-    for order in orders:
-        for _ in range((order - reached) // 2):
-            x = turned(x, twice)
-        if (order - reached) % 2:
-            x = turned(x, turn)
-        reached, found[order] = order, x
-    return found
-
-
-def harmonic_share(gains: Gains, order: int, omega_e: SingleArray) -> SingleArray:
-    """Share of a harmonic at an electrical speed in rad/s."""
-    share = np.float32(5.0) - (gains["harmonic_fade"] * np.abs(np.float32(order) * omega_e))
-    return np.where(share > _ONE, _ONE, np.where(share > _ZERO, share, _ZERO))
-
-
-def signed_turn(multiples: Mapping[int, Turn], order: int) -> Turn:
-    """Rotation of a signed order."""
-    cosine, sine = multiples[abs(order)]
-    return cosine, (-sine if order < 0 else sine)
-
-
-def harmonic_gain(
-    kp: Any, r_s: Any, reactance: SingleArray, now: Turn, acting: Turn
-) -> tuple[SingleArray, SingleArray]:
-    """What turns an integral into its voltage, real and imaginary part in V/A.
+def coupling(
+    frame: str, gains: Gains, f: Stationary, slope: Stationary, x: Stationary, omega_e: SingleArray
+) -> Stationary:
+    """Voltage in V of currents that are constant in dqx or dqy, as these turn and change.
 
     Parameters
     ----------
-    kp:
-        Of the controller in V/A.
-    r_s, reactance:
-        Of the machine at the harmonic, in Ohm.
-    now, acting:
-        Multiples of the angles of the sample and of the voltage.
+    frame:
+        ``dqx`` or ``dqy``.
+    gains:
+        With ``psi_pm``, ``l_q`` and ``l_0``.
+    f, slope:
+        Shape in Wb and its derivative by the angle.
+    x:
+        Currents d, q and 0 over the amplitude factor, in A.
+    omega_e:
+        Electrical speed in rad/s.
     """
-    return (
-        (kp * now[0]) + ((r_s * acting[0]) - (reactance * acting[1])),
-        (kp * now[1]) + ((r_s * acting[1]) + (reactance * acting[0])),
+    two, half = np.float32(2.0), np.float32(0.5)
+    square, side, inverse = _side(f)
+    along = (f.alpha * slope.alpha) + (f.beta * slope.beta)
+    planar = frame == "dqx"
+    whole = square if planar else square + (two * (f.zero * f.zero))
+    there = whole > _LEAST_SQUARE
+    per_whole = np.where(there, _ONE / np.where(there, whole, _ONE), _ZERO)
+    scale = (omega_e * gains["psi_pm"]) * per_whole
+    if planar:
+        growth = (two * along) * per_whole
+        q, d = x.beta, x.alpha
+        q_rate, d_rate = -q * growth, -d * growth
+        zero = np.zeros_like(q)
+    else:
+        growth = (two * (along + (two * (f.zero * slope.zero)))) * per_whole
+        side_growth = (along * inverse) * inverse
+        common = _ROOT_2 * (inverse * x.zero)
+        q = x.beta + (common * f.zero)
+        q_rate = (common * (slope.zero - (f.zero * side_growth))) - (q * growth)
+        d = (np.sqrt(whole) * inverse) * x.alpha
+        d_rate = -d * ((half * growth) + side_growth)
+        apart = _HALF_ROOT_2 * (side * x.zero)
+        zero = (gains["l_0"] * scale) * (
+            ((x.beta * slope.zero) - (apart * side_growth)) - (((x.beta * f.zero) - apart) * growth)
+        )
+    plane = gains["l_q"] * scale
+    return Stationary(
+        plane * (((q * slope.alpha) + (q_rate * f.alpha)) + ((d * slope.beta) + (d_rate * f.beta))),
+        plane * (((q * slope.beta) + (q_rate * f.beta)) - ((d * slope.alpha) + (d_rate * f.alpha))),
+        zero,
     )

@@ -16,7 +16,7 @@ from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.c_code.title import title
 from dqforge.reports.control.header import speed_filter
 from dqforge.reports.pages.templating import render
-from dqforge.reports.phase_control.float32_model import turns_per_rad
+from dqforge.reports.phase_control.float32_parts import steps_per_rad, turns_per_rad
 from dqforge.reports.phase_control.plain import (
     HARMONIC_NUMBERS,
     MIDPOINT_NUMBERS,
@@ -131,6 +131,8 @@ def header_context(plain: Mapping[str, Any]) -> dict[str, Any]:
         "modulator": MODULATORS[made.modulation],
         "turns": made.turns,
         "per_rad": shortest(turns_per_rad(made.turns)),
+        "slopes": [False, True] if made.slopes else [False],
+        "per_step": shortest(steps_per_rad(len(plain["shape"][0]) - 1, made.turns)),
         "rows": len(plain["shape"]),
         "nodes": len(plain["shape"][0]) - 1,
         "shape": plain["shape"],

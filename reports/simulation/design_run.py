@@ -15,18 +15,17 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import NumberFormat
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.names import NumberFormat, Topology
 from dqforge.machines.plants.scenario import Profile, Scenario
 from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.control.header import control_files
 from dqforge.reports.field_weakening.header import weakening_files
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
+from dqforge.reports.phase_control.emitted import emitted_control_files, phase_control_of
 from dqforge.reports.simulation.compiled_plant import (
     Simulation,
     require_compiler,
@@ -118,24 +117,10 @@ class DriveSimulation:
 
 
 def drive_of(design: Design) -> Drive:
-    """What is simulated of a design.
-
-    Raises
-    ------
-    InputError
-        The inductances of its phases vary with the angle, which the simulated
-        machine has no equations for.
-    """
-    phases = design.phase_machine
-    if isinstance(phases, SalientPhaseMachine):
-        raise InputError(
-            "simulation: a machine with inductance_harmonics is not simulated, the simulated "
-            "phases have constant inductances; leave machine.inductance_harmonics out, or the "
-            "simulation"
-        )
+    """What is simulated of a design."""
     speed = design.control.speed_loop
     ratio = 1 if speed is None else speed.ratio
-    return Drive(design.machine, design.inverter, design.control.t_s, ratio, phases)
+    return Drive(design.machine, design.inverter, design.control.t_s, ratio, design.phase_machine)
 
 
 def controller_files(solution: Solution) -> dict[str, bytes]:
@@ -146,12 +131,20 @@ def controller_files(solution: Solution) -> dict[str, bytes]:
     InputError
         The current references are in fixed point.
     """
-    files = header_files(solution) | control_files(solution) | observers_of(solution)[0]
+    files = header_files(solution) | emitted_control_files(solution) | observers_of(solution)[0]
     return (
         files
         if solution.weakening is None
         else files | weakening_files(solution.design, solution.weakening)
     )
+
+
+def controlled_topology(solution: Solution) -> Topology | None:
+    """That of the emitted control of a phase machine, None for machines with a sinusoidal
+    back-EMF.
+    """
+    control = phase_control_of(solution)
+    return None if control is None else control.topology
 
 
 def observers_of(solution: Solution) -> tuple[dict[str, bytes], tuple[str, ...]]:
@@ -232,7 +225,10 @@ def simulate_design(
     drive = drive_of(design)
     stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
     with simulator(
-        controller_files(solved), design.export.prefix, observers_of(solved)[1]
+        controller_files(solved),
+        design.export.prefix,
+        observers_of(solved)[1],
+        controlled_topology(solved),
     ) as program:
         run = simulate(program, drive, scenario, stride=stride, progress=progress)
     return replace(evaluate(design, run), not_simulated=not_simulated(whole))
@@ -340,14 +336,18 @@ def npz_bytes(run: Simulation) -> bytes:
     """The samples as a NumPy archive: float64 arrays by name, without a date,
     the same bytes for the same run.
     """
-    names = [name for name in type(run).__dataclass_fields__ if name not in ("scenario", "figures")]
+    parts = [run] if run.phases is None else [run, run.phases]
+    arrays = {
+        name: getattr(part, name)
+        for part in parts
+        for name in type(part).__dataclass_fields__
+        if name not in ("scenario", "figures", "phases")
+    }
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in names:
+        for name, values in arrays.items():
             array = io.BytesIO()
-            np.lib.format.write_array(
-                array, np.ascontiguousarray(getattr(run, name)), allow_pickle=False
-            )
+            np.lib.format.write_array(array, np.ascontiguousarray(values), allow_pickle=False)
             entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(entry, array.getvalue())

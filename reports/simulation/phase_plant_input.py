@@ -107,6 +107,16 @@ def least_inductance(phases: AnyPhaseMachine, topology: Topology) -> float:
     return float(np.min(np.linalg.eigvalsh(matrices)))
 
 
+def midpoint_frequency(phases: AnyPhaseMachine, inverter: Inverter) -> float:
+    """Frequency in rad/s with which the midpoint of a split link swings against the machine's zero
+    sequence; 0 where the link is not split, or stiff.
+    """
+    if not TOPOLOGIES[inverter.topology].midpoint or inverter.midpoint_capacitance is None:
+        return 0.0
+    least = least_inductance(phases, inverter.topology)
+    return math.sqrt(3.0 / (least * inverter.midpoint_capacitance))
+
+
 def highest_order(phases: AnyPhaseMachine) -> float:
     """Highest harmonic of the back-EMF in electrical periods."""
     return float(emf_table(phases)[::7].max()) / turns_of(phases)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-import numpy as np
-
 from dqforge.machines.design.design import Design
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
@@ -51,16 +49,25 @@ def _row(found: RuleCurrents, base: float) -> tuple[str, ...]:
 
 def _harmonic_rows(comparison: WaveformComparison) -> tuple[tuple[str, ...], ...]:
     """Harmonics of phase a by rule, in % of the fundamental."""
-    lines = [found.harmonics[0] for found in comparison.rules]
-    orders = [
-        order
-        for order in range(2, _MOST_ORDERS)
-        if any(order < line.size and line[order] > _LISTED * line[1] for line in lines)
+    lines, turns = [found.harmonics[0] for found in comparison.rules], comparison.machine.turns
+    places = [
+        place
+        for place in range(2 if turns == 1 else 1, _MOST_ORDERS * turns)
+        if place != turns
+        and any(place < line.size and line[place] > _LISTED * line[turns] for line in lines)
     ]
     return tuple(
-        (f"{order}", *(f"{100.0 * line[order] / line[1]:.2f}" for line in lines))
-        for order in orders
+        (
+            _order_text(place, turns),
+            *(f"{100.0 * line[place] / line[turns]:.2f}" for line in lines),
+        )
+        for place in places
     )
+
+
+def _order_text(place: int, turns: int) -> str:
+    """An order of the electrical angle, as a fraction where it is not whole."""
+    return f"{place // turns}" if place % turns == 0 else f"{place}/{turns}"
 
 
 def _front_table(comparison: WaveformComparison) -> Table:
@@ -250,13 +257,14 @@ def plain_waveforms(comparison: WaveformComparison) -> PlainData:
         if comparison.without_phase is None
         else asdict(comparison.without_phase),
         "impossible": [{"rule": rule, "reason": reason} for rule, reason in comparison.impossible],
-        "theta_rad": 2.0 * np.pi * np.arange(comparison.machine.angles) / comparison.machine.angles,
+        "theta_rad": comparison.machine.theta,
+        "turns": comparison.machine.turns,
         "emf_over_omega_Wb": comparison.machine.flux,
         "rules": {
             found.rule: {
                 "currents_A": found.currents,
                 "torque_Nm": found.torque,
-                "harmonics_A": found.harmonics[:, :_MOST_ORDERS],
+                "harmonics_A": found.harmonics[:, : _MOST_ORDERS * comparison.machine.turns],
                 "copper_W": found.figures.copper[0],
                 "mean_torque_Nm": found.figures.torque[0],
                 "ripple_Nm": found.figures.ripple[0],
