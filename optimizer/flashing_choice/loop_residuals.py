@@ -48,7 +48,7 @@ def phases_of(plane: ComplexArray, zero: FloatArray) -> FloatArray:
         As from `stationary`.
     """
     turn = np.exp(-2j * np.pi / 3.0 * np.arange(3))
-    return np.real(turn[:, np.newaxis] * plane) + zero
+    return np.asarray(np.real(turn[:, np.newaxis] * plane) + zero)
 
 
 def _integrated(

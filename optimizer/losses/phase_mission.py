@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dqforge.machines.arrays import BoolArray, FloatArray
+from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import AnyStrategy
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.losses.bridge_heat import at_temperature
@@ -196,7 +197,7 @@ def _record(
     powers: dict[str, FloatArray],
     shaft: FloatArray,
     put_in: FloatArray,
-    missed: BoolArray,
+    missed: NDArray[np.intp],
     warm: float,
     *,
     within: bool,

@@ -94,7 +94,7 @@ def test_every_topology_has_its_rules_and_its_legs(
     assert len(found.modulations) == (3 if topology == "diode-neutral" else 1)
     bridge = found.budget.conduction + found.budget.switching + found.budget.dead_time
     assert np.sum(found.legs.leg_loss, axis=-1) == pytest.approx(bridge)
-    row = plain_losses(found)["rows"][0]  # type: ignore[index, call-overload]
+    row = plain_losses(found)["rows"][0]  # type: ignore[index]
     assert set(row["legs_W"]) == set(found.legs.legs)
     notes = losses_tables(design, found)[0].notes
     assert sum(note.startswith("legs with ") for note in notes) == len(rules)
