@@ -119,7 +119,7 @@ def test_a_capture_that_is_averaged_says_what_its_pole_pairs_differ_by(tmp_path:
         ),
         (
             20.0,
-            "{harmonics: [{order: 1, amplitude: 1 Wb}, {order: 2, mechanical_order: 3, share: 1 %}]}",
+            "{harmonics: [{order: 1, amplitude: 1 Wb}, {order: 2, mechanical_order: 3}]}",
             PAIRS,
             "write either order or mechanical_order of each harmonic",
         ),
