@@ -20,8 +20,7 @@ from dqforge.optimizer.current_reference.signed import signed_designs, signed_re
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.field_weakening.fit import WeakeningFit
 from dqforge.optimizer.field_weakening.solve import solve_weakening
-from dqforge.optimizer.fixed_control.design import FixedControlFit
-from dqforge.optimizer.fixed_control.solve import solve_fixed
+from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
 from dqforge.optimizer.frame_tables.fit import FrameTables, solve_frame_tables
 from dqforge.optimizer.losses.mission_budget import MissionComparison
 from dqforge.optimizer.losses.point_comparison import LossComparison
@@ -72,7 +71,7 @@ class Solution:
     weakening: WeakeningFit | None = None
     choice: ModulationChoice | None = None
     mission: MissionComparison | None = None
-    fixed: tuple[FixedControlFit, ...] = ()
+    fixed: tuple[IntegerFit, ...] = ()
     data: DataUse = COVERED
     gains_left_out: str = ""
     negative: NegativeHalf | None = None
@@ -144,7 +143,7 @@ def solve(design: Design) -> Solution:
         weakening=solve_weakening(design),
         choice=solve_choice(design),
         mission=solve_mission(design),
-        fixed=() if gains is None else solve_fixed(design, gains),
+        fixed=() if gains is None else solve_integers(design, gains),
         data=chosen.data,
         gains_left_out=left_out,
         negative=solve_negative(design),

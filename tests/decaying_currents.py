@@ -176,12 +176,11 @@ class SampledDrive:
             return np.array([plane.real, plane.imag, 0.0])
         assert l_d == l_q
         small = 1e-7
-        (axes, a), (later, a_later) = self.frame(self.theta), self.frame(self.theta + small)
+        axes, a = self.frame(self.theta)
         held = axes @ (ROOTS * seen) / a  # what stands still in the frame
-        change = (later.T @ (held * a_later) - axes.T @ (held * a)) / small
-        voltage = self.omega * np.array([l_d, l_d, l_0]) * change
-        there, a_there = self.frame(middle)
-        return np.asarray(there.T @ (axes @ voltage * a_there / a) / ROOTS)
+        (there, a_there), (later, a_later) = self.frame(middle), self.frame(middle + small)
+        change = (later.T @ (held * a_later) - there.T @ (held * a_there)) / small
+        return np.asarray(self.omega * np.array([l_d, l_d, l_0]) * change / ROOTS)
 
     def harmonics(self, error: Real) -> Real:
         """Voltage of the harmonic integrators."""

@@ -74,6 +74,23 @@ def uses_zero_sequence(frame: CurrentFrame, topology: Topology) -> bool:
     return TOPOLOGIES[topology].neutral and frame in ("dqy", "table")
 
 
+def zero_sequence_inductance(machine: AnyPhaseMachine, choke: float = 0.0) -> float:
+    """Inductance L_0 in H that a zero-sequence current meets: L_s + 2 M_s, and 3 L_n of a choke.
+
+    That of a salient machine is the mean over the angle.
+
+    Parameters
+    ----------
+    machine:
+        The machine in phase quantities.
+    choke:
+        Inductance L_n in the neutral in H.
+    """
+    if isinstance(machine, SalientPhaseMachine):
+        return float(np.mean(np.sum(machine.inductance, axis=(1, 2))) / 3.0) + 3.0 * choke
+    return machine.l_s + 2.0 * machine.m_s + 3.0 * choke
+
+
 def distance_from_sine(machine: AnyPhaseMachine, topology: Topology) -> float:
     """Largest distance of the back-EMF vector from its fundamental, over the fundamental's peak.
 

@@ -245,6 +245,6 @@ def _require(worst: Worst, control: PhaseControl, omega_e: float, limit: float) 
         advice = "lower the gains or machine.max_speed, sample faster, or narrow control.tolerances"
     period = f", {_samples(control, omega_e):.3g} samples per period" if omega_e else ""
     raise NoSolutionError(
-        f"control.current_loop: in frame {control.frame} the currents are unstable at {rpm:.4g} "
+        f"control.current_loop: in frame {control.frame} the currents are unstable at {rpm:.5g} "
         f"rpm{period}, {worst.at} (radius {worst.value:.4g} per sample): {advice}"
     )

@@ -216,8 +216,9 @@ def controller_rows(
     rows[:, axes : 2 * axes] = integral
     voltage = kp * error + outward @ integral
     if control.feedforward == "measured":
-        coupled = omega_e * outward @ inward @ _coupling(control, here, axes)
-        voltage[:, :, state.currents] += coupled
+        # What the currents need that keep their place in the frame, there where the voltage acts.
+        needed = omega_e * _coupling(control, ahead, axes) @ _out_of(ahead, axes) @ inward
+        voltage[:, :, state.currents] += _turned(ADVANCE * step, axes) @ needed
     if state.midpoint:
         # The duty cycles make up for the midpoint that is measured; the references' voltage has
         # the resistance of the balancing current.

@@ -223,9 +223,11 @@ def all_rows(
         rows.append(_symmetric(-1, mean @ neutral, csr_matrix((1, size)), 0.0, 0.0))
     most = _INFINITE if limits.neutral is None else limits.neutral / limits.i_max
     if TOPOLOGIES[limits.topology].diodes:
-        lower = np.where(np.all(flux > 0.0, axis=1), -most, 0.0)
-        upper = np.where(np.all(flux < 0.0, axis=1), most, 0.0)
-        rows.append(_Rows(3, neutral, still, lower, upper))
+        positive = np.all(flux > 0.0, axis=1)
+        # At all other angles the currents add to zero anyway.
+        (free,) = np.nonzero(positive | np.all(flux < 0.0, axis=1))
+        lower, upper = np.where(positive, -most, 0.0)[free], np.where(positive, 0.0, most)[free]
+        rows.append(_Rows(3, neutral[free], still[free], lower, upper))
     elif limits.neutral is not None:
         rows.append(_symmetric(3, neutral, still, 0.0, most))
     if limits.slew is not None:

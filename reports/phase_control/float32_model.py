@@ -27,7 +27,9 @@ from dqforge.reports.phase_control.float32_duties import (
 from dqforge.reports.phase_control.float32_harmonics import Turning
 from dqforge.reports.phase_control.float32_parts import (
     Turn,
+    balanced,
     coupling,
+    equal_load,
     from_frame,
     largest_torque,
     mean_of_phases,
@@ -130,6 +132,8 @@ class PhaseControlModel:
         Current references of the torque in the frame dq, else None.
     limit:
         Electrical speeds in rad/s, voltages in V and torques in N m; None without a table.
+    v_nominal:
+        Link voltage in V at which those speeds are the drive's; None where they are at any.
     """
 
     structure: Structure
@@ -137,6 +141,7 @@ class PhaseControlModel:
     shape: SingleArray
     reference: FloatReference | None = None
     limit: tuple[SingleArray, SingleArray, SingleArray] | None = None
+    v_nominal: np.float32 | None = None
 
     def _sample(self, measured: SingleArray) -> _Sample:
         columns = [np.ascontiguousarray(column) for column in measured.T]
@@ -192,7 +197,7 @@ class PhaseControlModel:
         if sample.v_m is None:
             return found
         balance = self.gains["balance"] * (sample.v_m - (_HALF * sample.v_dc))
-        return found._replace(zero=found.zero - balance)
+        return balanced(found, self._shape(state, place), balance, state.open)
 
     def _zero_share(self, state: PhaseControlState, sample: _Sample) -> SingleArray:
         """Share of the shape's zero sequence in the references."""
@@ -344,7 +349,10 @@ class PhaseControlModel:
         if self.limit is not None:
             speeds, voltages, table = self.limit
             omega_e = np.abs(self.gains["pole_pairs"] * measured[:, 4])
-            permitted = largest_torque((speeds, voltages), table, omega_e, measured[:, 5])
+            v_dc = measured[:, 5]
+            if self.v_nominal is not None:
+                omega_e = equal_load(omega_e, v_dc, self.v_nominal, speeds[-1])
+            permitted = largest_torque((speeds, voltages), table, omega_e, v_dc)
             most = np.where(permitted < most, permitted, most)
         low = np.where(torque < -most, -most, _ZERO)
         return np.where(torque > most, most, np.where(torque >= -most, torque, low))

@@ -151,6 +151,37 @@ def reference_at(
     )
 
 
+def balanced(
+    i: Stationary, f: Stationary, balance: SingleArray, opened: NDArray[np.uint32]
+) -> Stationary:
+    """Currents less a zero sequence that balances the midpoint, at the same torque.
+
+    Parameters
+    ----------
+    i:
+        Currents in A.
+    f:
+        Shape in Wb.
+    balance:
+        What the zero sequence is lowered by, in A.
+    opened:
+        Phase without current, 1 to 3, 0 for none; the others share the balance.
+    """
+    square = (f.alpha * f.alpha) + (f.beta * f.beta)
+    there = square > _LEAST_SQUARE
+    more = (np.float32(2.0) * (f.zero * balance)) / np.where(there, square, _ONE)
+    scale = np.where(there, more, _ZERO)
+    x = np.where(opened == 1, _ONE, np.float32(-0.5))
+    y = np.where(opened == 2, np.float32(0.8660254), np.float32(-0.8660254))
+    y = np.where(opened == 1, _ZERO, y)
+    whole = opened == 0
+    return Stationary(
+        i.alpha + np.where(whole, scale * f.alpha, balance * x),
+        i.beta + np.where(whole, scale * f.beta, balance * y),
+        i.zero - balance,
+    )
+
+
 def largest_torque(
     nodes: tuple[SingleArray, SingleArray], torque: SingleArray, omega_e: SingleArray,
     v_dc: SingleArray,
@@ -177,6 +208,27 @@ def largest_torque(
     low = torque[j, k] + (y * (torque[j, k + 1] - torque[j, k]))
     high = torque[j + 1, k] + (y * (torque[j + 1, k + 1] - torque[j + 1, k]))
     return low + (x * (high - low))
+
+
+def equal_load(
+    omega_e: SingleArray, v_dc: SingleArray, v_nominal: np.float32, last: np.float32
+) -> SingleArray:
+    """Electrical speeds in rad/s that load the nominal link as much as these do the link there is,
+    shape (N,).
+
+    Parameters
+    ----------
+    omega_e, v_dc:
+        Speeds in rad/s, positive, and voltages in V.
+    v_nominal:
+        Nominal link voltage in V.
+    last:
+        The speed in rad/s where there is no link.
+    """
+    there = v_dc > _ZERO
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = omega_e * (v_nominal / np.where(there, v_dc, _ONE))
+    return np.where(there, scaled, last)
 
 
 def to_frame(frame: str, f: Stationary, x: Stationary, psi_pm: Any) -> Stationary:

@@ -122,6 +122,7 @@ def _limit(limit: TorqueLimit | None) -> PlainData | None:
         "omega_e": [_single(x) for x in axes[0]],
         "v_dc": [_single(x) for x in axes[1]],
         "torque": [[_single(x) for x in row] for row in torque],
+        "v_nominal": None if limit.v_nominal is None else _single(limit.v_nominal),
     }
 
 
@@ -252,6 +253,8 @@ def phase_control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -
         gains |= {name: single_from(described[name]) for name in names}
         shape, limit = _array(described["shape"]), described["torque_limit"]
         table = None if limit is None else _limit_from(limit)
+        at = None if limit is None else limit["v_nominal"]
+        nominal = None if at is None else single_from(at)
         reference = None if structure.by_torque else from_plain(whole["header"]["reference"])
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise _FAULT from error
@@ -261,7 +264,9 @@ def phase_control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -
         raise _FAULT
     if not all(len(gains[name]) == 3 for name in PIS) or isinstance(reference, FixedReference):
         raise _FAULT
-    return PhaseControlModel(structure, gains, shape, reference, table)
+    if nominal is not None and not nominal > 0.0:
+        raise _FAULT
+    return PhaseControlModel(structure, gains, shape, reference, table, nominal)
 
 
 def _limit_from(limit: Mapping[str, Any]) -> tuple[SingleArray, SingleArray, SingleArray]:

@@ -15,7 +15,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import NumberFormat
+from dqforge.machines.names import NumberFormat, Topology
 from dqforge.machines.plants.scenario import Profile, Scenario
 from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.integer_form import FixedReference
@@ -139,6 +139,14 @@ def controller_files(solution: Solution) -> dict[str, bytes]:
     )
 
 
+def controlled_topology(solution: Solution) -> Topology | None:
+    """That of the emitted control of a phase machine, None for machines with a sinusoidal
+    back-EMF.
+    """
+    control = phase_control_of(solution)
+    return None if control is None else control.topology
+
+
 def observers_of(solution: Solution) -> tuple[dict[str, bytes], tuple[str, ...]]:
     """Headers of the observers of a design, and their names in C."""
     design, gains = solution.design, solution.gains
@@ -216,12 +224,11 @@ def simulate_design(
     solved = in_float32(whole)
     drive = drive_of(design)
     stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
-    over_angle = phase_control_of(solved)
     with simulator(
         controller_files(solved),
         design.export.prefix,
         observers_of(solved)[1],
-        None if over_angle is None else over_angle.topology,
+        controlled_topology(solved),
     ) as program:
         run = simulate(program, drive, scenario, stride=stride, progress=progress)
     return replace(evaluate(design, run), not_simulated=not_simulated(whole))

@@ -165,6 +165,7 @@ def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Tabl
         f"within all limits: {held}",
         *filter(None, [optimality_note(comparison)]),
         *(f"{rule}: {reason}" for rule, reason in comparison.impossible),
+        *_open_phase_notes(comparison),
     ]
     rows = tuple(_row(found, base) for found in comparison.rules)
     tables = [Table(f"{design.name}: phase currents", columns, rows, tuple(notes))]
@@ -178,6 +179,20 @@ def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Tabl
     if comparison.confirmations:
         tables.append(_confirmation_table(comparison))
     return tables
+
+
+def _open_phase_notes(comparison: WaveformComparison) -> list[str]:
+    """What constant torque costs without the open phase, against dqy with all three."""
+    found = comparison.without_phase
+    if found is None:
+        return []
+    return [
+        f"phase {found.phase} open, constant torque: copper {found.copper:.3g} times and phase peak "
+        f"{found.peak:.3g} times those of dqy with all three; neutral {found.neutral_rms:.3g} A "
+        f"r.m.s., {found.neutral_peak:.3g} A peak, {found.neutral:.2g} times the phase peak before",
+        f"phase {found.phase} open: {100.0 * found.torque_at_peak:.0f} % of the torque is left with "
+        f"the same phase peak, {100.0 * found.torque_at_copper:.0f} % with the same copper loss",
+    ]
 
 
 def _plain_confirmation(entry: Confirmation) -> PlainData:
@@ -238,6 +253,9 @@ def plain_waveforms(comparison: WaveformComparison) -> PlainData:
         "optimality": {"floor_W": comparison.floor, "iterations": comparison.iterations}
         if isinstance(comparison.machine, SalientPhaseMachine)
         else None,
+        "without_phase": None
+        if comparison.without_phase is None
+        else asdict(comparison.without_phase),
         "impossible": [{"rule": rule, "reason": reason} for rule, reason in comparison.impossible],
         "theta_rad": comparison.machine.theta,
         "turns": comparison.machine.turns,

@@ -8,7 +8,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, TEAL, new_figure, style
-from dqforge.reports.papers.paper002.bench_currents import HIGHEST_ORDER, BenchCurves
+from dqforge.reports.papers.paper002_definitions.bench_currents import HIGHEST_ORDER, BenchCurves
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
