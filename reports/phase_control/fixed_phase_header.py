@@ -21,7 +21,7 @@ from dqforge.optimizer.fixed_phase_control.integers import (
     FixedMidpoint,
     FixedPhaseControl,
 )
-from dqforge.optimizer.fixed_phase_control.ranges import phase_ranges
+from dqforge.optimizer.fixed_phase_control.phase_ranges import phase_ranges
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED

@@ -20,7 +20,12 @@ from dqforge.machines.transforms import Pair, Triple, clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges
 from dqforge.optimizer.fixed_phase_control.design import fit_phase_control
 from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
-from dqforge.optimizer.fixed_phase_control.step import PhaseState, Sample, control_step, flux_at
+from dqforge.optimizer.fixed_phase_control.phase_step import (
+    PhaseState,
+    Sample,
+    control_step,
+    flux_at,
+)
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 
 RPM = math.pi / 30.0
