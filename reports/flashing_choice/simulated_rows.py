@@ -30,7 +30,8 @@ from dqforge.optimizer.flashing_choice.solve import FlashComparison
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.phase_control.header import phase_control_files
-from dqforge.reports.simulation.compiled_plant import Summary, simulate_many, simulator
+from dqforge.reports.simulation.compiled_plant import simulate_many, simulator
+from dqforge.reports.simulation.recorded_run import Summary
 from dqforge.reports.simulation.plant_input import Drive
 
 LEARNING, SETTLING = 0.4, 0.2

@@ -26,7 +26,7 @@ def found(topology: Topology) -> DriveSimulation:
 
 def test_split_link_shows_neutral_and_midpoint() -> None:
     drive = found("split-capacitor")
-    rows = dict(simulation_tables(drive)[0].rows)
+    rows = {row[0]: row[1] for row in simulation_tables(drive)[0].rows}
     shown = plain_simulation(drive)["phases"]
     assert drive.phases is not None
     assert shown["topology"] == "split-capacitor"
@@ -71,7 +71,7 @@ def test_emitted_control_answers_an_open_phase() -> None:
 
 def test_three_wires_show_neither() -> None:
     drive = found("three-wire")
-    rows = dict(simulation_tables(drive)[0].rows)
+    rows = {row[0]: row[1] for row in simulation_tables(drive)[0].rows}
     assert "neutral current, r.m.s." not in rows
     assert "midpoint off half the link, at most" not in rows
     assert "last tenth: mean torque" in rows
