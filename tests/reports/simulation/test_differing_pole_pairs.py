@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design.loader import load_text
-from dqforge.reports.simulation.compiled_plant import Simulation
 from dqforge.reports.simulation.design_run import simulate_design
+from dqforge.reports.simulation.recorded_run import Simulation
 
 DESIGN = """\
 dqforge: 1
