@@ -172,9 +172,10 @@ def dqy(
     torque: given.Torque = None,
     ripple: given.Ripple = None,
     open_phase: given.OpenPhase = None,
+    flash: given.Flash = False,
 ) -> None:
     """Shape the currents of a machine with another back-EMF than a sine: dq, dqx, dqy, limited."""
-    asked = answers.dqy.WaveformRequest(torque, speed, ripple, open_phase)
+    asked = answers.dqy.WaveformRequest(torque, speed, ripple, open_phase, flash)
     respond("dqy", lambda: answers.dqy.answer_dqy(load(design, sets), asked), json, plot)
 
 

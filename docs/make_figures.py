@@ -16,11 +16,14 @@ import figures_fixed_point
 import figures_flux_maps
 import figures_gains
 import figures_losses
+import figures_measured_drive
 import figures_modulation
 import figures_observers
 import figures_operating_points
 import figures_phase_control
+import figures_phase_design
 import figures_simulation
+import figures_stability
 import figures_waveforms
 import figures_weakening
 
@@ -57,9 +60,13 @@ def main() -> None:
     figures_losses.loss_map(folder / "loss-map.svg")
     figures_simulation.bench(folder / "simulation.svg")
     figures_simulation.dead_time(folder / "dead-time.svg")
+    figures_stability.periodic_stability(folder / "periodic-stability.svg")
     figures_losses.modulation_choice(folder / "modulation-choice.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")
+    figures_measured_drive.capture(folder / "measured-drive-capture.svg")
+    figures_measured_drive.running(folder / "measured-drive-running.svg")
+    figures_phase_design.torque_and_currents(folder / "phase-design.svg")
     figures_weakening.weakening_errors(folder / "weakening-errors.svg")
     figures_certificates.proven_bounds(folder / "certificate.svg")
 

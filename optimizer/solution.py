@@ -20,8 +20,8 @@ from dqforge.optimizer.current_reference.signed import signed_designs, signed_re
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.field_weakening.fit import WeakeningFit
 from dqforge.optimizer.field_weakening.solve import solve_weakening
-from dqforge.optimizer.fixed_control.design import FixedControlFit
-from dqforge.optimizer.fixed_control.solve import solve_fixed
+from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
+from dqforge.optimizer.frame_tables.fit import FrameTables, solve_frame_tables
 from dqforge.optimizer.losses.mission_budget import MissionComparison
 from dqforge.optimizer.losses.point_comparison import LossComparison
 from dqforge.optimizer.losses.solve import solve_losses, solve_mission
@@ -53,8 +53,9 @@ class Solution:
     them. ``loops`` is None where none are wanted, or where a design without a section ``control``
     has none that hold; ``gains_left_out`` then says why. ``negative`` is None where one reference
     serves torques of both signs; else ``fit`` and ``certificate`` are those of positive ones.
-    ``observer_errors`` are those of the speed observer at half the base speed, without load and
-    with half the largest torque; empty without that observer.
+    ``frame_tables`` is None where none are asked for. ``observer_errors`` are those of the speed
+    observer at half the base speed, without load and with half the largest torque; empty without
+    that observer.
     """
 
     design: Design
@@ -70,11 +71,12 @@ class Solution:
     weakening: WeakeningFit | None = None
     choice: ModulationChoice | None = None
     mission: MissionComparison | None = None
-    fixed: tuple[FixedControlFit, ...] = ()
+    fixed: tuple[IntegerFit, ...] = ()
     data: DataUse = COVERED
     gains_left_out: str = ""
     negative: NegativeHalf | None = None
     observer_errors: tuple[ErrorsAtLoad, ...] = ()
+    frame_tables: FrameTables | None = None
 
     @property
     def positive(self) -> Design:
@@ -141,9 +143,10 @@ def solve(design: Design) -> Solution:
         weakening=solve_weakening(design),
         choice=solve_choice(design),
         mission=solve_mission(design),
-        fixed=() if gains is None else solve_fixed(design, gains),
+        fixed=() if gains is None else solve_integers(design, gains),
         data=chosen.data,
         gains_left_out=left_out,
         negative=solve_negative(design),
         observer_errors=_observer_errors(design, gains, fit.torque_max),
+        frame_tables=solve_frame_tables(design),
     )

@@ -5,19 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 from dqforge.reports.capability import Capability
-from dqforge.reports.control.capability import FIXED_CONTROL
 from dqforge.reports.current_reference.capability import (
     CURRENT_REFERENCE,
     NEGATIVE_POINTS,
     NEGATIVE_REFERENCE,
 )
 from dqforge.reports.field_weakening.capability import WEAKENING
+from dqforge.reports.frame_tables.capability import FRAME_TABLES
 from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS
 from dqforge.reports.losses.capability import LOSSES, MISSION
 from dqforge.reports.modulation_choice.capability import MODULATION_CHOICE
 from dqforge.reports.observers.capability import POSITION_OBSERVER, SPEED_OBSERVER
 from dqforge.reports.operating_points.capability import OPERATING_POINTS
-from dqforge.reports.phase_control.capability import FLOAT32_CONTROL
+from dqforge.reports.phase_control.capability import FIXED_CONTROL, FLOAT32_CONTROL
 from dqforge.reports.simulation.capability import FORMATS_NOT_SIMULATED, SIMULATION
 from dqforge.reports.waveforms.capability import PHASE_REFERENCE, WAVEFORMS
 
@@ -32,6 +32,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     MISSION,
     WAVEFORMS,
     PHASE_REFERENCE,
+    FRAME_TABLES,
     WEAKENING,
     FLOAT32_CONTROL,
     FIXED_CONTROL,

@@ -1,10 +1,11 @@
-"""Current control of the machines that the tests of phase machines share."""
+"""Current control of paper 002's machine as its stability was published, and its plants."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+from phase_drives import T_S, near_sinusoidal, plain_control
 
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.optimizer.phase_control.periodic_step import PhasePlants
@@ -15,18 +16,14 @@ from dqforge.optimizer.phase_control.phase_controller import (
     PhaseShape,
 )
 
-T_S = 1e-4
-R = 1.0
 INDUCTANCES = (8e-3, 8e-3, 5e-3)
 PSI = 0.2233
-SHARES = ((1, 1.0), (3, 0.12), (5, 0.03), (7, 0.01))
 HARMONICS = HarmonicGains((-5, 7, -11, 13), (3, 9), 60.0, 1.0 / (6.0 * T_S), 1.0)
 
 
 def harmonic_shape(nodes: int = 360) -> PhaseShape:
     """Back-EMF of paper 002's machine."""
-    theta = 2.0 * np.pi * np.arange(nodes) / nodes
-    return PhaseShape(np.array([-PSI * sum(s * np.sin(h * theta) for h, s in SHARES)]))
+    return PhaseShape(near_sinusoidal(nodes).flux[:1])
 
 
 def page_control(
@@ -41,20 +38,10 @@ def page_control(
     """Control with kp = omega_c L and ki = kp omega_c/10 of each axis, ``bandwidth`` in Hz."""
     omega = 2.0 * np.pi * bandwidth
     d, q, zero = (AxisGains(omega * size, omega * size * omega / 10.0) for size in inductances)
-    return PhaseControl(
-        frame,
-        feedforward,
-        topology,
-        harmonic_shape(),
-        pole_pairs=2,
-        r_s=R,
-        psi_pm=PSI,
-        inductances=inductances,
-        gains=(d, q, zero),
-        harmonics=harmonics,
-        t_s=T_S,
-        torque_max=3.5,
-    )
+    return plain_control(
+        near_sinusoidal(360), topology, frame, feedforward, bandwidth,
+        inductances=inductances, gains=(d, q, zero), harmonics=harmonics,
+    )  # fmt: skip
 
 
 def with_one_gain(control: PhaseControl) -> PhaseControl:

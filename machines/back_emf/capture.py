@@ -27,7 +27,13 @@ from dqforge.machines.back_emf.checks import Origin
 from dqforge.machines.back_emf.columns import BemfCapture
 from dqforge.machines.back_emf.harmonics import ComplexArray
 from dqforge.machines.back_emf.motion import Motion
-from dqforge.machines.back_emf.result import BemfResult, periods_of, result_of_fit
+from dqforge.machines.back_emf.pole_pairs import covers_turn, fit_pole_pairs
+from dqforge.machines.back_emf.result import (
+    BemfResult,
+    periods_of,
+    pole_pairs_of_fit,
+    result_of_fit,
+)
 
 _COARSE_HARMONICS = 7
 
@@ -57,7 +63,8 @@ def analyse(
     capture:
         The samples.
     pole_pairs, speed:
-        Mechanical speed in rad/s. Over the time both are a check only; over an angle they are what
+        Number of pole pairs, with which the result says what they differ by, and mechanical speed
+        in rad/s. Over the time both are a check only; over an angle they are what
         the voltages are divided by, and without them the values are taken for e / omega_e.
     harmonics:
         Highest order wanted; lowered, and said so, where there are less
@@ -103,7 +110,15 @@ def analyse(
     else:
         omega = _speed_of_angle(capture, pole_pairs, speed, origin, findings)
     steps = np.array([numerics.resolution(row) for row in capture.voltages]) * timed
-    return result_of_fit(fit, omega, steps, capture.connection, capture.quantity, findings, origin)
+    result = result_of_fit(
+        fit, omega, steps, capture.connection, capture.quantity, findings, origin
+    )
+    turns = 1 if pole_pairs is None else pole_pairs
+    if turns == 1 or not covers_turn(fit.motion, result.periods, turns):
+        return result
+    whole = fit_pole_pairs(fit.motion, voltages, result.periods, turns, count)
+    pairs = pole_pairs_of_fit(whole, omega, steps, capture.quantity, result, turns)
+    return replace(result, pole_pairs=pairs)
 
 
 def _found_motion(

@@ -235,6 +235,13 @@ def fit_harmonics(
     return _completed(motion, voltages, step)
 
 
+def fit_linear(motion: Motion, voltages: FloatArray, harmonics: int) -> HarmonicFit:
+    """Harmonics 1..H and offsets of channels, shape (K, N), of a motion that is known."""
+    channels, count = voltages.shape
+    gram = _gram(motion, voltages, harmonics, None)
+    return _completed(motion, voltages, _solve(gram, harmonics, channels, 0, count))
+
+
 def _completed(motion: Motion, voltages: FloatArray, step: _Step) -> HarmonicFit:
     """Residuals and their statistics for the solution of the last step."""
     channels, count = voltages.shape

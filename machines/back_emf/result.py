@@ -15,6 +15,7 @@ from dqforge.machines.back_emf.checks import Origin
 from dqforge.machines.back_emf.columns import Connection
 from dqforge.machines.back_emf.harmonics import ComplexArray, HarmonicFit
 from dqforge.machines.back_emf.motion import Motion
+from dqforge.machines.back_emf.pole_pairs import PolePairs, pole_pairs_of
 from dqforge.machines.back_emf.remarks import BemfSymmetry, remarks
 
 IntArray = NDArray[np.int64]
@@ -66,6 +67,9 @@ class BemfResult:
         False for line-to-line voltages, which do not contain it.
     findings:
         Sentences for the user.
+    pole_pairs:
+        What the pole pairs differ by; None where their number is not known or 1, or the record
+        does not show each of them.
     """
 
     frequency: float
@@ -84,6 +88,7 @@ class BemfResult:
     psi_pm: float
     zero_sequence_known: bool
     findings: tuple[str, ...]
+    pole_pairs: PolePairs | None = None
 
 
 def periods_of(motion: Motion) -> float:
@@ -183,6 +188,36 @@ def _aligned(
         a, b, c = coefficients[:, 0]
     zero = float(np.angle(-1j * (a + b * _TURN + c / _TURN)))
     return -1j * coefficients * np.exp(-1j * orders * zero), sequence, direction, zero
+
+
+def pole_pairs_of_fit(
+    fit: HarmonicFit,
+    omega: float,
+    steps: FloatArray,
+    quantity: Literal["voltage", "flux"],
+    result: BemfResult,
+    turns: int,
+) -> PolePairs:
+    """What a fit over the mechanical angle says of ``turns`` pole pairs, aligned as ``result``.
+
+    ``omega`` and ``steps`` as in `result_of_fit`. A record over the time begins in the first pole
+    pair; where the angle was recorded, its zero does, to half an electrical period.
+    """
+    orders = np.arange(1, fit.coefficients.shape[1] + 1) / turns
+    direction = 1.0 if result.sequence == "abc" else -1.0
+    zero = result.start_angle - direction * turns * float(fit.motion.angle()[0])
+    if fit.motion.given is not None:
+        zero = float(np.angle(np.exp(1j * zero)))
+    revolutions = periods_of(fit.motion)
+    radius = numerics.uncertainty(fit, revolutions)[0]
+    radius = radius + np.max(numerics.quantisation_error(steps, fit.noise))
+    slope = 1j * orders if quantity == "flux" else np.ones(orders.size)
+    coefficients = fit.coefficients * slope / omega
+    if direction < 0.0:
+        coefficients = -np.conj(coefficients)
+    phasors = -1j * coefficients * np.exp(-1j * orders * zero)
+    radius = np.broadcast_to(radius * np.abs(slope) / abs(omega), phasors.shape).copy()
+    return pole_pairs_of(phasors, radius, turns, revolutions)
 
 
 def _symmetry(phasors: ComplexArray, waveform: FloatArray) -> BemfSymmetry:

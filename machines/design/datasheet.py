@@ -27,6 +27,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.names import Topology
+from dqforge.machines.topologies.regions import sine_share
+from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.units.quantities import format_quantity
 
 Connection = Literal["star", "delta"]
@@ -307,8 +310,25 @@ def check_rated_torque(torque: float, largest: float) -> None:
     )
 
 
-def back_emf_warning(pole_pairs: int, psi_pm: float, omega_m_max: float, v_dc: float) -> str:
+def back_emf_warning(
+    pole_pairs: int,
+    psi_pm: float,
+    omega_m_max: float,
+    v_dc: float,
+    topology: Topology = "three-wire",
+) -> str:
     """Sentence on a back-EMF above the DC link at the largest speed (rad/s), or an empty text."""
+    phase = pole_pairs * omega_m_max * psi_pm
+    if TOPOLOGIES[topology].between != 1.0:  # not the difference of two phases limits
+        most = sine_share(topology) * v_dc
+        if phase <= most:
+            return ""
+        return (
+            f"at {format_quantity(omega_m_max, 'rpm')} the back-EMF of a phase peaks at "
+            f"{format_quantity(phase, 'V')}, above the {format_quantity(most, 'V')} that "
+            f"{topology} makes from v_dc = {format_quantity(v_dc, 'V')}: that speed needs field "
+            "weakening, and losing it charges the link"
+        )
     peak = _SQRT3 * pole_pairs * omega_m_max * psi_pm
     if peak <= v_dc:
         return ""

@@ -20,11 +20,11 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.flux_maps.evidence import FluxEvidence
 from dqforge.machines.losses.machine_budget import WindingHeat
 from dqforge.machines.losses.machine_loss import MachineLoss
-from dqforge.machines.modulation.modulators import linear_limit
 from dqforge.machines.names import Strategy
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.places import Places
 from dqforge.machines.plants.scenario import Scenario
+from dqforge.machines.topologies.linear_range import amplitude_limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +95,9 @@ class Design:
 
     @property
     def v_max(self) -> float:
-        """Phase amplitude in V (peak) that the currents may ask for: the modulator's
-        linear range less the margin.
+        """Phase amplitude in V (peak) that the currents may ask for: the linear range of
+        topology and modulator less the margin.
         """
-        return linear_limit(
-            self.operation.modulation, self.inverter.v_dc, self.operation.voltage_margin
+        return amplitude_limit(
+            self.inverter, self.operation.modulation, self.operation.voltage_margin
         )

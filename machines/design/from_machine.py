@@ -174,13 +174,14 @@ def _phases(machine: PhaseMachine) -> dict[str, Any]:
         raise InputError(
             "flux: the three phases differ; take machine.symmetrised(), or name a capture in a file"
         )
-    count = machine.angles
-    terms = 2.0 / count * np.fft.rfft(machine.flux[0])[1 : min(count // 2, _MOST_HARMONICS + 1)]
+    count, turns = machine.angles, machine.turns
+    most = min(count // 2, turns * _MOST_HARMONICS + 1)
+    terms = 2.0 / count * np.fft.rfft(machine.flux[0])[1:most]
     turned = terms / 1j
     largest = float(np.max(np.abs(turned)))
     harmonics = [
         {
-            "order": order,
+            "order" if turns == 1 else "mechanical_order": order,
             "amplitude": _quantity(float(abs(term)), "Wb", "flux"),
             "phase": _quantity(float(-np.angle(term)), "rad", "flux"),
         }

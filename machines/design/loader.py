@@ -45,6 +45,7 @@ from dqforge.machines.design.sections.phase_control import (
     phase_control_remarks,
 )
 from dqforge.machines.design.sections.simulation.reading import read_scenario
+from dqforge.machines.design.sections.topology import check_topology
 from dqforge.machines.design.sections.waveform import check_waveform, read_waveform
 from dqforge.machines.design.settings import ControlSettings
 from dqforge.machines.design.speed_remarks import bare_speed_remarks
@@ -130,7 +131,9 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     check_operation(file.operation, file.field_weakening is not None, machine, document)
     check_fit(file.fit, file.operation, machine, i_max, document)
     simulated = file.simulation is not None
-    check_waveform(file.waveform, file.machine, file.inverter, simulated, document)
+    check_waveform(file.waveform, file.machine, file.inverter, document)
+    used_by = "export.control" * bool(file.export.control) or "simulation" * simulated
+    check_topology(file.inverter, file.operation, file.modulation_choice, used_by, document)
     check_phase_control(file.control, found.phases, file.inverter.topology, document)
     rated_speed = si_of(file.machine.rated.speed)
     control = read_control(file.control, machine, inverter, i_max, rated_speed, reading)
@@ -164,7 +167,14 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         given=reading.given(),
         weakening=weakening,
         winding=read_winding_heat(file.machine, inverter.coolant_temperature),
-        simulation=read_scenario(file.simulation, machine, inverter, control, reading),
+        simulation=read_scenario(
+            file.simulation,
+            machine,
+            inverter,
+            control,
+            reading,
+            waveform=found.phases is not None,
+        ),
         modulation_choice=choice,
         flux_evidence=tuple(reading.flux_evidence),
         halves=found.halves,
@@ -180,7 +190,11 @@ def _remarks(
     remarks = []
     if machine.omega_m_max is not None:
         warning = datasheet.back_emf_warning(
-            machine.pole_pairs, machine.psi_pm, machine.omega_m_max, inverter.v_dc
+            machine.pole_pairs,
+            machine.psi_pm,
+            machine.omega_m_max,
+            inverter.v_dc,
+            inverter.topology,
         )
         remarks += [warning] if warning else []
     if "strategy" not in file.operation.model_fields_set:

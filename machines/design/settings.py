@@ -335,9 +335,10 @@ class ExportSettings:
     vectors.
 
     ``control`` are the number formats in which the control functions are emitted,
-    each in a header of its own.
+    each in a header of its own. ``frame_tables`` asks for tables of the frames dqx and dqy.
     """
 
     prefix: str
     vectors: int = 256
     control: tuple[NumberFormat, ...] = ()
+    frame_tables: bool = False

@@ -8,7 +8,6 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import CurrentFrame, Topology
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import (
     AnyPhaseMachine,
     SalientPhaseMachine,
@@ -74,6 +73,23 @@ def uses_zero_sequence(frame: CurrentFrame, topology: Topology) -> bool:
     return TOPOLOGIES[topology].neutral and frame in ("dqy", "table")
 
 
+def zero_sequence_inductance(machine: AnyPhaseMachine, choke: float = 0.0) -> float:
+    """Inductance L_0 in H that a zero-sequence current meets: L_s + 2 M_s, and 3 L_n of a choke.
+
+    That of a salient machine is the mean over the angle.
+
+    Parameters
+    ----------
+    machine:
+        The machine in phase quantities.
+    choke:
+        Inductance L_n in the neutral in H.
+    """
+    if isinstance(machine, SalientPhaseMachine):
+        return float(np.mean(np.sum(machine.inductance, axis=(1, 2))) / 3.0) + 3.0 * choke
+    return machine.l_s + 2.0 * machine.m_s + 3.0 * choke
+
+
 def distance_from_sine(machine: AnyPhaseMachine, topology: Topology) -> float:
     """Largest distance of the back-EMF vector from its fundamental, over the fundamental's peak.
 
@@ -88,22 +104,11 @@ def distance_from_sine(machine: AnyPhaseMachine, topology: Topology) -> float:
     """
     phases = machine.phases if isinstance(machine, SalientPhaseMachine) else machine
     axes = flux_axes(machine)
-    angle = electrical_angles(phases)
+    angle = phases.theta
     axes[0] += machine.psi_pm * np.sin(angle)
     axes[1] -= machine.psi_pm * np.cos(angle)
     used = axes if TOPOLOGIES[topology].neutral else axes[:2]
     return float(np.max(np.linalg.norm(used, axis=0)) / machine.psi_pm)
-
-
-def electrical_angles(machine: PhaseMachine) -> FloatArray:
-    """Angles theta_e of the waveform's columns in rad, shape (N,).
-
-    Parameters
-    ----------
-    machine:
-        The machine without its saliency.
-    """
-    return np.asarray(2.0 * np.pi * np.arange(machine.angles) / machine.angles)
 
 
 def _weakest(machine: AnyPhaseMachine, *, zero: bool) -> tuple[float, float]:
@@ -116,7 +121,8 @@ def _weakest(machine: AnyPhaseMachine, *, zero: bool) -> tuple[float, float]:
     where = int(np.argmin(length))
     largest = float(np.max(length))
     share = float(length[where]) / largest if largest > 0.0 else 0.0
-    return share, 360.0 * where / machine.angles
+    phases = machine.phases if isinstance(machine, SalientPhaseMachine) else machine
+    return share, float(np.degrees(phases.theta[where]))
 
 
 def frame_obstacle(frame: CurrentFrame, machine: AnyPhaseMachine, topology: Topology) -> str:

@@ -28,6 +28,7 @@ from dqforge.machines.phase_machines.frames import (
     thesis_shapes,
     transform,
 )
+from dqforge.machines.phase_machines.phase_machine import grid
 from dqforge.machines.transforms import POWER_INVARIANT
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "from_frame",
     "loss_ratio_x_over_y",
     "matrices",
+    "resampled",
     "spectral_derivative",
     "spectral_frame_angles",
     "thesis_shapes",
@@ -65,8 +67,8 @@ class FrameRates:
     growth_y: FloatArray
 
 
-def spectral_derivative(waveform: FloatArray) -> FloatArray:
-    """Derivative by the angle in 1/rad of periodic values on the grid theta_j = 2 pi j / N,
+def spectral_derivative(waveform: FloatArray, turns: int = 1) -> FloatArray:
+    """Derivative by the angle in 1/rad of periodic values on the grid theta_j = 2 pi turns j / N,
     along the last axis.
 
     Exact for harmonics below N/2. A harmonic at N/2 has no slope at the angles of the grid and is
@@ -76,12 +78,28 @@ def spectral_derivative(waveform: FloatArray) -> FloatArray:
     Parameters
     ----------
     waveform:
-        Values in any unit over one period, shape (..., N).
+        Values in any unit, shape (..., N).
+    turns:
+        Electrical periods after which they repeat.
     """
     count = waveform.shape[-1]
-    spectrum = 1j * np.arange(count // 2 + 1) * np.fft.rfft(waveform)
+    spectrum = 1j * (np.arange(count // 2 + 1) / turns) * np.fft.rfft(waveform)
     # The inverse takes the imaginary part at N/2 for zero.
     return np.asarray(np.fft.irfft(spectrum, n=count), dtype=np.float64)
+
+
+def resampled(waveform: FloatArray, count: int) -> FloatArray:
+    """Trigonometric interpolation of periodic rows at even angles.
+
+    Parameters
+    ----------
+    waveform:
+        Values in any unit, shape (..., N).
+    count:
+        Number of angles wanted.
+    """
+    lines = np.fft.rfft(waveform, axis=-1)
+    return np.asarray(np.fft.irfft(lines, n=count, axis=-1) * (count / waveform.shape[-1]))
 
 
 def amplitude_factor(frame: Frame, shape: FloatArray) -> FloatArray:
@@ -186,7 +204,7 @@ def frame_rates(theta: FloatArray, shape: FloatArray, slope: FloatArray) -> Fram
     )
 
 
-def spectral_frame_angles(shape: FloatArray) -> FrameAngles:
+def spectral_frame_angles(shape: FloatArray, turns: int = 1) -> FrameAngles:
     """Angles and amplitude factors of dqx and dqy on the grid, with rates from the
     spectral derivative of the shape.
 
@@ -194,11 +212,11 @@ def spectral_frame_angles(shape: FloatArray) -> FrameAngles:
     errors are given, but for the rates: there they come from differences over neighbouring angles,
     which kinks do not spoil; here they are exact to rounding for a shape of harmonics below N/2.
 
-    ``shape`` is the back-EMF shape F on the grid theta_j = 2 pi j / N, shape (3, N).
+    ``shape`` is the back-EMF shape F on the grid theta_j = 2 pi turns j / N, shape (3, N).
     """
-    angles = dq_frames.frame_angles(shape)
-    count = shape.shape[1]
-    rates = frame_rates(2.0 * np.pi * np.arange(count) / count, shape, spectral_derivative(shape))
+    angles = dq_frames.frame_angles(shape, turns)
+    theta = grid(shape.shape[1], turns)
+    rates = frame_rates(theta, shape, spectral_derivative(shape, turns))
     return replace(angles, theta_x_rate=rates.theta_x, theta_y_rate=rates.theta_y)
 
 

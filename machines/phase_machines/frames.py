@@ -7,8 +7,9 @@ copper loss are plain sums over the axes. The other modules are amplitude-invari
 
 The back-EMF is e = omega_e phi_m F(theta), theta in rad from phase a to the d axis, omega_e in
 rad/s, phi_m in Wb, the shape F of the three phases without unit and at most 1. A shape is an array
-(3, N); where derivatives or means over the period are taken, column j belongs to theta_j = 2 pi j /
-N.
+(3, N); where derivatives or means over the period are taken, column j belongs to theta_j = 2 pi
+turns j / N, with ``turns`` electrical periods after which it repeats: 1, or the pole pairs where
+they differ.
 
 dqx turns d and q so that the back-EMF lies on q alone, but for the zero sequence; dqy turns q and 0
 as well, so that one axis bears all torque. The matrix of paper 002 from dqx to dqy, (3.1), is a
@@ -25,7 +26,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.phase_machines.phase_machine import derivative
+from dqforge.machines.phase_machines.phase_machine import derivative, grid
 from dqforge.machines.transforms import DOUBLES, POWER_INVARIANT, clarke_matrix, park
 
 Frame = Literal["alphabeta0", "dq0", "dqx", "dqy"]
@@ -114,7 +115,7 @@ def thesis_shapes(count: int) -> dict[str, FloatArray]:
     Balanced sine; phase b at half amplitude; phase b missing; trapezoid,
     each flat 120 degrees wide.
     """
-    sine = -np.sin(_grid(count) - _TURN * np.arange(3)[:, np.newaxis])
+    sine = -np.sin(grid(count) - _TURN * np.arange(3)[:, np.newaxis])
     return {
         "balanced sine": sine,
         "one phase at half amplitude": sine * np.array([[1.0], [0.5], [1.0]]),
@@ -167,7 +168,7 @@ def transform(frame: Frame, theta: FloatArray, shape: FloatArray) -> FloatArray:
     return _reflection(zero / whole, -size / whole) @ to_x
 
 
-def frame_angles(shape: FloatArray) -> FrameAngles:
+def frame_angles(shape: FloatArray, turns: int = 1) -> FrameAngles:
     """Angles of dqx and dqy with their derivatives, and the amplitude factors.
 
     ::
@@ -180,7 +181,7 @@ def frame_angles(shape: FloatArray) -> FrameAngles:
     (3.12) prints F_qy for F_qx, and its arctangent loses the quadrant; here F_qy > 0, so that
     theta_y is -90 degrees without zero sequence, where the paper has 90.
 
-    ``shape`` is the back-EMF shape F on the grid, shape (3, N).
+    ``shape`` is the back-EMF shape F on the grid, shape (3, N), over ``turns`` electrical periods.
 
     Raises
     ------
@@ -188,10 +189,10 @@ def frame_angles(shape: FloatArray) -> FrameAngles:
         The array is no shape, or its alpha-beta vector vanishes at an angle or between two.
     """
     alpha, beta, zero = _clarke_axes(shape)
-    theta = _grid(alpha.size)
+    theta = grid(alpha.size, turns)
     size = _directed(alpha, beta, theta)
     whole = np.hypot(size, zero)
-    alpha_rate, beta_rate, zero_rate = CLARKE @ derivative(shape)
+    alpha_rate, beta_rate, zero_rate = CLARKE @ derivative(shape, turns)
     size_rate = (alpha * alpha_rate + beta * beta_rate) / size
     along, across = park(DOUBLES, (alpha, beta), (np.cos(theta), np.sin(theta)))
     return FrameAngles(
@@ -206,7 +207,13 @@ def frame_angles(shape: FloatArray) -> FrameAngles:
 
 
 def dynamic_model(
-    frame: Frame, shape: FloatArray, l_s: float, m_s: float, *, scaled: bool = False
+    frame: Frame,
+    shape: FloatArray,
+    l_s: float,
+    m_s: float,
+    *,
+    scaled: bool = False,
+    turns: int = 1,
 ) -> DynamicModel:
     """Dynamic model of a machine without saliency in a frame, from closed forms.
 
@@ -226,6 +233,8 @@ def dynamic_model(
         paper 002. This adds (da/dtheta) / a times L_f to C. (E.48) prints that term with sin^2
         theta_y outside; it belongs inside, as in L_s + 2 M_s - 3 M_s sin^2 theta_y. The 0 axis of
         dqx, which the paper does without, is divided too.
+    turns:
+        Electrical periods that the grid spans.
 
     Raises
     ------
@@ -233,14 +242,14 @@ def dynamic_model(
         As :func:`frame_angles`; alphabeta0 and dq0 exist for any shape.
     """
     axes = _clarke_axes(shape)
-    theta = _grid(axes.shape[1])
+    theta = grid(axes.shape[1], turns)
     factor = np.ones(theta.size)
     sine: Entry = 0.0
     cosine: Entry = 1.0
     turn: Entry = 1.0
     rate: Entry = 0.0
     if frame in ("dqx", "dqy"):
-        angles = frame_angles(shape)
+        angles = frame_angles(shape, turns)
         sine, cosine = np.sin(angles.theta_y), np.cos(angles.theta_y)
         turn, rate = 1.0 + angles.theta_x_rate, angles.theta_y_rate
         factor = angles.a_x if frame == "dqx" else angles.a_y
@@ -252,9 +261,8 @@ def dynamic_model(
     seen = axes if frame == "dqy" else axes[:2]
     # Both factors are inverse to the length of the vector they see,
     # so a'/a is minus the growth of that length.
-    growth = -np.sum(seen * (CLARKE @ derivative(shape))[: seen.shape[0]], axis=0) / np.sum(
-        seen**2, axis=0
-    )
+    rates = (CLARKE @ derivative(shape, turns))[: seen.shape[0]]
+    growth = -np.sum(seen * rates, axis=0) / np.sum(seen**2, axis=0)
     coupling += growth[:, np.newaxis, np.newaxis] * inductance
     return DynamicModel(inductance, coupling, emf / factor[:, np.newaxis])
 
@@ -324,13 +332,13 @@ def coupling_entries(
     )
 
 
-def frame_rms(shape: FloatArray) -> FrameRms:
+def frame_rms(shape: FloatArray, turns: int = 1) -> FrameRms:
     """R.m.s. of the back-EMF on the axes for unit amplitude, paper 002, Table 3.1.
 
     The paper's qx and qy for the trapezoid, 1.83 and 1.92, are r.m.s.(|F|^2) / sqrt(3/2),
     another quantity.
 
-    ``shape`` is the back-EMF shape F on the grid, shape (3, N).
+    ``shape`` is the back-EMF shape F on the grid, shape (3, N), over ``turns`` electrical periods.
 
     Raises
     ------
@@ -338,7 +346,7 @@ def frame_rms(shape: FloatArray) -> FrameRms:
         The array is no shape.
     """
     alpha, beta, zero = _clarke_axes(shape)
-    theta = _grid(alpha.size)
+    theta = grid(alpha.size, turns)
     d, q = park(DOUBLES, (alpha, beta), (np.cos(theta), np.sin(theta)))
 
     def rms(*parts: FloatArray) -> float:
@@ -360,7 +368,7 @@ def loss_ratio_x_over_y(shape: FloatArray) -> float:
     The current on the one axis that makes torque is inverse to the back-EMF there, so the ratio is
     mean(1 / |F_alphabeta|^2) / mean(1 / |F_alphabeta0|^2).
 
-    ``shape`` is the back-EMF shape F on the grid, shape (3, N).
+    ``shape`` is the back-EMF shape F on the grid, shape (3, N), over any number of periods.
 
     Raises
     ------
@@ -368,12 +376,8 @@ def loss_ratio_x_over_y(shape: FloatArray) -> float:
         As :func:`frame_angles`.
     """
     alpha, beta, zero = _clarke_axes(shape)
-    size = _directed(alpha, beta, _grid(alpha.size))
+    size = _directed(alpha, beta, grid(alpha.size))
     return float(np.mean(1.0 / size**2) / np.mean(1.0 / (size**2 + zero**2)))
-
-
-def _grid(count: int) -> FloatArray:
-    return np.asarray(2.0 * np.pi * np.arange(count) / count, dtype=np.float64)
 
 
 def _clarke_axes(shape: FloatArray) -> FloatArray:

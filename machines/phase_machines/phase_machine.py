@@ -2,16 +2,17 @@
 no saliency.
 
 Angles are electrical, theta from phase a to the d axis; a waveform is an array over an even
-grid theta_j = 2 pi j / N.
+grid theta_j = 2 pi turns j / N. Where the back-EMF differs from pole pair to pole pair, it repeats
+after a mechanical turn only: ``turns`` electrical periods.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
@@ -41,6 +42,12 @@ offsets from the first of them."""
 
 ANGLES = 360
 
+"""Angles of an electrical period, where nothing else is said."""
+
+
+_FEWER_ANGLES = 120
+_MANY_TURNS = 8
+
 
 _SAME = 1e-9
 
@@ -56,15 +63,73 @@ SHIFT_THIRD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 SHIFT_SIXTH = -np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 
 
-def derivative(waveform: FloatArray) -> FloatArray:
+def shift_of(parts: int, turns: int = 1) -> FloatArray:
+    """How the phases a sixth (6), a third (3) or all (1) of a waveform over ``turns`` electrical
+    periods later follow from those at an angle, matrix (3, 3).
+
+    Parameters
+    ----------
+    parts:
+        How many of these make the whole waveform: 6, 3 or 1.
+    turns:
+        Electrical periods that it spans.
+    """
+    # Of the mechanical turn; in electrical angle that is turns times as much.
+    power = turns * 6 // parts
+    return np.asarray(np.linalg.matrix_power(SHIFT_SIXTH, power % 6))
+
+
+def phase_displacement(turns: int) -> float:
+    """Electrical angle in rad by which phase b lies behind phase a, and c behind b,
+    of equal phases over ``turns`` electrical periods.
+
+    Coils of equal phases lie thirds of the mechanical turn apart, where that is 120 degrees more
+    than whole electrical periods; with a multiple of 3 pole pairs nowhere, and 120 electrical
+    degrees are taken.
+    """
+    thirds = {1: turns, 2: 2 * turns, 0: 1}[turns % 3]
+    return _TURN * thirds
+
+
+def _whole(orders: FloatArray) -> NDArray[np.bool_]:
+    return np.asarray(np.abs(orders - np.round(orders)) <= _SAME * np.maximum(np.abs(orders), 1.0))
+
+
+def grid(count: int, turns: int = 1) -> FloatArray:
+    """Even angles in rad over a number of electrical periods, shape (count,).
+
+    Parameters
+    ----------
+    count:
+        Number of angles.
+    turns:
+        Electrical periods that they span.
+    """
+    return np.asarray(2.0 * np.pi * turns * np.arange(count) / count, dtype=np.float64)
+
+
+def angles_of(turns: int) -> int:
+    """Number of angles that a waveform is held at.
+
+    Parameters
+    ----------
+    turns:
+        Electrical periods that it spans.
+    """
+    return ANGLES * turns if turns <= _MANY_TURNS else _FEWER_ANGLES * turns
+
+
+def derivative(waveform: FloatArray, turns: int = 1) -> FloatArray:
     """Derivative by the angle in 1/rad along the last axis, periodic, of sixth order.
 
     Parameters
     ----------
     waveform:
-        Values in any unit over one period, shape (..., N).
+        Values in any unit over ``turns`` electrical periods, shape (..., N).
+    turns:
+        Electrical periods after which it repeats.
     """
-    step = 2.0 * np.pi / waveform.shape[-1]
+    step = 2.0 * np.pi * turns / waveform.shape[-1]
     found: FloatArray = np.zeros_like(waveform)
     for distance, weight in enumerate(STENCIL, start=1):
         ahead, behind = np.roll(waveform, -distance, axis=-1), np.roll(waveform, distance, axis=-1)
@@ -72,14 +137,14 @@ def derivative(waveform: FloatArray) -> FloatArray:
     return found
 
 
-def between(waveform: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Value and slope (per rad) of a periodic waveform in the middle behind each angle,
-    along the last axis.
+def between(waveform: FloatArray, turns: int = 1) -> tuple[FloatArray, FloatArray]:
+    """Value and slope (per rad) of a waveform, periodic over ``turns`` electrical periods,
+    in the middle behind each angle, along the last axis.
 
     Of fourth order over the four angles around. Unlike the slope at an angle this one sees what
     alternates from one angle to the next, which would otherwise escape every limit on voltage.
     """
-    step = 2.0 * np.pi / waveform.shape[-1]
+    step = 2.0 * np.pi * turns / waveform.shape[-1]
     value: FloatArray = np.zeros_like(waveform)
     slope: FloatArray = np.zeros_like(waveform)
     for offset, of_value, of_slope in zip(OFFSETS, MIDDLE, SLOPE, strict=True):
@@ -103,15 +168,18 @@ class PhaseMachine:
         Self inductance of a phase, and mutual inductance between two (usually negative), in H.
     flux:
         Back-EMF over electrical speed, e_k = omega_e flux_k(theta_j), in V s/rad, shape (3, N),
-        N a multiple of 12.
+        N a multiple of 12 turns.
     i_max:
         Largest phase current in A, peak.
+    turns:
+        Electrical periods after which the waveform repeats: 1, or the pole pairs where they differ
+        from each other.
 
     Raises
     ------
     InputError
-        The shape does not fit, a value is not finite, or the inductances store
-        no energy in some current.
+        The shape does not fit, a value is not finite, the inductances store no energy in some
+        current, or the turns are neither 1 nor the pole pairs.
     """
 
     pole_pairs: int
@@ -120,15 +188,28 @@ class PhaseMachine:
     m_s: float
     flux: FloatArray
     i_max: float
+    turns: int = 1
 
     def __post_init__(self) -> None:
         """Own the waveform and check what would make no machine."""
         owned = np.array(self.flux, dtype=np.float64)
         owned.flags.writeable = False
         object.__setattr__(self, "flux", owned)
-        if owned.ndim != 2 or owned.shape[0] != 3 or owned.shape[1] < 24 or owned.shape[1] % 12:
+        if self.turns not in (1, self.pole_pairs):
             raise InputError(
-                "the back-EMF needs the shape (3, N), N a multiple of 12 from 24 on, got "
+                f"a back-EMF repeats after 1 electrical period or after all {self.pole_pairs} of a "
+                f"mechanical turn, got turns = {self.turns}"
+            )
+        unit = 12 * self.turns
+        least = 2 * unit
+        if (
+            owned.ndim != 2
+            or owned.shape[0] != 3
+            or owned.shape[1] < least
+            or owned.shape[1] % unit
+        ):
+            raise InputError(
+                f"the back-EMF needs the shape (3, N), N a multiple of {unit} from {least} on, got "
                 f"{owned.shape}"
             )
         if not (np.all(np.isfinite(owned)) and np.any(owned)):
@@ -151,27 +232,49 @@ class PhaseMachine:
         l_s: float,
         m_s: float,
         i_max: float,
-        angles: int = ANGLES,
+        angles: int | None = None,
     ) -> PhaseMachine:
         """A machine from the harmonics of its back-EMF, e_k / omega_e = - sum
         A_kh sin(h theta - phi_kh).
 
         ``orders`` has the shape (H,); ``amplitudes`` in V s/rad and ``phases`` in rad have the
         shape (3, H), or (H,) for three equal phases, of which b and c lag by 120 and 240 degrees.
+
+        Orders that are not whole are those of pole pairs that differ: multiples of 1/pole_pairs, so
+        that the waveform spans a mechanical turn; equal phases then lag by
+        :func:`phase_displacement`. ``angles`` is the number of angles, None for that of
+        :func:`angles_of`.
+
+        Raises
+        ------
+        InputError
+            An order is neither whole nor a multiple of 1/pole_pairs, or as for the machine.
         """
         order = np.asarray(orders, dtype=np.float64)
+        turns = 1 if np.all(_whole(order)) else pole_pairs
+        if not np.all(_whole(order * turns)):
+            raise InputError(
+                f"orders of the back-EMF are whole, or multiples of 1/{pole_pairs} for the "
+                f"{pole_pairs} pole pairs of a mechanical turn"
+            )
         size, lag = np.asarray(amplitudes, dtype=np.float64), np.asarray(phases, dtype=np.float64)
         if size.ndim == 1:
-            size, lag = np.stack([size] * 3), np.stack([lag + order * _TURN * k for k in range(3)])
-        theta = 2.0 * np.pi * np.arange(angles) / angles
+            behind = phase_displacement(turns)
+            size, lag = np.stack([size] * 3), np.stack([lag + order * behind * k for k in range(3)])
+        theta = grid(angles_of(turns) if angles is None else angles, turns)
         angle = order[:, np.newaxis] * theta - lag[:, :, np.newaxis]
         flux = -np.sum(size[:, :, np.newaxis] * np.sin(angle), axis=1)
-        return cls(pole_pairs, r_s, l_s, m_s, flux, i_max)
+        return cls(pole_pairs, r_s, l_s, m_s, flux, i_max, turns)
 
     @property
     def angles(self) -> int:
-        """Number N of angles in the period."""
+        """Number N of angles, over all turns."""
         return int(self.flux.shape[1])
+
+    @property
+    def theta(self) -> FloatArray:
+        """Electrical angles of the waveform in rad, 0 to below 2 pi turns, shape (N,)."""
+        return grid(self.angles, self.turns)
 
     @property
     def inductances(self) -> FloatArray:
@@ -181,35 +284,48 @@ class PhaseMachine:
     @property
     def psi_pm(self) -> float:
         """Positive sequence of the fundamental flux linkage, peak of phase, in Wb."""
-        theta = 2.0 * np.pi * np.arange(self.angles) / self.angles
-        turns = theta - _TURN * np.arange(3)[:, np.newaxis]
-        return float(2.0 * np.abs(np.mean(self.flux * np.exp(-1j * turns))))
+        lagging = self.theta - _TURN * np.arange(3)[:, np.newaxis]
+        return float(2.0 * np.abs(np.mean(self.flux * np.exp(-1j * lagging))))
 
     @property
     def symmetry(self) -> Symmetry:
-        """How much of the period must be known."""
+        """How much of the whole grid must be known."""
         count, scale = self.angles, float(np.max(np.abs(self.flux)))
 
-        def repeats(part: int, shift: FloatArray) -> bool:
-            return bool(
-                np.max(np.abs(np.roll(self.flux, -count // part, axis=1) - shift @ self.flux))
-                <= _SAME * scale
-            )
+        def repeats(part: int) -> bool:
+            moved = np.roll(self.flux, -count // part, axis=1)
+            away = np.max(np.abs(moved - shift_of(part, self.turns) @ self.flux))
+            return bool(away <= _SAME * scale)
 
-        if repeats(6, SHIFT_SIXTH):
+        if repeats(6):
             return "sixth"
-        return "third" if repeats(3, SHIFT_THIRD) else "none"
+        return "third" if repeats(3) else "none"
 
     def symmetrised(self) -> PhaseMachine:
         """The machine with the mean of its phases and of its half waves, so that a
         sixth of the period tells all.
+
+        Over several turns only the phases are averaged, each a third of the mechanical turn behind
+        the one before: half waves and pole pairs keep their differences.
+
+        Raises
+        ------
+        InputError
+            The pole pairs differ, and their number is a multiple of 3: a third of a mechanical turn
+            then leads from a phase to itself.
         """
-        flux, part = np.zeros_like(self.flux), self.angles // 6
+        if self.turns > 1 and self.turns % 3 == 0:
+            raise InputError(
+                f"phases of {self.turns} different pole pairs lie no third of a mechanical turn "
+                "apart and have no mean; keep them as they are"
+            )
+        parts = 6 if self.turns == 1 else 3
+        flux, part = np.zeros_like(self.flux), self.angles // parts
         turned = np.eye(3)
-        for sector in range(6):
-            flux += np.linalg.inv(turned) @ np.roll(self.flux, -sector * part, axis=1) / 6.0
-            turned = SHIFT_SIXTH @ turned
-        return PhaseMachine(self.pole_pairs, self.r_s, self.l_s, self.m_s, flux, self.i_max)
+        for sector in range(parts):
+            flux += np.linalg.inv(turned) @ np.roll(self.flux, -sector * part, axis=1) / parts
+            turned = shift_of(parts, self.turns) @ turned
+        return replace(self, flux=flux)
 
     def torque(self, currents: FloatArray) -> FloatArray:
         """Torque p sum flux_k i_k in N m, shape (..., N), of phase currents in A, shape (..., 3,
@@ -225,7 +341,7 @@ class PhaseMachine:
         ``currents`` in A have the same shape, the electrical speeds in rad/s the shape (...).
         """
         omega = np.asarray(omega_e, dtype=np.float64)[..., np.newaxis, np.newaxis]
-        value, slope = between(currents)
+        value, slope = between(currents, self.turns)
         return self.r_s * value + omega * (self.inductances @ slope + between(self.flux)[0])
 
     def copper_loss(self, currents: FloatArray) -> FloatArray:

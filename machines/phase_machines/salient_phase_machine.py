@@ -12,12 +12,11 @@ from numpy.typing import ArrayLike
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import (
-    SHIFT_SIXTH,
-    SHIFT_THIRD,
     PhaseMachine,
     Symmetry,
     between,
     derivative,
+    shift_of,
 )
 from dqforge.machines.transforms import DOUBLES, park
 
@@ -68,7 +67,7 @@ class SalientPhaseMachine:
             )
         least = np.linalg.eigvalsh(owned)[:, 0]
         if np.min(least) <= 0.0:
-            where = 360.0 * int(np.argmin(least)) / self.phases.angles
+            where = np.rad2deg(self.theta[int(np.argmin(least))])
             raise InputError(
                 f"the inductances store no energy in some current at {where:.0f} degrees"
             )
@@ -81,7 +80,7 @@ class SalientPhaseMachine:
         In dq coordinates l_d = l_s - m_s + 3/2 l_2 and l_q = l_s - m_s - 3/2 l_2,
         without any ripple.
         """
-        theta = 2.0 * np.pi * np.arange(phases.angles) / phases.angles
+        theta = phases.theta
         lag = 2.0 * np.pi / 3.0 * np.add.outer(np.arange(3), np.arange(3))
         return cls(
             phases, phases.inductances + l_2 * np.cos(2.0 * theta[:, np.newaxis, np.newaxis] - lag)
@@ -97,7 +96,7 @@ class SalientPhaseMachine:
         other phases 120 and 240 degrees behind; ``own`` and ``mutual`` in H, ``orders`` even, all
         of shape (H,). With order 2 alone and own = mutual this is `with_second_harmonic`.
         """
-        theta = 2.0 * np.pi * np.arange(phases.angles) / phases.angles
+        theta = phases.theta
         order = np.atleast_1d(np.asarray(orders, dtype=np.float64))
         varying = np.zeros((phases.angles, 3, 3))
         for size, pairs in ((own, ((0, 0), (1, 1), (2, 2))), (mutual, ((1, 2), (2, 0), (0, 1)))):
@@ -114,10 +113,9 @@ class SalientPhaseMachine:
         """Means of the inductances along and across the magnets in H, (l_d, l_q),
         in rotor coordinates.
         """
-        theta = 2.0 * np.pi * np.arange(self.angles) / self.angles
-        turns = theta[:, np.newaxis] - _TURN * np.arange(3)
-        phase = np.ones_like(turns), np.zeros_like(turns)
-        axes = np.sqrt(2.0 / 3.0) * np.stack(park(DOUBLES, phase, (np.cos(turns), np.sin(turns))))
+        lag = self.theta[:, np.newaxis] - _TURN * np.arange(3)
+        phase = np.ones_like(lag), np.zeros_like(lag)
+        axes = np.sqrt(2.0 / 3.0) * np.stack(park(DOUBLES, phase, (np.cos(lag), np.sin(lag))))
         l_d, l_q = np.mean(np.einsum("xjk,jkl,xjl->xj", axes, self.inductance, axes), axis=1)
         return float(l_d), float(l_q)
 
@@ -143,8 +141,18 @@ class SalientPhaseMachine:
 
     @property
     def angles(self) -> int:
-        """Number N of angles in the period."""
+        """Number N of angles, over all turns."""
         return self.phases.angles
+
+    @property
+    def turns(self) -> int:
+        """Electrical periods after which the back-EMF repeats."""
+        return self.phases.turns
+
+    @property
+    def theta(self) -> FloatArray:
+        """Electrical angles of the waveforms in rad, 0 to below 2 pi turns, shape (N,)."""
+        return self.phases.theta
 
     def copper_loss(self, currents: FloatArray) -> FloatArray:
         """Mean copper loss R sum i_k^2 in W, shape (...)."""
@@ -153,7 +161,8 @@ class SalientPhaseMachine:
     @property
     def slope(self) -> FloatArray:
         """Derivative of the inductances by the angle in H/rad, shape (N, 3, 3)."""
-        return np.moveaxis(derivative(np.moveaxis(self.inductance, 0, -1)), -1, 0)
+        waves = np.moveaxis(self.inductance, 0, -1)
+        return np.moveaxis(derivative(waves, self.turns), -1, 0)
 
     @property
     def symmetry(self) -> Symmetry:
@@ -161,11 +170,12 @@ class SalientPhaseMachine:
         permit.
         """
         of_flux = self.phases.symmetry
-        if of_flux == "sixth" and self._repeats(6, SHIFT_SIXTH):
+        if of_flux == "sixth" and self._repeats(6):
             return "sixth"
-        return "third" if of_flux != "none" and self._repeats(3, SHIFT_THIRD) else "none"
+        return "third" if of_flux != "none" and self._repeats(3) else "none"
 
-    def _repeats(self, part: int, shift: FloatArray) -> bool:
+    def _repeats(self, part: int) -> bool:
+        shift = shift_of(part, self.turns)
         moved = np.roll(self.inductance, -(self.phases.angles // part), axis=0)
         away = np.max(np.abs(moved - shift @ self.inductance @ shift.T))
         return bool(away <= _SAME * np.max(np.abs(self.inductance)))
@@ -188,7 +198,7 @@ class SalientPhaseMachine:
         linked = np.einsum("jkl,...lj->...kj", self.inductance, currents)
         flux = between(self.phases.flux)[0]
         return np.asarray(
-            self.phases.r_s * between(currents)[0] + omega * (between(linked)[1] + flux)
+            self.phases.r_s * between(currents)[0] + omega * (between(linked, self.turns)[1] + flux)
         )
 
 

@@ -61,9 +61,17 @@ class GainSet:
     position: PositionObserver | None = None
     phases: PhaseLoops | None = None
 
+    @property
+    def loops(self) -> tuple[LoopGains, ...]:
+        """All loops: of d, q, the zero sequence and the speed, as far as there are."""
+        zero = None if self.phases is None else self.phases.zero
+        every = (self.i_d, self.i_q, zero, self.speed)
+        return tuple(loop for loop in every if loop is not None)
+
     def responses(self) -> tuple[LoopResponse, ...]:
         """Answers of the loops over time and frequency, for whom wants to draw them."""
-        return loop_responses(self.i_d, self.i_q, self.speed)
+        zero = None if self.phases is None else self.phases.zero
+        return loop_responses(self.i_d, self.i_q, self.speed, zero)
 
 
 @on_design("control")
@@ -103,8 +111,8 @@ def solve_gains(design: Design) -> GainSet:
     observer, position = solve_observer(design)
     phases = None if design.phase_machine is None else phase_control(design, i_d, i_q)
     robust = None
+    zero = None if phases is None else phases.zero
     if named:
-        zero = None if phases is None else phases.zero
         robust = RobustSet(
             current_robustness(box, i_d, "i_d"),
             current_robustness(box, i_q, "i_q"),
@@ -119,7 +127,7 @@ def solve_gains(design: Design) -> GainSet:
     if speed is not None and (observer is not None or position is not None):
         speed = judge_observed(design, (i_d, i_q, speed), observer, position)
         robust = None if robust is None else replace(robust, speed=None)
-    scaled = _per_unit(control, (i_d, i_q, speed))
+    scaled = _per_unit(control, (i_d, i_q, zero, speed))
     slopes = (
         None if observer is None else speed_error_slopes(machine, observer, control.bases.speed)
     )
@@ -127,7 +135,7 @@ def solve_gains(design: Design) -> GainSet:
 
 
 def _per_unit(
-    control: ControlSettings, loops: tuple[LoopGains, LoopGains, LoopGains | None]
+    control: ControlSettings, loops: tuple[LoopGains | None, ...]
 ) -> dict[LoopName, PerUnitGains]:
     """Gains of every loop per unit, with the integers that its section asks for."""
     found = {}

@@ -63,6 +63,9 @@ class Arithmetic(Protocol[N, C]):
     def wrapped(self, a: N, bits: int) -> N:
         """The remainder of a by 2^bits, 0 to 2^bits - 1."""
 
+    def entry(self, table: tuple[int, ...], index: N) -> N:
+        """Entry of a table; the index is never outside it."""
+
     def at_least(self, a: N, b: N) -> C:
         """Condition that a >= b."""
 
@@ -131,6 +134,10 @@ class Integers:
     def wrapped(self, a: CodeArray, bits: int) -> CodeArray:
         """Remainders by 2^bits."""
         return np.asarray(a & ((1 << bits) - 1))
+
+    def entry(self, table: tuple[int, ...], index: CodeArray) -> CodeArray:
+        """Entries of a table."""
+        return np.array(table, dtype=np.int64)[index]
 
     def at_least(self, a: CodeArray, b: CodeArray) -> BoolArray:
         """Whether a >= b."""
@@ -236,6 +243,19 @@ class Ranges:
         low = max(a.low, -limit.high) if a.low < 0 else min(a.low, limit.low)
         high = min(a.high, limit.high) if a.high > 0 else max(a.high, -limit.low)
         return Range(low, high)
+
+    def entry(self, table: tuple[int, ...], index: Range) -> Range:
+        """Range of the entries from the least to the largest index.
+
+        Raises
+        ------
+        IndexError
+            The index can leave the table.
+        """
+        if index.low < 0 or index.high >= len(table):
+            raise IndexError(f"{index} leaves a table of {len(table)} entries")
+        part = table[index.low : index.high + 1]
+        return Range(min(part), max(part))
 
     def quotient(self, name: str, a: Range, b: Range) -> Range:
         """Range of the quotient."""

@@ -56,7 +56,7 @@ class LoopResponse:
 
 
 def loop_responses(
-    i_d: LoopGains, i_q: LoopGains, speed: LoopGains | None
+    i_d: LoopGains, i_q: LoopGains, speed: LoopGains | None, zero: LoopGains | None = None
 ) -> tuple[LoopResponse, ...]:
     """Step and frequency responses of the loops; without the speed loop where its
     observer makes it unstable.
@@ -67,13 +67,16 @@ def loop_responses(
         The current loops; their step responses are of one length.
     speed:
         The speed loop, None where there is none.
+    zero:
+        The loop of the zero-sequence current, None where nothing drives one.
     """
-    loops = [i_d, i_q] if speed is None else [i_d, i_q, speed]
+    currents = [i_d, i_q] if zero is None else [i_d, i_q, zero]
+    loops = currents if speed is None else [*currents, speed]
     low = min(loop.crossover for loop in loops) / _BELOW_CROSSOVER
-    longest = max(_CURRENT_TIME / loop.crossover for loop in (i_d, i_q))
+    longest = max(_CURRENT_TIME / loop.crossover for loop in currents)
     found = [
         _response(loop, step_response(loop, max(longest, _LEAST_SAMPLES * loop.t_s)), low)
-        for loop in (i_d, i_q)
+        for loop in currents
     ]
     if speed is not None and (speed.observed is None or speed.observed.stable):
         found.append(_response(speed, _speed_step(speed), low))

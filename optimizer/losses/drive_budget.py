@@ -28,9 +28,9 @@ from dqforge.machines.losses.machine_budget import MachineBudget, WindingHeat, m
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.losses.ripple_iron import ripple_iron_loss
 from dqforge.machines.modulation.dead_time import dead_time_factor
-from dqforge.machines.modulation.modulators import linear_limit
 from dqforge.machines.modulation.ripple import inverse_inductance
 from dqforge.machines.names import ModulationName
+from dqforge.machines.topologies.linear_range import amplitude_limit
 
 PARTS = (
     "copper",
@@ -427,7 +427,7 @@ def _budget(
     )
     marks = {
         "linear": voltage * (1.0 - _VOLTAGE_ROUNDING)
-        <= linear_limit(modulation, inverter.v_dc) * left,
+        <= amplitude_limit(inverter, modulation) * left,
         "steady": steady,
         "cool_enough": hottest <= tables.max_junction_temperature,
         "within_tables": inside,

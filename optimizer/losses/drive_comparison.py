@@ -22,8 +22,8 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
 from dqforge.machines.losses.machine_budget import machine_budget
 from dqforge.machines.modulation.dead_time import dead_time_factor
-from dqforge.machines.modulation.modulators import linear_limit
 from dqforge.machines.names import ModulationName
+from dqforge.machines.topologies.linear_range import amplitude_limit
 from dqforge.optimizer.losses.drive_budget import (
     BudgetOptions,
     DriveBudget,
@@ -288,20 +288,20 @@ def _strategy(
 
 
 def usable_limit(inverter: Inverter, name: ModulationName, margin: float = 0.0) -> float:
-    """Largest phase amplitude in V: linear range of the modulator less dead time and a
-    margin (0 to 1) for control.
+    """Largest phase amplitude in V: linear range of topology and modulator less dead time
+    and a margin (0 to 1) for control.
 
     Parameters
     ----------
     inverter:
-        DC link, carrier frequency and dead time.
+        Topology, DC link, carrier frequency and dead time.
     name:
         The modulator.
     margin:
         Share of 0 to 1 that is kept for control.
     """
     left = float(dead_time_factor(name, inverter.dead_time, inverter.f_sw))
-    return linear_limit(name, inverter.v_dc) * left * (1.0 - margin)
+    return amplitude_limit(inverter, name) * left * (1.0 - margin)
 
 
 def _currents(

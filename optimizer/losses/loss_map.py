@@ -9,7 +9,6 @@ import numpy as np
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.modulation.modulators import linear_limit
 from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions
 from dqforge.optimizer.losses.drive_comparison import (
     Alternatives,
@@ -104,7 +103,7 @@ def _widest(inverter: Inverter, alternatives: Alternatives, margin: float) -> Vo
     """Largest limit that one of the alternatives has, dead time and margin taken off."""
     slowest = replace(inverter, f_sw=min(alternatives.frequencies))
     widest = max(alternatives.modulations, key=lambda name: usable_limit(slowest, name))
-    taken = 1.0 - usable_limit(slowest, widest, margin) / linear_limit(widest, inverter.v_dc)
+    taken = 1.0 - usable_limit(slowest, widest, margin) / voltage_limit(inverter, widest).v_max
     return voltage_limit(inverter, widest, taken)
 
 

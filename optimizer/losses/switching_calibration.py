@@ -21,8 +21,8 @@ from dqforge.machines.losses.constant_device import (
     resistance_factor,
     thermal_gain,
 )
-from dqforge.machines.modulation.modulators import in_linear_range, linear_limit
 from dqforge.machines.names import ModulationName
+from dqforge.machines.topologies.linear_range import amplitude_fits, amplitude_limit
 
 
 def calibrate_switching(
@@ -75,10 +75,10 @@ def calibrate_switching(
 def _check_measured_voltage(
     inverter: Inverter, amplitude: float, modulation: ModulationName
 ) -> None:
-    if not in_linear_range(modulation, amplitude, inverter.v_dc):
+    if not amplitude_fits(inverter, modulation, amplitude):
         raise InputError(
             f"calibration: the measured point needs a phase voltage of {amplitude:.4g} V (peak), "
-            f"but {modulation} makes at most {linear_limit(modulation, inverter.v_dc):.4g} V from "
+            f"but {modulation} makes at most {amplitude_limit(inverter, modulation):.4g} V from "
             f"{inverter.v_dc:.4g} V"
         )
 

@@ -16,6 +16,7 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.names import ModulationName
+from dqforge.machines.topologies.linear_range import contradiction
 from dqforge.optimizer.operating_points.characteristics import (
     Characteristics,
     Envelope,
@@ -95,13 +96,16 @@ def limited_drive(
     Raises
     ------
     InputError
-        The design's strategy is not MTPA.
+        The design's strategy is not MTPA, or its topology has another modulator of its own.
     """
     if design.strategy != "mtpa":
         raise InputError(
             "operation.strategy: operating points take the least loss, but it is id0; write "
             "strategy: mtpa"
         )
+    found = contradiction("modulation", design.inverter.topology, modulation)
+    if found:
+        raise InputError(found)
     limit = voltage_limit(design.inverter, modulation, margin)
     return LimitedDrive(design.machine, design.inverter, limit, design.i_max, design.machine_loss)
 

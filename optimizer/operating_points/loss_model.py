@@ -26,9 +26,9 @@ from dqforge.machines.losses.constant_device import (
     thermal_balance,
 )
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
-from dqforge.machines.modulation.modulators import in_linear_range
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
+from dqforge.machines.topologies.linear_range import amplitude_fits
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
 
 _MEAN_OF_RECTIFIED_SINE = 2.0 / math.pi
@@ -178,7 +178,7 @@ def drive_losses(
         return DriveLosses(copper, iron, zero, zero, unknown, copper + iron, with_inverter=False)
     v_d, v_q = machine.r_s * i_d - omega_e * psi_q, machine.r_s * i_q + omega_e * psi_d
     bridge = thermal_balance(inverter, bridge_load(inverter, modulation, v_d, v_q, i_d, i_q))
-    known = in_linear_range(modulation, np.hypot(v_d, v_q) * (1.0 - 1e-9), inverter.v_dc)
+    known = amplitude_fits(inverter, modulation, np.hypot(v_d, v_q) * (1.0 - 1e-9))
     known |= inverter.device.kind == "mosfet"
     conduction = np.where(known, bridge.conduction, np.nan)
     total = copper + iron + conduction + bridge.switching

@@ -12,8 +12,9 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
-from dqforge.machines.modulation.modulators import linear_limit
-from dqforge.machines.names import ModulationName
+from dqforge.machines.names import ModulationName, Topology
+from dqforge.machines.topologies.linear_range import amplitude_limit
+from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.operating_points.characteristics import Characteristics
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
 from dqforge.optimizer.operating_points.loss_model import DriveLosses, drive_losses
@@ -23,13 +24,19 @@ from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_poi
 @dataclass(frozen=True, slots=True)
 class VoltageLimit:
     """Where the voltage limit comes from: modulator, dc link in V, share kept free,
-    and the phase amplitude in V.
+    the phase amplitude in V, and the topology.
     """
 
     modulation: ModulationName
     v_dc: float
     margin: float
     v_max: float
+    topology: Topology = "three-wire"
+
+    @property
+    def made_by(self) -> str:
+        """Name of the modulator, or of the topology that has one of its own."""
+        return self.modulation if TOPOLOGIES[self.topology].modulated else self.topology
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,21 +91,20 @@ class OperatingMap:
 def voltage_limit(
     inverter: Inverter, modulation: ModulationName, margin: float = 0.0
 ) -> VoltageLimit:
-    """Largest phase amplitude of a modulator's linear range, less a margin (0 to 1)
-    that is kept for control.
+    """Largest phase amplitude of the linear range of topology and modulator, less a margin (0 to
+    1) that is kept for control.
 
     Parameters
     ----------
     inverter:
-        DC-link voltage and dead time.
+        Topology, DC-link voltage and dead time.
     modulation:
         The modulator.
     margin:
         Share of 0 to 1 that is kept for control.
     """
-    return VoltageLimit(
-        modulation, inverter.v_dc, margin, linear_limit(modulation, inverter.v_dc, margin)
-    )
+    most = amplitude_limit(inverter, modulation, margin)
+    return VoltageLimit(modulation, inverter.v_dc, margin, most, inverter.topology)
 
 
 def efficiency(power: FloatArray, loss: FloatArray) -> FloatArray:

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
-from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.frame_choice import (
     controlled_frame,
     frame_obstacle,
     uses_zero_sequence,
+    zero_sequence_inductance,
 )
-from dqforge.machines.phase_machines.salient_phase_machine import (
-    AnyPhaseMachine,
-    SalientPhaseMachine,
-)
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.tolerance_box import DriveBox
@@ -25,10 +25,22 @@ from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.phase_control.axis_gains import axis_gains, zero_loop
 from dqforge.optimizer.phase_control.harmonic_orders import harmonic_gains, harmonic_orders
 from dqforge.optimizer.phase_control.judged_box import JudgedLoops, judge_loops
-from dqforge.optimizer.phase_control.midpoint_balance import midpoint_gains
-from dqforge.optimizer.phase_control.phase_controller import PhaseControl
+from dqforge.optimizer.phase_control.limited_shapes import LimitedFit, fit_limited
+from dqforge.optimizer.phase_control.midpoint_balance import SWING, midpoint_gains
+from dqforge.optimizer.phase_control.phase_controller import (
+    HarmonicGains,
+    PhaseControl,
+    TorqueLimit,
+)
+from dqforge.optimizer.phase_control.salient_limit import salient_torques
 from dqforge.optimizer.phase_control.shape_table import ShapeFit, fit_shape
 from dqforge.optimizer.phase_control.shape_vectors import PHASES, flux_at, unit_currents
+from dqforge.optimizer.phase_control.torque_limit import (
+    MARGIN,
+    largest_torques,
+    no_load_speed,
+    torque_limit,
+)
 
 _ANGLES = 2880
 
@@ -45,6 +57,8 @@ class PhaseLoops:
         Its table of the back-EMF and what that errs by.
     zero:
         The loop of the zero-sequence current, None where nothing drives one.
+    limited:
+        The currents beyond the torque limit, None where none are asked for or the link ends none.
     judged:
         How fast all of it forgets a disturbance over speeds and tolerances; None until judged.
     """
@@ -52,19 +66,8 @@ class PhaseLoops:
     control: PhaseControl
     shape: ShapeFit
     zero: LoopGains | None
+    limited: LimitedFit | None = None
     judged: JudgedLoops | None = None
-
-
-def zero_sequence_inductance(machine: AnyPhaseMachine, inverter: Inverter) -> float:
-    """Inductance L_0 in H that a zero-sequence current meets: L_s + 2 M_s, and 3 L_n of a choke.
-
-    That of a salient machine is the mean over the angle.
-    """
-    if isinstance(machine, SalientPhaseMachine):
-        own = float(np.mean(np.sum(machine.inductance, axis=(1, 2))) / 3.0)
-    else:
-        own = machine.l_s + 2.0 * machine.m_s
-    return own + 3.0 * inverter.neutral_inductance
 
 
 def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
@@ -98,35 +101,27 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
     neutral = TOPOLOGIES[topology].neutral
     uses_zero = uses_zero_sequence(frame, topology)
     l_d, l_q = design.machine.l_d, design.machine.l_q
-    l_0 = zero_sequence_inductance(machine, inverter)
+    l_0 = zero_sequence_inductance(machine, inverter.neutral_inductance)
     zero = zero_loop(control, i_q, machine.r_s, l_q, l_0) if neutral else None
-    turns = 1
-    fit = fit_shape(phases, zero=uses_zero, turns=turns, currents=frame != "dq")
-    angle = 2.0 * np.pi * turns * np.arange(_ANGLES * turns) / (_ANGLES * turns)
+    fit = fit_shape(phases, zero=uses_zero, turns=phases.turns, currents=frame != "dq")
+    period = 2.0 * np.pi * phases.turns
+    angle = period * np.arange(_ANGLES * phases.turns) / (_ANGLES * phases.turns)
     flux = flux_at(fit.shape, angle)
-    if frame == "dq":
-        sine = machine.psi_pm * np.stack([-np.sin(angle), np.cos(angle), 0.0 * angle])
-        unit, torque_max = unit_currents(sine, phases.pole_pairs, zero=False), _largest_dq(design)
-    else:
-        unit = unit_currents(flux, phases.pole_pairs, zero=uses_zero)
-        torque_max = design.i_max / float(np.max(np.abs(PHASES @ unit)))
-    harmonics = None
-    if settings.harmonic_integrators:
-        loops = [(i_d.kp, l_d), (i_q.kp, l_q), *([] if zero is None else [(zero.kp, l_0)])]
-        harmonics = harmonic_gains(
-            harmonic_orders(PHASES @ unit, PHASES @ flux, turns),
-            control.t_s,
-            min(kp / inductance for kp, inductance in loops),
-            design.i_max,
-            _top_speed(design),
-            neutral=neutral,
-        )
+    sine = machine.psi_pm * np.stack([-np.sin(angle), np.cos(angle), 0.0 * angle])
+    used = sine if frame == "dq" else flux
+    unit = unit_currents(used, phases.pole_pairs, zero=uses_zero)
+    torque_max = (
+        _choice(design).largest_torque()
+        if frame == "dq"
+        else design.i_max / float(np.max(np.abs(PHASES @ unit)))
+    )
     midpoint = None
     if TOPOLOGIES[topology].midpoint and inverter.midpoint_capacitance is not None:
         midpoint = midpoint_gains(
-            unit[2], turns, torque_max, inverter.midpoint_capacitance, inverter.v_dc
+            unit[2], phases.turns, torque_max, inverter.midpoint_capacitance, inverter.v_dc
         )
-    found = PhaseControl(
+    loops = [(i_d.kp, l_d), (i_q.kp, l_q), *([] if zero is None else [(zero.kp, l_0)])]
+    unlimited = PhaseControl(
         frame=frame,
         feedforward=settings.feedforward,
         topology=topology,
@@ -136,12 +131,71 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
         psi_pm=machine.psi_pm,
         inductances=(l_d, l_q, l_0),
         gains=(axis_gains(i_d), axis_gains(i_q), axis_gains(zero)),
-        harmonics=harmonics,
+        harmonics=_harmonics(design, PHASES @ unit, PHASES @ flux, loops),
         t_s=control.t_s,
         torque_max=torque_max,
         midpoint=midpoint,
     )
-    return PhaseLoops(found, fit, zero)
+    found = replace(unlimited, torque_limit=_torque_limit(design, unlimited))
+    limited = _limited(design, phases, found) if settings.limited_waveforms else None
+    found = replace(found, limited=None if limited is None else limited.shapes)
+    return PhaseLoops(found, fit, zero, limited)
+
+
+def voltage_margin(design: Design) -> float:
+    """Share of the voltage region that steady currents leave free, of 0 to 1.
+
+    What the firmware leaves free by the design, `MARGIN` for its PI controllers, and what dead time
+    takes off either end.
+    """
+    inverter = design.inverter
+    return design.operation.voltage_margin + MARGIN + 2.0 * inverter.dead_time * inverter.f_sw
+
+
+def _harmonics(
+    design: Design,
+    currents: FloatArray,
+    flux: FloatArray,
+    loops: list[tuple[float, float]],
+) -> HarmonicGains | None:
+    """Harmonic integrators for currents per torque and back-EMF of the phases, shape (3, N).
+
+    ``loops`` are (kp, inductance) of each axis that is controlled.
+    """
+    control, machine = design.control, design.phase_machine
+    if machine is None or not control.current_loop.harmonic_integrators:
+        return None
+    phases = machine.phases if isinstance(machine, SalientPhaseMachine) else machine
+    return harmonic_gains(
+        harmonic_orders(currents, flux, phases.turns),
+        control.t_s,
+        min(kp / inductance for kp, inductance in loops),
+        design.i_max,
+        _top_speed(design),
+        neutral=TOPOLOGIES[design.inverter.topology].neutral,
+    )
+
+
+def _torque_limit(design: Design, control: PhaseControl) -> TorqueLimit:
+    """Where the link ends the torque; the swing of a split link's midpoint is taken off."""
+    v_dc, margin, machine = design.inverter.v_dc, voltage_margin(design), design.phase_machine
+    last = no_load_speed(control, v_dc, margin)
+    if control.midpoint is not None:
+        margin += SWING * min(1.0, control.midpoint.omega_e_min / last)
+        last = no_load_speed(control, v_dc, margin)
+    if isinstance(machine, SalientPhaseMachine):
+        largest = salient_torques(machine, _choice(design), control.topology, margin)
+    else:
+        largest = partial(largest_torques, control, margin=margin)
+    return torque_limit(v_dc, last, largest)
+
+
+def _limited(design: Design, machine: PhaseMachine, control: PhaseControl) -> LimitedFit | None:
+    """Currents beyond the torque limit."""
+    omega_m = design.machine.omega_m_max
+    top = None if omega_m is None else machine.pole_pairs * omega_m
+    margin = voltage_margin(design)
+    return fit_limited(control, machine, design.inverter.v_dc, design.i_max, top, margin)
 
 
 def judged(design: Design, box: DriveBox, loops: PhaseLoops) -> PhaseLoops:
@@ -177,6 +231,6 @@ def _top_speed(design: Design) -> float:
     return design.machine.pole_pairs * (design.control.bases.speed if omega_m is None else omega_m)
 
 
-def _largest_dq(design: Design) -> float:
-    """Largest torque of constant dq currents in N m."""
-    return CurrentChoice(design.machine, design.strategy, design.i_max).largest_torque()
+def _choice(design: Design) -> CurrentChoice:
+    """The constant dq currents of a torque."""
+    return CurrentChoice(design.machine, design.strategy, design.i_max)

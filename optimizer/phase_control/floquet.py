@@ -30,6 +30,11 @@ FEW_SAMPLES = 40
 STARTS = 3
 """Angles of the first sample within a step at which a period of few samples is begun."""
 
+OFF_NODES = 0.382
+"""Share of the distance of two starts by which the first lies off angle 0, a node, where the slope
+of the back-EMF jumps.
+"""
+
 MOST_PERIODS = 4
 """Periods of few samples that may pass until samples fall on the same angles."""
 
@@ -50,7 +55,7 @@ class WholePeriods:
 
 def turns_at_rest(control: PhaseControl) -> bool:
     """Whether the step of the loop is the same at every angle."""
-    return control.frame in ("dq", "table")
+    return control.frame in ("dq", "table") and control.midpoint is None
 
 
 def whole_samples(control: PhaseControl, omega_e: float) -> WholePeriods:
@@ -95,7 +100,7 @@ def radius(control: PhaseControl, plants: PhasePlants, omega_e: float) -> FloatA
     whole = whole_samples(control, omega_e)
     step = whole.omega_e * control.t_s
     starts = STARTS if whole.samples < FEW_SAMPLES * control.shape.turns * whole.periods else 1
-    first = np.arange(starts) / starts * turn / whole.samples
+    first = (np.arange(starts) + OFF_NODES) / starts * turn / whole.samples
     theta = first[:, np.newaxis] + step * np.arange(whole.samples)
     return _over_period(control, plants, whole.omega_e, theta)
 

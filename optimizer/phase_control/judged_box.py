@@ -182,11 +182,11 @@ def _judged(
     control: PhaseControl, drives: TriedDrives, omega_m: float, *, named: bool
 ) -> JudgedSpeed:
     omega_e = control.pole_pairs * omega_m
-    if not turns_at_rest(control) and omega_e != 0.0:
+    currents = _held_midpoint(replace(control, harmonics=None))
+    if not turns_at_rest(currents) and omega_e != 0.0:
         omega_e = whole_samples(control, omega_e).omega_e
     if omega_e == 0.0:  # At rest all orders are one integrator.
         control = replace(control, harmonics=None)
-    currents = _held_midpoint(replace(control, harmonics=None))
     state = loop_state(control, omega_e)
     found = radius(currents, drives.plants, omega_e)
     _require(drives.worst(found), control, omega_e, 1.0)
@@ -245,6 +245,6 @@ def _require(worst: Worst, control: PhaseControl, omega_e: float, limit: float) 
         advice = "lower the gains or machine.max_speed, sample faster, or narrow control.tolerances"
     period = f", {_samples(control, omega_e):.3g} samples per period" if omega_e else ""
     raise NoSolutionError(
-        f"control.current_loop: in frame {control.frame} the currents are unstable at {rpm:.4g} "
+        f"control.current_loop: in frame {control.frame} the currents are unstable at {rpm:.5g} "
         f"rpm{period}, {worst.at} (radius {worst.value:.4g} per sample): {advice}"
     )

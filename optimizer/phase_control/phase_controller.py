@@ -80,13 +80,60 @@ class MidpointGains:
 class TorqueLimit:
     """Largest torque that the voltage permits.
 
-    ``omega_e`` in rad/s (electrical), shape (N,), and ``v_dc`` in V, shape (M,), both ascending;
-    ``torque`` in N m, shape (N, M), between them by straight lines.
+    Between the nodes by straight lines; beyond its ends the last values hold. The speed at which a
+    link ends a torque goes with its voltage but for the resistance: with ``v_nominal`` the table is
+    read at |omega_e| v_nominal/v_dc, the speed that would load the nominal link as much.
+
+    Parameters
+    ----------
+    omega_e:
+        Electrical speeds in rad/s, ascending, shape (N,).
+    v_dc:
+        Link voltages in V, ascending, shape (M,).
+    torque:
+        In N m, of either sign, shape (N, M).
+    v_nominal:
+        Link voltage in V at which the speeds are those of the drive; None where they are at any.
     """
 
     omega_e: FloatArray
     v_dc: FloatArray
     torque: FloatArray
+    v_nominal: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LimitedShapes:
+    """Currents where the link ends those in proportion to the torque, motoring.
+
+    At the speed x = |omega_e| v_nominal/v_dc and a torque T from ``plain`` to ``most`` at that
+    speed the references are T u + D, with D between the nodes of speed, of the share s = (T -
+    plain)/(most - plain), and of the angle by straight lines; below ``plain`` s is 0, and below the
+    first speed D vanishes. D makes no torque. In reverse D is that at -theta, b and c exchanged,
+    where ``mirrored``; else there is none.
+
+    Parameters
+    ----------
+    omega_e:
+        Electrical speeds in rad/s at the nominal link voltage, ascending, shape (W,). At the last
+        one there is no torque left, nor beyond.
+    plain, most:
+        Torques in N m that proportional currents reach, and that these reach, shape (W,).
+    deviation:
+        D of the phases in A, shape (1, W, S, N) for equal phases, or (3, W, S, N), on the nodes
+        of the table of the back-EMF; s = 0 to 1 in even steps.
+    v_nominal:
+        Link voltage in V.
+    mirrored:
+        Whether reverse motoring is the mirror of forward motoring.
+    """
+
+    omega_e: FloatArray
+    plain: FloatArray
+    most: FloatArray
+    deviation: FloatArray
+    v_nominal: float
+    mirrored: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,6 +165,8 @@ class PhaseControl:
         Where the voltage ends, None where nothing limits the torque but the current.
     midpoint:
         For a split link, else None.
+    limited:
+        Currents beyond the torque limit, None where the torque is reduced instead.
     """
 
     frame: CurrentFrame
@@ -135,3 +184,4 @@ class PhaseControl:
     fade: tuple[float, float] = (20.0, 16.0)
     torque_limit: TorqueLimit | None = None
     midpoint: MidpointGains | None = None
+    limited: LimitedShapes | None = None

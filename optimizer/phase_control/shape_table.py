@@ -47,13 +47,11 @@ class ShapeFit:
     samples: int
 
 
-def has_equal_phases(machine: PhaseMachine, turns: int = 1) -> bool:
-    """Whether b and c are phase a, a third and two thirds of an electrical period later."""
-    flux, third = machine.flux, machine.angles // (3 * turns)
+def has_equal_phases(machine: PhaseMachine) -> bool:
+    """Whether b and c are phase a, a third and two thirds of the period later."""
+    flux, third = machine.flux, machine.angles // 3
     scale = _SAME * float(np.max(np.abs(flux)))
-    return machine.angles % (3 * turns) == 0 and all(
-        bool(np.max(np.abs(np.roll(flux[0], k * third) - flux[k])) <= scale) for k in (1, 2)
-    )
+    return all(bool(np.max(np.abs(np.roll(flux[0], k * third) - flux[k])) <= scale) for k in (1, 2))
 
 
 def shape_error(machine: PhaseMachine, shape: PhaseShape, *, zero: bool) -> tuple[float, int]:
@@ -130,7 +128,8 @@ def fit_shape(
     NoSolutionError
         No table up to 1536 nodes per electrical period keeps the bound.
     """
-    rows = machine.flux[:1] if has_equal_phases(machine, turns) else machine.flux
+    equal = turns == 1 and has_equal_phases(machine)
+    rows = machine.flux[:1] if equal else machine.flux
     own = machine.angles // turns
     sizes = sorted({*SIZES, *([own] if own <= SIZES[-1] and own % 3 == 0 else [])})
     least = np.inf

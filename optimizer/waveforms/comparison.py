@@ -20,11 +20,13 @@ from dqforge.machines.phase_machines.salient_phase_machine import (
     AnyPhaseMachine,
     SalientPhaseMachine,
 )
+from dqforge.machines.topologies.regions import sine_share
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.operating_points.characteristics import limit_speed
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.waveforms.confirmation import Confirmation, confirm_waveforms
 from dqforge.optimizer.waveforms.constraint_rows import LIMITS, WaveformLimits
+from dqforge.optimizer.waveforms.open_phase import OpenPhasePrice, open_phase_price
 from dqforge.optimizer.waveforms.phase_currents import (
     CurrentRule,
     WaveformFigures,
@@ -56,7 +58,8 @@ class RuleCurrents:
     ``currents`` in A, shape (3, N); ``torque`` in N m, shape (N,); ``figures`` hold arrays of shape
     (1,). ``obstacles`` names what the currents break: no neutral for the zero sequence, the current
     limit, or the dc link. ``harmonics`` are the amplitudes of the currents in A (peak), shape (3,
-    H), of orders 0 to H - 1.
+    H), of ``orders`` of the electrical angle, shape (H,): 0, 1, 2 and so on, or multiples of a part
+    where the waveforms span several electrical periods.
     """
 
     rule: Rule
@@ -65,6 +68,7 @@ class RuleCurrents:
     figures: WaveformFigures
     obstacles: tuple[str, ...]
     harmonics: FloatArray
+    orders: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +84,8 @@ class WaveformComparison:
     since their programmes are not quadratic: of those ``floor`` is a loss in W that no currents of
     constant torque undercut (NaN where a ripple is permitted), and ``iterations`` those of IPOPT
     for ``limited``, 0 where it is proven to be the global optimum.
+    ``without_phase`` is what constant torque costs with a phase open, None where all are there, for
+    salient machines, and where two phases make none.
     """
 
     machine: AnyPhaseMachine
@@ -93,6 +99,7 @@ class WaveformComparison:
     confirmations: tuple[Confirmation, ...] = ()
     floor: float = math.nan
     iterations: int = 0
+    without_phase: OpenPhasePrice | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +157,8 @@ def operating_point(design: Design, settings: WaveformSettings) -> tuple[float, 
         )
     if omega_m is None:
         i_d, i_q = (np.array([current]) for current in _dq_currents(design, torque))
-        omega_m = float(
-            limit_speed(design.machine, i_d, i_q, design.inverter.v_dc / math.sqrt(3.0))[0]
-        )
+        volts = design.inverter.v_dc * sine_share(design.inverter.topology)
+        omega_m = float(limit_speed(design.machine, i_d, i_q, volts)[0])
     return torque, omega_m
 
 
@@ -215,7 +221,16 @@ def compare_waveforms(
         confirmations=found.confirmations,
         floor=found.floor,
         iterations=found.iterations,
+        without_phase=_without_phase(machine, torque, limits),
     )
+
+
+def _without_phase(
+    machine: AnyPhaseMachine, torque: float, limits: WaveformLimits
+) -> OpenPhasePrice | None:
+    if limits.open_phase is None or not isinstance(machine, PhaseMachine) or torque == 0.0:
+        return None
+    return open_phase_price(machine, limits.topology, limits.open_phase, torque)
 
 
 def _by_rule(
@@ -231,7 +246,7 @@ def _by_rule(
     if rule != "dq":
         topology: Topology = "three-wire" if rule == "dqx" else "six-leg"
         return np.asarray(pointwise_currents(machine, np.array([torque]), topology)[0])
-    return dq_waveform(*_dq_currents(design, torque), machine.angles)
+    return dq_waveform(*_dq_currents(design, torque), machine.angles, machine.turns)
 
 
 def _quadratic(
@@ -297,8 +312,9 @@ def _judged(
         obstacles.append("dc link")
     if limits.open_phase is not None and np.any(currents["abc".index(limits.open_phase)]):
         obstacles.append("open phase")
+    lines, orders = spectrum(currents, machine.turns)
     return RuleCurrents(
-        rule, currents, machine.torque(currents), found, tuple(obstacles), spectrum(currents)[0]
+        rule, currents, machine.torque(currents), found, tuple(obstacles), lines, orders
     )
 
 

@@ -127,9 +127,8 @@ def angle_by_angle(
             missed.any()
             or np.max(np.abs(unit)) * machine.pole_pairs * np.max(np.abs(machine.flux)) > 1e4
         ):
-            where = (
-                360.0 * int(np.argmax(np.max(np.abs(unit), axis=1) + 1e9 * missed)) / machine.angles
-            )
+            worst = int(np.argmax(np.max(np.abs(unit), axis=1) + 1e9 * missed))
+            where = 360.0 * machine.turns * worst / machine.angles
             raise NoSolutionError(
                 f"constant torque cannot be made near {where:.0f} degrees: no phase that may carry "
                 "current has a back-EMF there; permit a torque ripple"
@@ -216,14 +215,19 @@ def all_rows(
     if limits.ripple > 0.0:
         rows.append(_symmetric(2, torque, still, 1.0 / torque_max, limits.ripple / torque_max))
         rows.append(_symmetric(-1, mean @ torque, csr_matrix((1, size)), 1.0 / torque_max, 0.0))
-    # With mirrored half waves the neutral current has no mean anyway.
-    if TOPOLOGIES[limits.topology].midpoint and 6 * part > machine.angles:
+    # With mirrored half waves the neutral current has no mean anyway; a sixth of an even number
+    # of electrical periods mirrors nothing.
+    if TOPOLOGIES[limits.topology].midpoint and (
+        6 * part > machine.angles or machine.turns % 2 == 0
+    ):
         rows.append(_symmetric(-1, mean @ neutral, csr_matrix((1, size)), 0.0, 0.0))
     most = _INFINITE if limits.neutral is None else limits.neutral / limits.i_max
     if TOPOLOGIES[limits.topology].diodes:
-        lower = np.where(np.all(flux > 0.0, axis=1), -most, 0.0)
-        upper = np.where(np.all(flux < 0.0, axis=1), most, 0.0)
-        rows.append(_Rows(3, neutral, still, lower, upper))
+        positive = np.all(flux > 0.0, axis=1)
+        # At all other angles the currents add to zero anyway.
+        (free,) = np.nonzero(positive | np.all(flux < 0.0, axis=1))
+        lower, upper = np.where(positive, -most, 0.0)[free], np.where(positive, 0.0, most)[free]
+        rows.append(_Rows(3, neutral[free], still[free], lower, upper))
     elif limits.neutral is not None:
         rows.append(_symmetric(3, neutral, still, 0.0, most))
     if limits.slew is not None:

@@ -10,8 +10,9 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import WaveformSettings
-from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import WaveformForm
+from dqforge.machines.phase_machines.frame_transforms import resampled
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.curves.single_precision import fused_multiply_add, multiply_add
@@ -80,12 +81,6 @@ class PhaseFit:
         return self.candidates[0]
 
 
-def resampled(waveform: FloatArray, count: int) -> FloatArray:
-    """Trigonometric interpolation of periodic rows, shape (..., N), at ``count`` even angles."""
-    lines = np.fft.rfft(waveform, axis=-1)
-    return np.asarray(np.fft.irfft(lines, n=count, axis=-1) * (count / waveform.shape[-1]))
-
-
 def are_equal(waveform: FloatArray) -> bool:
     """Whether phases b and c are phase a a third of a turn later and earlier."""
     third = waveform.shape[1] // 3
@@ -94,10 +89,13 @@ def are_equal(waveform: FloatArray) -> bool:
     return bool(later and np.max(np.abs(np.roll(waveform[0], -third) - waveform[2])) <= scale)
 
 
-def make_table(unit: FloatArray, size: int) -> PhaseTable:
-    """Table of currents per torque, shape (3, N), with ``size`` intervals, a multiple of 3."""
-    values = resampled(unit, max(_DENSE, size))[:, :: max(_DENSE, size) // size]
-    rows = _without_rounding(values[:1] if are_equal(unit) else values)
+def make_table(unit: FloatArray, size: int, turns: int = 1) -> PhaseTable:
+    """Table of currents per torque, shape (3, N) over ``turns`` electrical periods,
+    with ``size`` intervals in each of them, a multiple of 3.
+    """
+    dense = max(_DENSE, size)
+    values = resampled(unit, turns * dense)[:, :: dense // size]
+    rows = _without_rounding(values[:1] if turns == 1 and are_equal(unit) else values)
     return PhaseTable(np.concatenate([rows, rows[:, :1]], axis=1).astype(np.float32))
 
 
@@ -117,8 +115,9 @@ def phase_errors(
     machine: PhaseMachine, unit: FloatArray, form: PhaseTable | PhaseHarmonics
 ) -> PhaseErrors:
     """Errors of a form against currents per torque, shape (3, N), over a dense grid of angles."""
-    exact, flux = resampled(unit, _DENSE), resampled(machine.flux, _DENSE)
-    theta = 2.0 * np.pi * np.arange(_DENSE) / _DENSE
+    dense = machine.turns * _DENSE
+    exact, flux = resampled(unit, dense), resampled(machine.flux, dense)
+    theta = 2.0 * np.pi * np.arange(dense) / dense  # over all turns
     current, torque = 0.0, 0.0
     for muladd in (multiply_add, fused_multiply_add):
         if isinstance(form, PhaseTable):
@@ -132,7 +131,7 @@ def phase_errors(
         torque = max(
             torque, float(np.max(np.abs(machine.pole_pairs * np.sum(flux * error, axis=0))))
         )
-    return PhaseErrors(current, torque, 2 * _DENSE)
+    return PhaseErrors(current, torque, 2 * dense)
 
 
 def _candidate(
@@ -146,13 +145,19 @@ def _candidate(
 def candidates(machine: PhaseMachine, unit: FloatArray, error: float) -> tuple[PhaseCandidate, ...]:
     """The smallest table and the fewest harmonics whose currents err by at
     most ``error`` of the peak.
+
+    Where the pole pairs differ, there are tables over the mechanical turn alone: sine and cosine
+    of the electrical angle do not tell which pole pair it is.
     """
     found = []
     for size in TABLE_SIZES:
-        table = _candidate(machine, unit, f"table of {size}", make_table(unit, size))
+        form = make_table(unit, size, machine.turns)
+        table = _candidate(machine, unit, f"table of {form.size}", form)
         if table.errors.current <= error:
             found.append(table)
             break
+    if machine.turns > 1:
+        return tuple(found)
     lines = np.abs(np.fft.rfft(unit, axis=-1))
     stride = 2 if np.max(lines[:, 0::2]) <= _SYMMETRIC * np.max(lines) else 1
     has_mean = np.max(lines[:, 0]) > _SYMMETRIC * np.max(lines)
@@ -177,6 +182,8 @@ def fit_phases(
 
     Raises
     ------
+    InputError
+        Harmonics are asked for, and the pole pairs differ.
     NoSolutionError
         Constant torque cannot be made at some angle, or no form keeps the error.
     """
@@ -193,6 +200,11 @@ def fit_phases(
     }
     kind = wanted[settings.form]
     matching = [entry for entry in found if kind is None or isinstance(entry.form, kind)]
+    if machine.turns > 1 and settings.form == "harmonics":
+        raise InputError(
+            "waveform.form: harmonics of the electrical angle do not tell which pole pair it is, "
+            "and this machine's differ; write table"
+        )
     if not matching:
         raise NoSolutionError(
             f"waveform.error: no {'form' if kind is None else settings.form} keeps "

@@ -24,10 +24,12 @@ _FLOAT_BYTES = 4
 
 @dataclass(frozen=True, slots=True)
 class PhaseTable:
-    """Linear interpolation in a table over the electrical turn.
+    """Linear interpolation in a table over the electrical turn, or, where the pole pairs differ,
+    over the mechanical one.
 
     ``entries`` in A/(N m), shape (1, N + 1) for three equal phases, of which b and c are read a
-    third of a turn behind and before a, or (3, N + 1); the last column repeats the first.
+    third of a turn behind and before a, or (3, N + 1), as always over the mechanical turn; the last
+    column repeats the first.
     """
 
     entries: SingleArray

@@ -56,7 +56,8 @@ def unit_currents(machine: PhaseMachine, rule: CurrentRule) -> FloatArray:
     """
     flux = machine.flux
     if rule == "dq":
-        turn = np.exp(-2j * np.pi * np.arange(machine.angles) / machine.angles)
+        places = machine.turns * np.arange(machine.angles)
+        turn = np.exp(-2j * np.pi * places / machine.angles)
         twist = np.exp(2j * np.pi / 3.0 * np.arange(3))[:, np.newaxis]
         # Positive sequence of the fundamental, one phasor for all three phases.
         phasor = 2.0 * np.mean(flux * turn * twist)
@@ -67,8 +68,8 @@ def unit_currents(machine: PhaseMachine, rule: CurrentRule) -> FloatArray:
     weakest = int(np.argmin(square))
     if square[weakest] <= _VANISHING**2 * np.max(square):
         raise NoSolutionError(
-            f"{rule}: at {360.0 * weakest / machine.angles:.0f} degrees no phase makes torque, so "
-            "that it cannot be constant; permit a torque ripple"
+            f"{rule}: at {np.rad2deg(machine.theta[weakest]):.0f} degrees no phase makes torque, "
+            "so that it cannot be constant; permit a torque ripple"
         )
     currents: FloatArray = part / (machine.pole_pairs * square)
     return currents
@@ -81,10 +82,12 @@ def bus_demand(voltages: FloatArray, topology: Topology) -> FloatArray:
     return link_demand(voltages, topology)
 
 
-def dq_waveform(i_d: float, i_q: float, angles: int) -> FloatArray:
-    """Phase currents in A, shape (3, N), of constant dq currents in A."""
-    turns = 2.0 * np.pi * (np.arange(angles) / angles - np.arange(3)[:, np.newaxis] / 3.0)
-    return park_inverse(DOUBLES, (np.array(i_d), np.array(i_q)), (np.cos(turns), np.sin(turns))).x
+def dq_waveform(i_d: float, i_q: float, angles: int, turns: int = 1) -> FloatArray:
+    """Phase currents in A, shape (3, N), of constant dq currents in A, at angles over ``turns``
+    electrical periods.
+    """
+    lag = 2.0 * np.pi * (turns * np.arange(angles) / angles - np.arange(3)[:, np.newaxis] / 3.0)
+    return park_inverse(DOUBLES, (np.array(i_d), np.array(i_q)), (np.cos(lag), np.sin(lag))).x
 
 
 def figures(
@@ -107,11 +110,11 @@ def figures(
     )
 
 
-def spectrum(currents: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Amplitudes in A, peak, shape (..., 3, H), and orders 0..H-1, of phase currents, shape (...,
-    3, N).
+def spectrum(currents: FloatArray, turns: int = 1) -> tuple[FloatArray, FloatArray]:
+    """Amplitudes in A, peak, shape (..., 3, H), and orders 0, 1/turns, ... (H - 1)/turns,
+    of phase currents over ``turns`` electrical periods, shape (..., 3, N).
     """
     count = currents.shape[-1]
     lines = np.abs(np.fft.rfft(currents, axis=-1)) * (2.0 / count)
     lines[..., 0] *= 0.5
-    return lines, np.arange(lines.shape[-1], dtype=np.float64)
+    return lines, np.arange(lines.shape[-1], dtype=np.float64) / turns

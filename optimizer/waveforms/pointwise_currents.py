@@ -162,7 +162,7 @@ def pointwise_currents(
     size = np.max(np.abs(currents), axis=(0, 1))
     bad = ~(size <= _LARGEST * np.nanmin(size))
     if np.any(torque) and np.any(bad):
-        where = 360.0 * int(np.argmax(bad)) / machine.angles
+        where = 360.0 * machine.turns * int(np.argmax(bad)) / machine.angles
         raise NoSolutionError(
             f"constant torque cannot be made near {where:.0f} degrees: no phase that may carry "
             "current makes it there; permit a torque ripple"

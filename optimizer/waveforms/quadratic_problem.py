@@ -20,10 +20,9 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.phase_machine import (
     MIDDLE,
     OFFSETS,
-    SHIFT_SIXTH,
-    SHIFT_THIRD,
     SLOPE,
     PhaseMachine,
+    shift_of,
 )
 from dqforge.machines.topologies.regions import VOLTAGE_ROWS
 from dqforge.optimizer.waveforms.constraint_rows import (
@@ -60,7 +59,7 @@ class PointProblem:
 class WaveformProblem:
     """Everything that all operating points of a machine under the same rules share.
 
-    ``part`` angles of the period are solved for, ``parts`` of them make it. ``unit`` is c in A/(N
+    ``part`` angles of all are solved for, ``parts`` of them make the whole. ``unit`` is c in A/(N
     m), shape (3 part,), ``basis`` is B, sparse, shape (3 part, n), both with the phases of an angle
     side by side; i = T c + scale B z with ``scale`` in A. The m rows of inequalities hold (still +
     omega_e moving) z + T (still_unit + omega_e moving_unit - torque_share) + omega_e emf between
@@ -117,12 +116,12 @@ class WaveformProblem:
         )
 
     def currents(self, torque: FloatArray, z: FloatArray) -> FloatArray:
-        """Phase currents of the whole period in A, shape (K, 3, N), for torques
+        """Phase currents over all angles in A, shape (K, 3, N), for torques
         (K,) and unknowns (K, n).
         """
         flat = torque[:, np.newaxis] * self.unit + self.scale * (self.basis @ z.T).T
         first = np.moveaxis(flat.reshape(-1, self.part, 3), 2, 1)
-        shift = {6: SHIFT_SIXTH, 3: SHIFT_THIRD, 1: np.eye(3)}[self.parts]
+        shift = shift_of(self.parts, self.machine.turns)
         pieces = [first]
         for _ in range(self.parts - 1):
             pieces.append(shift @ pieces[-1])
@@ -131,14 +130,15 @@ class WaveformProblem:
 
 def _part_and_shift(machine: PhaseMachine, limits: WaveformLimits) -> tuple[int, FloatArray]:
     symmetry = "none" if limits.open_phase is not None else machine.symmetry
-    return {"sixth": (6, SHIFT_SIXTH), "third": (3, SHIFT_THIRD), "none": (1, np.eye(3))}[symmetry]
+    parts = {"sixth": 6, "third": 3, "none": 1}[symmetry]
+    return parts, shift_of(parts, machine.turns)
 
 
-def _between(part: int, angles: int, shift: FloatArray) -> tuple[Any, Any]:
+def _between(part: int, machine: PhaseMachine, shift: FloatArray) -> tuple[Any, Any]:
     """Sparse matrices of value and slope half a step behind each angle, shape (3 part, 3 part),
     phases side by side.
     """
-    step = 2.0 * np.pi / angles
+    step = 2.0 * np.pi * machine.turns / machine.angles
     return _stencil(part, shift, MIDDLE), _stencil(part, shift, SLOPE) / step
 
 
@@ -186,7 +186,7 @@ def make_problem(machine: PhaseMachine, limits: WaveformLimits) -> WaveformProbl
     part = machine.angles // parts
     flux = np.ascontiguousarray(machine.flux[:, :part].T)
     unit, basis = angle_by_angle(machine, limits, flux)
-    middle = _between(part, machine.angles, shift)
+    middle = _between(part, machine, shift)
     rows = all_rows(machine, limits, flux, middle)
     still, moving = (
         vstack([getattr(row, name) for row in rows]).tocsr() for name in ("still", "moving")

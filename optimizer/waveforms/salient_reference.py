@@ -15,6 +15,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.phase_machines.frame_transforms import resampled
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.curves.single_precision import fused_multiply_add, multiply_add
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
@@ -23,7 +24,6 @@ from dqforge.optimizer.waveforms.firmware_fit import (
     PhaseErrors,
     PhaseFit,
     are_equal,
-    resampled,
 )
 from dqforge.optimizer.waveforms.firmware_form import PhasePolynomials, PhaseReference
 from dqforge.optimizer.waveforms.pointwise_currents import (
@@ -233,7 +233,7 @@ def fit_salient_phases(
     Raises
     ------
     InputError
-        A table is asked for.
+        A table is asked for, or the pole pairs differ.
     NoSolutionError
         Constant torque cannot be made at some angle, or no form keeps the error.
     """
@@ -241,6 +241,11 @@ def fit_salient_phases(
         raise InputError(
             "waveform.form: a table over the angle needs currents in proportion to the torque, "
             "which those of a salient machine are not; write harmonics"
+        )
+    if machine.turns > 1:
+        raise InputError(
+            "machine.inductance_harmonics: currents that are not in proportion to the torque, for "
+            "pole pairs that differ, fit no form of the firmware; leave out back_emf.span"
         )
     torque_max = largest_torque(machine, limits)
     lines = _lines(machine, limits, torque_max)

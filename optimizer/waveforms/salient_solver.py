@@ -21,10 +21,9 @@ from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import (
     MIDDLE,
     OFFSETS,
-    SHIFT_SIXTH,
-    SHIFT_THIRD,
     SLOPE,
     between,
+    shift_of,
 )
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.machines.topologies.topology import TOPOLOGIES
@@ -210,14 +209,12 @@ def _part_and_shift(machine: SalientPhaseMachine, limits: WaveformLimits) -> tup
     from those at the beginning.
     """
     symmetry = "none" if limits.open_phase is not None else machine.symmetry
-    parts, shift = {"sixth": (6, SHIFT_SIXTH), "third": (3, SHIFT_THIRD), "none": (1, np.eye(3))}[
-        symmetry
-    ]
-    return machine.phases.angles // parts, shift
+    parts = {"sixth": 6, "third": 3, "none": 1}[symmetry]
+    return machine.phases.angles // parts, shift_of(parts, machine.turns)
 
 
 def _whole(first: FloatArray, shift: FloatArray, parts: int) -> FloatArray:
-    """Waveform of the whole period, shape (3, N), from its first part."""
+    """Waveform over all angles, shape (3, N), from its first part."""
     pieces = [first]
     for _ in range(parts - 1):
         pieces.append(shift @ pieces[-1])
@@ -252,9 +249,9 @@ def _start(
     return best, best
 
 
-def _between(casadi: Any, waveform: Any, shift: FloatArray, angles: int) -> tuple[Any, Any]:
+def _between(casadi: Any, waveform: Any, shift: FloatArray, step: float) -> tuple[Any, Any]:
     """Value and slope of a part of a waveform, shape (3, part), half a step behind each angle,
-    as the phase model's.
+    as the phase model's; ``step`` in rad.
     """
     part = waveform.shape[1]
     # What follows the part, and what comes before it, are its own ends in other phases.
@@ -265,7 +262,7 @@ def _between(casadi: Any, waveform: Any, shift: FloatArray, angles: int) -> tupl
     for offset, of_value, of_slope in zip(OFFSETS, MIDDLE, SLOPE, strict=True):
         moved = around[:, _REACH + offset : _REACH + offset + part]
         value += of_value * moved
-        slope += of_slope * angles / (2.0 * np.pi) * moved
+        slope += of_slope / step * moved
     return value, slope
 
 
@@ -287,8 +284,9 @@ def _constraints(
     )
     flux = phases.flux[:, :part]
     made = phases.pole_pairs * (casadi.sum1(flux * currents) + reluctance)
-    value, slope = _between(casadi, currents, shift, phases.angles)
-    emf = between(phases.flux)[0][:, :part] + _between(casadi, linked, shift, phases.angles)[1]
+    step = 2.0 * np.pi * phases.turns / phases.angles
+    value, slope = _between(casadi, currents, shift, step)
+    emf = between(phases.flux)[0][:, :part] + _between(casadi, linked, shift, step)[1]
     volts = phases.r_s * value + omega_e * emf
     rows = _Rows(casadi)
     _add_torque(
@@ -300,7 +298,8 @@ def _constraints(
         phases.pole_pairs * np.max(np.abs(flux)) * limits.i_max,
     )
     _add_bus(rows, casadi, volts / limits.v_dc, limits.topology)
-    _add_neutral(rows, casadi, casadi.sum1(currents) / limits.i_max, limits, phases.angles // part)
+    mirrored = phases.turns % 2 == 1 and 6 * part == phases.angles
+    _add_neutral(rows, casadi, casadi.sum1(currents) / limits.i_max, limits, mirrored=mirrored)
     if limits.slew is not None:
         rows.add("slew", omega_e * slope / limits.slew, -1.0, 1.0)
     return rows
@@ -328,14 +327,14 @@ def _add_bus(rows: _Rows, casadi: Any, volts: Any, topology: Topology) -> None:
 
 
 def _add_neutral(
-    rows: _Rows, casadi: Any, neutral: Any, limits: WaveformLimits, parts: int
+    rows: _Rows, casadi: Any, neutral: Any, limits: WaveformLimits, *, mirrored: bool
 ) -> None:
     if not TOPOLOGIES[limits.topology].neutral:
         rows.add(None, neutral, 0.0, 0.0)
         return
     # With mirrored half waves the neutral current has no mean anyway,
     # though it has one over the sixth.
-    if TOPOLOGIES[limits.topology].midpoint and parts < 6:
+    if TOPOLOGIES[limits.topology].midpoint and not mirrored:
         rows.add(None, casadi.sum2(neutral) / neutral.numel(), 0.0, 0.0)
     if limits.neutral is not None:
         most = limits.neutral / limits.i_max

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.design import Design
 from dqforge.machines.units.quantities import parse_option
 from dqforge.optimizer.waveforms.comparison import compare_waveforms, with_point
+from dqforge.reports.flashing_choice.question import what_to_flash
+from dqforge.reports.flashing_choice.tables import flash_tables, plain_flash
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
+from dqforge.reports.plain_data import PlainData
 from dqforge.reports.waveforms.tables import plain_waveforms, waveform_tables
 
 if TYPE_CHECKING:
@@ -24,6 +27,10 @@ class WaveformRequest:
     speed: str | None
     ripple: str | None
     open_phase: str | None
+    flash: bool = False
+
+
+FLASH_HINT = "dqforge dqy --flash compares topologies and controllers, and says what to flash"
 
 
 def answer_dqy(design: Design, request: WaveformRequest) -> Answer:
@@ -49,5 +56,11 @@ def answer_dqy(design: Design, request: WaveformRequest) -> Answer:
 
         return plot_waveforms(found)
 
-    plain = {"waveforms": plain_waveforms(found)}
-    return Answer(design.name, waveform_tables(design, found), plain, figure)
+    tables = waveform_tables(design, found)
+    plain: dict[str, PlainData] = {"waveforms": plain_waveforms(found)}
+    if not request.flash:
+        return Answer(design.name, tables, plain, figure, notes=(FLASH_HINT,))
+    stage("comparing topologies and controllers")
+    flashing, advice = what_to_flash(design, settings)
+    tables += flash_tables(design, flashing, advice)
+    return Answer(design.name, tables, plain | {"flashing": plain_flash(flashing, advice)}, figure)

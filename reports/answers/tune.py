@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.fixed_control.solve import solve_fixed
+from dqforge.optimizer.fixed_phase_control.solve import solve_integers
 from dqforge.optimizer.observers.proof import prove
-from dqforge.reports.control.fixed_tables import control_fixed_tables
 from dqforge.reports.loops.tables import gains_tables
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
+from dqforge.reports.phase_control.emitted_integers import integer_tables
 from dqforge.reports.session.control import Tuning
 
 
@@ -18,9 +18,9 @@ def answer_tune(design: Design) -> Answer:
     stage("tuning")
     gains = solve_gains(design)
     stage("rounding to fixed point")
-    fixed = solve_fixed(design, gains)
+    fixed = solve_integers(design, gains)
     stage("proving the observer")
     proof = prove(gains.position)
-    tables = [*gains_tables(design, gains, proof), *control_fixed_tables(fixed)]
+    tables = [*gains_tables(design, gains, proof), *integer_tables(fixed)]
     found = Tuning(design, gains, fixed, proof)
     return Answer(design.name, tables, found.plain(), found.figure)

@@ -12,6 +12,7 @@ import numpy as np
 from dqforge.machines.back_emf.capture import analyse
 from dqforge.machines.back_emf.columns import BemfCapture, CaptureOptions
 from dqforge.machines.back_emf.files import MOST_BYTES, read_captures
+from dqforge.machines.back_emf.pole_pairs import PolePairs
 from dqforge.machines.back_emf.result import BemfResult
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
@@ -66,6 +67,13 @@ class CaptureReading:
             "line-to-line rms": math.sqrt(1.5),
         }
         return {kind: constant * factor for kind, factor in kinds.items()}
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Sentences for the user, what is to be said of the pole pairs last."""
+        pairs = self.result.pole_pairs
+        more = "" if pairs is None else pairs.finding
+        return (*self.result.findings, more) if more else self.result.findings
 
     @property
     def omega_m(self) -> float:
@@ -211,8 +219,35 @@ def _summary_rows(reading: CaptureReading) -> list[tuple[str, str]]:
         ("amplitudes differ from their mean by", f"{100.0 * symmetry.amplitude:.2f} %"),
         ("displacements differ from 120 deg by", f"{math.degrees(symmetry.displacement):.2f} deg"),
         ("even harmonics", f"{100.0 * symmetry.even:.2f} % of the fundamental"),
+        *_pole_pair_rows(result.pole_pairs),
         *_constant_rows(reading),
     ]
+
+
+def _pole_pair_rows(pairs: PolePairs | None) -> list[tuple[str, str]]:
+    """What the pole pairs differ by, where the record shows each of them."""
+    if pairs is None:
+        return []
+    text = (
+        f"{100.0 * pairs.spread:.2f} +- {100.0 * pairs.doubt:.2f} % of the fundamental, over "
+        f"{pairs.revolutions:.2f} mechanical turns"
+    )
+    if not pairs.differ:
+        return [("pole pairs differ by", f"{text}: no more than its uncertainty")]
+    return [
+        ("pole pairs differ by", text),
+        ("of it common to the phases", f"{100.0 * pairs.common:.0f} %"),
+    ]
+
+
+def _pole_pair_table(pairs: PolePairs) -> Table:
+    """The fundamental of each phase within each pole pair."""
+    rows = tuple(
+        (f"{index}", *(f"{1e3 * value:.4g}" for value in pair))
+        for index, pair in enumerate(pairs.fundamentals.T, start=1)
+    )
+    columns = ("pole pair", *(f"{phase} mWb" for phase in _PHASES))
+    return Table("Fundamental within each pole pair", columns, rows)
 
 
 def _harmonic_rows(result: BemfResult) -> tuple[tuple[str, ...], ...]:
@@ -241,12 +276,13 @@ def capture_tables(reading: CaptureReading) -> list[Table]:
         "e / omega_e = - sum A_h sin(h theta - phi_h), theta from phase a to the d axis; A_h in % "
         "of A_1 of its phase, +- the half width of the 95 % interval"
     )
+    pairs = reading.result.pole_pairs
     return [
         Table(
             f"{reading.name}: back-EMF",
             ("", ""),
             tuple(_summary_rows(reading)),
-            reading.result.findings,
+            reading.findings,
         ),
         Table(
             "Harmonics above their uncertainty",
@@ -254,6 +290,7 @@ def capture_tables(reading: CaptureReading) -> list[Table]:
             _harmonic_rows(reading.result),
             (convention,),
         ),
+        *([_pole_pair_table(pairs)] if pairs is not None and pairs.differ else []),
     ]
 
 
@@ -283,5 +320,24 @@ def plain_capture(reading: CaptureReading) -> PlainData:
         "symmetry": asdict(result.symmetry),
         "zero_sequence_known": result.zero_sequence_known,
         "waveform_Wb": result.waveform,
-        "findings": list(result.findings),
+        "findings": list(reading.findings),
+        "pole_pairs_differ": _plain_pole_pairs(result.pole_pairs),
+    }
+
+
+def _plain_pole_pairs(pairs: PolePairs | None) -> PlainData | None:
+    """The harmonics over the mechanical turn, None where the record does not show them."""
+    if pairs is None:
+        return None
+    return {
+        "revolutions": pairs.revolutions,
+        "differ": pairs.differ,
+        "spread": pairs.spread,
+        "uncertainty": pairs.doubt,
+        "common": pairs.common,
+        "fundamentals_Wb": pairs.fundamentals,
+        "orders": pairs.orders,
+        "amplitudes_Wb": pairs.amplitudes,
+        "amplitude_uncertainty_Wb": pairs.amplitude_uncertainty,
+        "phases_rad": pairs.phases,
     }

@@ -131,6 +131,11 @@ OpenPhase = Annotated[
 ]
 
 
+Flash = Annotated[
+    bool, Option("--flash", help="Compare topologies and controllers, and say what to flash.")
+]
+
+
 Switched = Annotated[bool, Option("--switched", help="Simulate every switching instant.")]
 
 

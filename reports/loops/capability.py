@@ -16,7 +16,8 @@ from dqforge.reports.loops.header import (
     gains_programme,
     plain_evaluator,
 )
-from dqforge.reports.loops.html import LOOP_TEXT, loop_table, tolerance_tables
+from dqforge.reports.loops.html import LOOP_TEXT, judged_tables, loop_table, tolerance_tables
+from dqforge.reports.loops.judged_text import judged_sentence, judged_words
 from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.loops.tables import gains_tables
 from dqforge.reports.observers.speed_loop_text import left_words, loop_words
@@ -25,12 +26,11 @@ from dqforge.reports.pages.html_text import degrees, symbols
 from dqforge.reports.plain_data import PlainData
 
 
-def _loops(gains: GainSet) -> list[LoopGains]:
-    return [loop for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None]
-
-
 def _summary(_: Solution, gains: GainSet) -> Rows:
-    return [(f"{loop.loop} loop", loop_words(loop)) for loop in _loops(gains)]
+    rows = [(f"{loop.loop} loop", loop_words(loop)) for loop in gains.loops]
+    if gains.phases is not None and gains.phases.judged is not None:
+        rows.append(("currents together", judged_words(gains.phases.judged)))
+    return rows
 
 
 def _margin(loop: LoopGains) -> str:
@@ -39,18 +39,20 @@ def _margin(loop: LoopGains) -> str:
 
 
 def _sentences(_: Solution, gains: GainSet) -> list[str]:
-    margins = ", ".join(f"{LOOP_TEXT[loop.loop]} {_margin(loop)}" for loop in _loops(gains))
+    margins = ", ".join(f"{LOOP_TEXT[loop.loop]} {_margin(loop)}" for loop in gains.loops)
     sentences = [f"The phase margins of the sampled loops are {margins}."]
     speed = gains.speed
     if speed is not None and speed.observed is not None:
         sentences.append(
             f"The speed loop is judged with the lag of its observer; {left_words(speed)}."
         )
+    if gains.phases is not None and gains.phases.judged is not None:
+        sentences.append(judged_sentence(gains.phases.judged))
     return sentences
 
 
 def _tiles(_: Solution, gains: GainSet) -> list[Tile]:
-    loops = _loops(gains)
+    loops = gains.loops
     worst = min(loops, key=lambda loop: (loop.stable, abs(loop.phase_margin)))
     others = [f"{LOOP_TEXT[loop.loop]} {_margin(loop)}" for loop in loops if loop is not worst]
     detail = symbols(f"{LOOP_TEXT[worst.loop]} loop; {', '.join(others)}")
@@ -68,7 +70,7 @@ def _plain(solution: Solution, gains: GainSet) -> PlainData:
 
 
 def _parts(_: Solution, gains: GainSet) -> list[ReportPart]:
-    tables = [loop_table(gains), *tolerance_tables(gains)]
+    tables = [loop_table(gains), *judged_tables(gains), *tolerance_tables(gains)]
     return [ReportPart(CHAPTER, "loops/report.html.j2", {"tables": tables})]
 
 
@@ -79,6 +81,7 @@ def _hertz(omega: float) -> float:
 _GAIN_UNITS = {
     "i_d": ("V/A", "V/(A s)"),
     "i_q": ("V/A", "V/(A s)"),
+    "i_0": ("V/A", "V/(A s)"),
     "speed": ("N m s/rad", "N m/rad"),
 }
 
@@ -118,6 +121,7 @@ LOOPS = Capability(
     parts=_parts,
     quantities=(
         *(row for loop, units in _GAIN_UNITS.items() for row in _loop_quantities(loop, *units)),
+        Quantity("currents together", "radius per sample", "", ("gains", "currents", "radius")),
         *(
             Quantity("observer", label, unit, ("gains", "observer", key))
             for label, key, unit in _OBSERVER

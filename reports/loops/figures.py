@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_DASHES: dict[str, Any] = {"i_d": "-", "i_q": (0, (4.0, 1.6)), "speed": "-"}
+_DASHES: dict[str, Any] = {"i_d": "-", "i_q": (0, (4.0, 1.6)), "i_0": ":", "speed": "-"}
 
 
-_LABELS = {"i_d": "$i_d$", "i_q": "$i_q$", "speed": "speed"}
+_LABELS = {"i_d": "$i_d$", "i_q": "$i_q$", "i_0": "$i_0$", "speed": "speed"}
 
 
 _PHASE_FLOOR = -315.0
@@ -151,10 +151,12 @@ def plot_gains(gains: GainSet) -> Figure:
             hspace=0.42,
             width_ratios=[1.0, 1.25],
         )
-        current = figure.add_subplot(grid[0, 0] if len(curves) > 2 else grid[:, 0])
-        _draw_steps(current, curves[:2], "Current step")
-        if len(curves) > 2:
-            _draw_steps(figure.add_subplot(grid[1, 0]), curves[2:], "Speed step")
+        currents = [curve for curve in curves if curve.gains.loop != "speed"]
+        speed = [curve for curve in curves if curve.gains.loop == "speed"]
+        current = figure.add_subplot(grid[0, 0] if speed else grid[:, 0])
+        _draw_steps(current, currents, "Current step")
+        if speed:
+            _draw_steps(figure.add_subplot(grid[1, 0]), speed, "Speed step")
         bode = grid[:, 1].subgridspec(2, 1, hspace=0.1, height_ratios=[1.0, 1.15])
         magnitude = figure.add_subplot(bode[0])
         phase = figure.add_subplot(bode[1], sharex=magnitude)

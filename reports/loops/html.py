@@ -8,6 +8,12 @@ from typing import TYPE_CHECKING
 from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.loops.integer_gains import PerUnitGains
 from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.reports.loops.judged_text import (
+    JUDGED_TITLE,
+    judged_columns,
+    judged_notes,
+    judged_rows,
+)
 from dqforge.reports.loops.robustness_text import ROBUST_COLUMNS, robust_notes, robust_rows
 from dqforge.reports.loops.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
 from dqforge.reports.observers.speed_loop_text import observed_notes
@@ -25,13 +31,13 @@ if TYPE_CHECKING:
     pass
 
 
-LOOP_TEXT = {"i_d": "i_d", "i_q": "i_q", "speed": "speed"}
+LOOP_TEXT = {"i_d": "i_d", "i_q": "i_q", "i_0": "i_0", "speed": "speed"}
 
 
-_KP_UNITS = {"i_d": "V/A", "i_q": "V/A", "speed": f"N{NARROW}m{NARROW}s/rad"}
+_KP_UNITS = {"i_d": "V/A", "i_q": "V/A", "i_0": "V/A", "speed": f"N{NARROW}m{NARROW}s/rad"}
 
 
-_KI_UNITS = {"i_d": "V/(A s)", "i_q": "V/(A s)", "speed": f"N{NARROW}m/rad"}
+_KI_UNITS = {"i_d": "V/(A s)", "i_q": "V/(A s)", "i_0": "V/(A s)", "speed": f"N{NARROW}m/rad"}
 
 
 def _loop_cells(gains: LoopGains, scaled: PerUnitGains) -> tuple[str, ...]:
@@ -88,9 +94,8 @@ def _disturbance_text(gains: LoopGains) -> str:
 
 def loop_table(gains: GainSet) -> HtmlTable:
     """Gains, margins and poles, one column per loop."""
-    loops = [loop for loop in (gains.i_d, gains.i_q, gains.speed) if loop is not None]
-    columns = [_loop_cells(loop, gains.per_unit[loop.loop]) for loop in loops]
-    names = [f"{loop.loop} loop" for loop in loops]
+    columns = [_loop_cells(loop, gains.per_unit[loop.loop]) for loop in gains.loops]
+    names = [f"{loop.loop} loop" for loop in gains.loops]
     labels = heading_cells(
         "method",
         "sampled every",
@@ -121,6 +126,15 @@ def _table(
     return HtmlTable(
         symbols(caption), tuple(symbols(column) for column in columns), cells, text_columns
     )
+
+
+def judged_tables(gains: GainSet) -> list[HtmlTable]:
+    """How fast the currents of a phase machine forget; none of all others."""
+    if gains.phases is None or gains.phases.judged is None:
+        return []
+    caption = f"{JUDGED_TITLE}; {'; '.join(judged_notes(gains.phases))}"
+    judged = gains.phases.judged
+    return [_table(caption, judged_columns(judged), judged_rows(judged), 1)]
 
 
 def tolerance_tables(gains: GainSet) -> list[HtmlTable]:

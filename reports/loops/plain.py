@@ -9,6 +9,7 @@ from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.loops.integer_gains import PerUnitGains
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
+from dqforge.reports.loops.judged_text import plain_judged
 from dqforge.reports.loops.robustness_text import plain_robustness
 from dqforge.reports.loops.schedule_text import plain_schedule
 from dqforge.reports.observers.plain import plain_observer_errors
@@ -60,9 +61,11 @@ def plain_gains(
 
     ``observer_errors`` are the steady errors of the speed observer at loads, where they are known.
     """
+    zero = None if gains.phases is None else gains.phases.zero
     return {
         "i_d": _plain_loop(gains.i_d, gains.per_unit["i_d"]),
         "i_q": _plain_loop(gains.i_q, gains.per_unit["i_q"]),
+        **({} if zero is None else {"i_0": _plain_loop(zero, gains.per_unit["i_0"])}),
         "speed": None if gains.speed is None else _plain_loop(gains.speed, gains.per_unit["speed"]),
         "observer": None if gains.observer is None else asdict(gains.observer),
         **plain_observer_errors(gains.observer_slopes, observer_errors),
@@ -70,4 +73,5 @@ def plain_gains(
         "bases": asdict(design.control.bases),
         **plain_robustness(gains.robust),
         **plain_schedule(gains.schedule),
+        **({} if gains.phases is None else plain_judged(gains.phases)),
     }

@@ -40,8 +40,7 @@ def form_rows(gains: GainSet) -> tuple[tuple[str, ...], ...]:
             f"{loop.velocity[1]:.6g}",
             f"{loop.anti_windup:.5g}",
         )
-        for loop in (gains.i_d, gains.i_q, gains.speed)
-        if loop is not None
+        for loop in gains.loops
     )
 
 
@@ -50,7 +49,12 @@ def _decibel(factor: float) -> str:
 
 
 def _loops(robust: RobustSet) -> list[tuple[str, LoopRobustness]]:
-    named = (("i_d", robust.i_d), ("i_q", robust.i_q), ("speed", robust.speed))
+    named = (
+        ("i_d", robust.i_d),
+        ("i_q", robust.i_q),
+        ("i_0", robust.i_0),
+        ("speed", robust.speed),
+    )
     return [(name, loop) for name, loop in named if loop is not None]
 
 

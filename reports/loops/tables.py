@@ -9,6 +9,12 @@ from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.loops.integer_gains import PerUnitGains
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.observers.proof import ObserverProof
+from dqforge.reports.loops.judged_text import (
+    JUDGED_TITLE,
+    judged_columns,
+    judged_notes,
+    judged_rows,
+)
 from dqforge.reports.loops.robustness_text import (
     FORM_COLUMNS,
     ROBUST_COLUMNS,
@@ -43,6 +49,9 @@ def _loop_row(gains: LoopGains, unit: str, scaled: PerUnitGains) -> tuple[str, .
     )
 
 
+_UNITS = {"speed": "N m s/rad"}
+
+
 def _per_unit_text(scaled: PerUnitGains) -> str:
     if scaled.integers is None:
         return f"{scaled.kp:.5g}, {scaled.ki_ts:.4g}"
@@ -53,9 +62,10 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
     """Gains of each loop with their margins, and the observer with its errors
     and what is proven of it.
     """
-    rows = [_loop_row(loop, "V/A", gains.per_unit[loop.loop]) for loop in (gains.i_d, gains.i_q)]
-    if gains.speed is not None:
-        rows.append(_loop_row(gains.speed, "N m s/rad", gains.per_unit["speed"]))
+    rows = [
+        _loop_row(loop, _UNITS.get(loop.loop, "V/A"), gains.per_unit[loop.loop])
+        for loop in gains.loops
+    ]
     columns = (
         "loop",
         "method",
@@ -74,6 +84,10 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
     )
     tables = [Table(title, columns, tuple(rows), notes)]
     tables.append(Table("Parallel, series and velocity form", FORM_COLUMNS, form_rows(gains)))
+    if gains.phases is not None and gains.phases.judged is not None:
+        judged, notes = gains.phases.judged, judged_notes(gains.phases)
+        heads, found = judged_columns(judged), judged_rows(judged)
+        tables.append(Table(JUDGED_TITLE, heads, found, notes))
     if gains.robust is not None:
         rows_, notes = robust_rows(gains.robust), robust_notes(gains.robust)
         tables.append(Table("Worst within control.tolerances", ROBUST_COLUMNS, rows_, notes))

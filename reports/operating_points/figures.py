@@ -110,7 +110,7 @@ def plot_speed(points: OptimalPoints, limit: VoltageLimit) -> Figure:
         lower.text(
             float(points.torque[0]),
             limit.v_max,
-            f" {limit.modulation} limit",
+            f" {limit.made_by} limit",
             color=ORANGE,
             va="bottom",
             fontsize=7,

@@ -30,7 +30,7 @@ def _number(value: float) -> str:
 def _limit_note(limit: VoltageLimit) -> str:
     kept = f", {100.0 * limit.margin:.3g} % kept free" if limit.margin else ""
     return (
-        f"voltage limit {limit.v_max:.4g} V (phase amplitude): {limit.modulation} at "
+        f"voltage limit {limit.v_max:.4g} V (phase amplitude): {limit.made_by} at "
         f"{limit.v_dc:.4g} V dc{kept}"
     )
 
@@ -267,6 +267,7 @@ def _plain_points(points: OptimalPoints) -> PlainData:
 def _plain_limit(limit: VoltageLimit) -> PlainData:
     return {
         "modulation": limit.modulation,
+        "topology": limit.topology,
         "v_dc_V": limit.v_dc,
         "margin": limit.margin,
         "v_max_V": limit.v_max,

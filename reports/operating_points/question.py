@@ -16,6 +16,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
+from dqforge.machines.topologies.linear_range import contradiction
 from dqforge.machines.units.quantities import parse_option
 from dqforge.optimizer.operating_points.drive_points import (
     LimitedDrive,
@@ -63,6 +64,9 @@ def _limit(design: Design, request: Request) -> VoltageLimit:
             f"--modulation: expected one of {', '.join(names)}, got '{request.modulation}'"
         )
     name: ModulationName = next(name for name in names if name == request.modulation)
+    found = contradiction("--modulation", design.inverter.topology, name)
+    if found:
+        raise InputError(found)
     text = request.margin.strip()
     if text == "dead-time":
         inverter = design.inverter

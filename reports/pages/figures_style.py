@@ -48,7 +48,7 @@ TEAL = "#00796b"
 AXIS_COLOURS = {"d": BLUE, "q": ORANGE}
 
 
-LOOP_COLOURS = {"i_d": BLUE, "i_q": ORANGE, "speed": TEAL}
+LOOP_COLOURS = {"i_d": BLUE, "i_q": ORANGE, "i_0": MUTED, "speed": TEAL}
 
 
 LOSS_COLOURS = {"copper": "#c9782b", "conduction": "#a9c6e6", "switching": "#1d4e89"}

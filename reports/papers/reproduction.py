@@ -67,17 +67,9 @@ def _paper002(*, figures: bool) -> Reproduced:
     found = recomputed.reproduce_paper()
     drawn: dict[str, Callable[[], Figure]] = {}
     if figures:
-        from dqforge.reports.papers.paper002 import bench_figures, control_figures, frame_figures
-        from dqforge.reports.papers.paper002.back_emf_components import frame_curves
+        from dqforge.reports.papers.paper002.drawn import figures_of
 
-        frames = frame_curves()
-        drawn = {
-            "figures-2.3-to-3.2.svg": lambda: frame_figures.plot_frames(frames),
-            "figures-4.1-to-4.3.svg": control_figures.plot_structures,
-            "figure-4.3-terms.svg": lambda: control_figures.plot_terms(found.terms),
-            "figures-6.2-to-6.7.svg": lambda: bench_figures.plot_machine(found.curves),
-            "figures-6.9-to-6.16.svg": lambda: bench_figures.plot_currents(found.curves),
-        }
+        drawn = figures_of(found)
     return Reproduced(tables.reproduction_tables(found), plain.plain_reproduction(found), drawn)
 
 

@@ -1,16 +1,31 @@
-"""Control functions in single precision, as a record."""
+"""Control functions in single precision and in fixed point, as records."""
 
 from __future__ import annotations
 
+from typing import Literal
+
+from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind
-from dqforge.reports.capability import Capability, Outcome
+from dqforge.reports.capability import Capability, Outcome, ReportPart
+from dqforge.reports.pages.chapters import LOOPS
 from dqforge.reports.phase_control.emitted import (
     emitted_control_files,
     emitted_control_from,
     emitted_control_plain,
     emitted_control_programme,
 )
+from dqforge.reports.phase_control.emitted_integers import (
+    IntegerModel,
+    integer_files,
+    integer_html,
+    integer_programme,
+    integer_tables,
+    integers_from,
+    plain_integer_evidence,
+    plain_integers,
+)
+from dqforge.reports.plain_data import PlainData
 
 
 def _float32(outcome: Outcome) -> Solution | None:
@@ -31,4 +46,46 @@ FLOAT32_CONTROL = Capability(
             vectors=False,
         ),
     ),
+)
+
+
+Fits = tuple[IntegerFit, ...]
+
+
+def _fit(fits: Fits, width: int) -> IntegerFit | None:
+    return next((fit for fit in fits if fit.control.width == width), None)
+
+
+def _fixed_kind(width: Literal[16, 32]) -> HeaderKind[Fits, IntegerModel]:
+    def files(solution: Solution, fits: Fits) -> dict[str, bytes]:
+        fit = _fit(fits, width)
+        return {} if fit is None else integer_files(solution.design, fit)
+
+    def plain(_: Solution, fits: Fits) -> PlainData | None:
+        fit = _fit(fits, width)
+        return None if fit is None else plain_integers(fit)
+
+    return HeaderKind(
+        name=f"control_q{width - 1}",
+        files=files,
+        plain=plain,
+        read=lambda own, _: integers_from(own, width),
+        programme=integer_programme,
+    )
+
+
+def _parts(_: Solution, fits: Fits) -> list[ReportPart]:
+    data = {"tables": integer_html(fits), "kind": "loops"}
+    return [ReportPart(LOOPS, "pages/tables.html.j2", data)]
+
+
+FIXED_CONTROL = Capability(
+    name="control_fixed",
+    title="control functions in fixed point",
+    of=lambda outcome: outcome.solution.fixed or None,
+    plain=lambda _, fits: {fit.control.format: plain_integer_evidence(fit) for fit in fits},
+    always=False,
+    tables=lambda _, fits: integer_tables(fits),
+    parts=_parts,
+    headers=(_fixed_kind(16), _fixed_kind(32)),
 )

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
-from dqforge.optimizer.fixed_control.design import FixedControlFit
-from dqforge.optimizer.fixed_control.solve import solve_fixed
+from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
 from dqforge.optimizer.observers.proof import ObserverProof, prove
-from dqforge.reports.control.fixed_header import plain_fixed_evidence
 from dqforge.reports.loops.plain import plain_gains
+from dqforge.reports.phase_control.emitted_integers import plain_integer_evidence
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.session.result import DrawnResult, dataset
 from dqforge.reports.simulation.design_run import DriveSimulation, StepFigures, simulate_design
@@ -34,12 +33,12 @@ class Tuning(DrawnResult):
 
     design: Design
     gains: GainSet
-    fixed: tuple[FixedControlFit, ...] = ()
+    fixed: tuple[IntegerFit, ...] = ()
     proof: ObserverProof | None = None
 
     def plain(self) -> PlainData:
         """By the keys of ``dqforge tune --json``."""
-        evidence = {found.control.format: plain_fixed_evidence(found) for found in self.fixed}
+        evidence = {found.control.format: plain_integer_evidence(found) for found in self.fixed}
         return {
             "gains": plain_gains(self.design, self.gains),
             **({} if self.proof is None else {"observer_proof": asdict(self.proof)}),
@@ -69,7 +68,7 @@ def tune(design: Design) -> Tuning:
         the tolerances; says where.
     """
     gains = solve_gains(design)
-    return Tuning(design, gains, solve_fixed(design, gains), prove(gains.position))
+    return Tuning(design, gains, solve_integers(design, gains), prove(gains.position))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

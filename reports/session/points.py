@@ -83,6 +83,7 @@ class OperatingPoints(Result):
         return {
             "limit": {
                 "modulation": limit.modulation,
+                "topology": limit.topology,
                 "v_dc_V": limit.v_dc,
                 "margin": limit.margin,
                 "v_max_V": limit.v_max,

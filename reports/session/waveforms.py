@@ -76,7 +76,7 @@ class BackEmf(DrawnResult):
     @property
     def findings(self) -> tuple[str, ...]:
         """Sentences on what was found."""
-        return tuple(self.reading.result.findings)
+        return self.reading.findings
 
     def machine(
         self,
@@ -204,8 +204,8 @@ class Waveforms(DrawnResult):
 
     @property
     def theta_e(self) -> FloatArray:
-        """Electrical angle in rad, shape (N,)."""
-        return _angles(self.found.machine.angles)
+        """Electrical angle in rad, shape (N,), over a mechanical turn where pole pairs differ."""
+        return self.found.machine.theta
 
     @property
     def rules(self) -> dict[str, RuleCurrents]:

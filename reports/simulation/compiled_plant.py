@@ -245,6 +245,7 @@ def compile_simulator(
         "legs": TOPOLOGIES[topology or "three-wire"].legs,
         "neutral": topology is not None and TOPOLOGIES[topology].neutral,
         "midpoint": topology is not None and TOPOLOGIES[topology].midpoint,
+        "torque_limit": any(b"*torque_limit;" in content for content in (files or {}).values()),
         "parameters": PARAMETERS,
         "columns": COLUMNS,
         "summary": SUMMARY,

@@ -15,8 +15,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import NumberFormat
-from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.names import NumberFormat, Topology
 from dqforge.machines.plants.scenario import Profile, Scenario
 from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.integer_form import FixedReference
@@ -28,7 +27,9 @@ from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
 from dqforge.reports.phase_control.emitted import emitted_control_files, phase_control_of
 from dqforge.reports.simulation.compiled_plant import (
+    PhaseRecord,
     Simulation,
+    Summary,
     require_compiler,
     simulate,
     simulator,
@@ -84,6 +85,24 @@ class ObservedFigures:
     sensorless_share: float
 
 
+@dataclass(frozen=True, slots=True)
+class PhaseFigures:
+    """What a phase machine did over the last tenth of a run.
+
+    ``torque`` is the mean in N m, ``ripple_means`` the peak to peak of its means over control
+    periods, ``ripple`` that of every instant, the pulses' included. ``neutral_rms`` in A;
+    ``copper`` in W of the phases a, b, c; ``midpoint`` is the largest distance of the midpoint from
+    half of the link in V, None where the link is not split.
+    """
+
+    torque: float
+    ripple_means: float
+    ripple: float
+    neutral_rms: float
+    copper: tuple[float, float, float]
+    midpoint: float | None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveSimulation:
     """A run with what is read off it.
@@ -92,7 +111,8 @@ class DriveSimulation:
     where the reference does not step; ``tracking`` the largest and the r.m.s. deviation from the
     reference over the run. ``copper`` is the mean copper loss in W; ``speed_largest`` in rad/s and
     ``torque_largest`` in N m are the largest magnitudes of the run; ``observed`` says how well
-    observers did, None where none ran. ``not_simulated`` are the fixed-point formats that the
+    observers did, None where none ran; ``phases`` are the figures of a phase machine, None for
+    others. ``not_simulated`` are the fixed-point formats that the
     design emits; what ran is float32.
     """
 
@@ -106,6 +126,7 @@ class DriveSimulation:
     torque_largest: float
     observed: ObservedFigures | None
     not_simulated: tuple[NumberFormat, ...] = ()
+    phases: PhaseFigures | None = None
 
     @property
     def angle_error(self) -> FloatArray:
@@ -118,24 +139,10 @@ class DriveSimulation:
 
 
 def drive_of(design: Design) -> Drive:
-    """What is simulated of a design.
-
-    Raises
-    ------
-    InputError
-        The inductances of its phases vary with the angle, which the simulated
-        machine has no equations for.
-    """
-    phases = design.phase_machine
-    if isinstance(phases, SalientPhaseMachine):
-        raise InputError(
-            "simulation: a machine with inductance_harmonics is not simulated, the simulated "
-            "phases have constant inductances; leave machine.inductance_harmonics out, or the "
-            "simulation"
-        )
+    """What is simulated of a design."""
     speed = design.control.speed_loop
     ratio = 1 if speed is None else speed.ratio
-    return Drive(design.machine, design.inverter, design.control.t_s, ratio, phases)
+    return Drive(design.machine, design.inverter, design.control.t_s, ratio, design.phase_machine)
 
 
 def controller_files(solution: Solution) -> dict[str, bytes]:
@@ -152,6 +159,14 @@ def controller_files(solution: Solution) -> dict[str, bytes]:
         if solution.weakening is None
         else files | weakening_files(solution.design, solution.weakening)
     )
+
+
+def controlled_topology(solution: Solution) -> Topology | None:
+    """That of the emitted control of a phase machine, None for machines with a sinusoidal
+    back-EMF.
+    """
+    control = phase_control_of(solution)
+    return None if control is None else control.topology
 
 
 def observers_of(solution: Solution) -> tuple[dict[str, bytes], tuple[str, ...]]:
@@ -231,12 +246,11 @@ def simulate_design(
     solved = in_float32(whole)
     drive = drive_of(design)
     stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
-    over_angle = phase_control_of(solved)
     with simulator(
         controller_files(solved),
         design.export.prefix,
         observers_of(solved)[1],
-        None if over_angle is None else over_angle.topology,
+        controlled_topology(solved),
     ) as program:
         run = simulate(program, drive, scenario, stride=stride, progress=progress)
     return replace(evaluate(design, run), not_simulated=not_simulated(whole))
@@ -258,6 +272,24 @@ def evaluate(design: Design, run: Simulation) -> DriveSimulation:
         speed_largest=float(np.max(np.abs(run.omega_m))),
         torque_largest=float(np.max(np.abs(run.torque))),
         observed=observed(run),
+        phases=None if run.phases is None else phase_figures(run.figures, run.phases),
+    )
+
+
+def phase_figures(figures: Summary, record: PhaseRecord) -> PhaseFigures:
+    """Figures of a phase machine of one run."""
+    split = bool(np.all(np.isfinite(record.v_midpoint)))
+    return PhaseFigures(
+        torque=float(figures.tail_torque[0]),
+        ripple_means=float(figures.tail_ripple_means[0]),
+        ripple=float(figures.tail_ripple[0]),
+        neutral_rms=float(figures.tail_neutral_rms[0]),
+        copper=(
+            float(figures.tail_copper_a[0]),
+            float(figures.tail_copper_b[0]),
+            float(figures.tail_copper_c[0]),
+        ),
+        midpoint=float(figures.tail_midpoint[0]) if split else None,
     )
 
 
@@ -344,14 +376,18 @@ def npz_bytes(run: Simulation) -> bytes:
     """The samples as a NumPy archive: float64 arrays by name, without a date,
     the same bytes for the same run.
     """
-    names = [name for name in type(run).__dataclass_fields__ if name not in ("scenario", "figures")]
+    parts = [run] if run.phases is None else [run, run.phases]
+    arrays = {
+        name: getattr(part, name)
+        for part in parts
+        for name in type(part).__dataclass_fields__
+        if name not in ("scenario", "figures", "phases")
+    }
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in names:
+        for name, values in arrays.items():
             array = io.BytesIO()
-            np.lib.format.write_array(
-                array, np.ascontiguousarray(getattr(run, name)), allow_pickle=False
-            )
+            np.lib.format.write_array(array, np.ascontiguousarray(values), allow_pickle=False)
             entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(entry, array.getvalue())

@@ -26,6 +26,7 @@ from dqforge.reports.simulation.phase_plant_input import (
     highest_order,
     inductance_table,
     least_inductance,
+    midpoint_frequency,
     no_phase_parameters,
     phase_parameters,
 )
@@ -299,6 +300,7 @@ def sub_steps(drive: Drive, scenario: Scenario) -> int:
     if drive.phases is not None:
         # Harmonics above the thirteenth are small wherever a machine turns fast.
         turning *= min(13.0, highest_order(drive.phases))
+        turning = max(turning, midpoint_frequency(drive.phases, drive.inverter))
     rate = max(machine.r_s * (1.0 + scenario.errors.r_s) / _least_inductance(drive), turning)
     dead_time = drive.inverter.dead_time if scenario.dead_time is None else scenario.dead_time
     least = _DEAD_STEPS if dead_time > 0.0 else _LEAST_STEPS

@@ -41,8 +41,9 @@ def _closed(values: FloatArray) -> FloatArray:
     return np.concatenate([values, values[..., :1]], axis=-1)
 
 
-def _draw_phases(axes: Axes, values: FloatArray, title: str, *, neutral: bool) -> None:
-    theta = np.linspace(0.0, 360.0, values.shape[1] + 1)
+def _draw_phases(axes: Axes, values: FloatArray, title: str, turns: int, *, neutral: bool) -> None:
+    end = 360.0 * turns
+    theta = np.linspace(0.0, end, values.shape[1] + 1)
     for (phase, colour), line in zip(PHASE_COLOURS.items(), values, strict=True):
         axes.plot(theta, _closed(line), color=colour, linewidth=1.0, label=phase)
     if neutral and np.max(np.abs(np.sum(values, axis=0))) > 1e-6 * np.max(np.abs(values)):
@@ -54,12 +55,13 @@ def _draw_phases(axes: Axes, values: FloatArray, title: str, *, neutral: bool) -
             linestyle="dashed",
             label="neutral",
         )
-    axes.set(title=title, xlim=(0.0, 360.0), xticks=np.arange(0, 360, 120))
+    axes.set(title=title, xlim=(0.0, end), xticks=np.arange(0, 360, 120) * turns)
 
 
-def _draw_torque(axes: Axes, rules: tuple[RuleCurrents, ...]) -> None:
+def _draw_torque(axes: Axes, rules: tuple[RuleCurrents, ...], turns: int) -> None:
+    end = 360.0 * turns
     for found in rules:
-        theta = np.linspace(0.0, 360.0, found.torque.size + 1)
+        theta = np.linspace(0.0, end, found.torque.size + 1)
         axes.plot(
             theta,
             _closed(found.torque),
@@ -73,19 +75,24 @@ def _draw_torque(axes: Axes, rules: tuple[RuleCurrents, ...]) -> None:
         title="Torque",
         xlabel="Electrical angle in deg",
         ylabel="N m",
-        xlim=(0.0, 360.0),
-        xticks=np.arange(0, 361, 120),
+        xlim=(0.0, end),
+        xticks=np.arange(0, 361, 120) * turns,
         ylim=(middle - 1.5 * half, middle + 1.5 * half),
     )
 
 
-def _draw_spectra(axes: Axes, rules: tuple[RuleCurrents, ...]) -> None:
+def _draw_spectra(axes: Axes, rules: tuple[RuleCurrents, ...], turns: int) -> None:
     orders = np.arange(1, _ORDERS + 1)
+    width = 0.2 / turns
     for place, found in enumerate(rules):
-        lines = found.harmonics[0, 1 : _ORDERS + 1]
-        shift = 0.2 * (place - 0.5 * (len(rules) - 1))
+        shown = slice(1, _ORDERS * turns + 1)
+        shift = width * (place - 0.5 * (len(rules) - 1))
         axes.bar(
-            orders + shift, lines, 0.19, color=RULE_COLOURS[found.rule], label=_TITLES[found.rule]
+            found.orders[shown] + shift,
+            found.harmonics[0, shown],
+            0.19 / turns,
+            color=RULE_COLOURS[found.rule],
+            label=_TITLES[found.rule],
         )
     axes.set(
         title="Harmonics of phase a", xlabel="Order", ylabel="A", xticks=orders[::2], yscale="log"
@@ -99,7 +106,7 @@ def plot_waveforms(comparison: WaveformComparison) -> Figure:
     """Back-EMF and the currents of every rule over the angle, the torque they make,
     and their harmonics.
     """
-    rules = comparison.rules
+    rules, turns = comparison.rules, comparison.machine.turns
     with style():
         figure = new_figure(
             "waveforms", 5.0, "Back-EMF, phase currents by rule, torque and harmonics"
@@ -109,11 +116,15 @@ def plot_waveforms(comparison: WaveformComparison) -> Figure:
         factor, unit = prefixed(float(np.max(np.abs(comparison.machine.flux))), "Wb")
         emf = figure.add_axes((0.085, 0.59, width - 0.035, 0.31))
         _draw_phases(
-            emf, comparison.machine.flux * factor, f"e / $\u03c9_e$ in {unit}", neutral=False
+            emf,
+            comparison.machine.flux * factor,
+            f"e / $\u03c9_e$ in {unit}",
+            turns,
+            neutral=False,
         )
         for place, found in enumerate(rules, start=1):
             axes = figure.add_axes((0.11 + place * width, 0.59, width - 0.035, 0.31))
-            _draw_phases(axes, found.currents, f"{_TITLES[found.rule]}: A", neutral=True)
+            _draw_phases(axes, found.currents, f"{_TITLES[found.rule]}: A", turns, neutral=True)
             axes.set_ylim(-1.15 * largest, 1.15 * largest)
             if place > 1:
                 axes.set_yticklabels([])
@@ -131,6 +142,6 @@ def plot_waveforms(comparison: WaveformComparison) -> Figure:
             figure.add_axes((0.085, 0.1, 0.385, 0.34)),
             figure.add_axes((0.57, 0.1, 0.4, 0.34)),
         )
-        _draw_torque(left, rules)
-        _draw_spectra(right, rules)
+        _draw_torque(left, rules, turns)
+        _draw_spectra(right, rules, turns)
     return figure

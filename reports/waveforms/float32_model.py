@@ -19,7 +19,7 @@ from dqforge.optimizer.waveforms.firmware_form import (
 )
 from dqforge.reports.plain_data import PlainData, shortest
 
-_LONGEST = 4096
+_LONGEST = 1 << 17
 
 
 _MOST_HARMONICS = 200

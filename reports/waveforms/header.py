@@ -135,17 +135,30 @@ def _polynomial_context(form: PhasePolynomials) -> PlainData:
     }
 
 
+def _span(design: Design) -> str:
+    """The turn that a table spans."""
+    turns = 1 if design.phase_machine is None else design.phase_machine.turns
+    return "electrical" if turns == 1 else "mechanical"
+
+
+def _angle_lines(design: Design, form: str) -> list[str]:
+    """What the C takes as its angle."""
+    if form != "table":
+        return ["sine, cosine: of the electrical angle of the d axis from phase a."]
+    span = _span(design)
+    text = (
+        f"turn: {span} angle of the d axis from phase a over 2 pi, 0 to below 1; others count as 0."
+    )
+    if span == "electrical":
+        return [text]
+    pairs = design.machine.pole_pairs
+    return [text, f"The {pairs} pole pairs differ: at 0 the first one of the back-EMF begins."]
+
+
 def _context(design: Design, fit: PhaseFit) -> PlainData:
     plain = plain_phase_reference(fit.reference)
     rule = "with" if TOPOLOGIES[design.inverter.topology].neutral else "without"
-    angle = (
-        (
-            "turn: electrical angle of the d axis from phase a over 2 pi, 0 to below 1; others "
-            "count as 0."
-        )
-        if plain["form"] == "table"
-        else "sine, cosine: of the electrical angle of the d axis from phase a."
-    )
+    angle = _angle_lines(design, plain["form"])
     form = fit.reference.form
     proportional = (
         "not in proportion to" if isinstance(form, PhasePolynomials) else "proportional to"
@@ -154,6 +167,7 @@ def _context(design: Design, fit: PhaseFit) -> PlainData:
         **title(design),
         "polynomials": _polynomial_context(form) if isinstance(form, PhasePolynomials) else None,
         "torque_max": plain["torque_max"],
+        "span": _span(design),
         "form": {"table": None, "size": 0}
         | plain
         | ({"size": len(plain["table"][0]) - 1} if "table" in plain else {}),
@@ -177,7 +191,7 @@ def _context(design: Design, fit: PhaseFit) -> PlainData:
                 "torque_Nm: torque in N m, clamped to +-TORQUE_MAX; i_a_A, i_b_A, i_c_A: phase "
                 "currents in A."
             ),
-            angle,
+            *angle,
             *_error_lines(fit),
         ],
     }

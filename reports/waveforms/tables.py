@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-import numpy as np
-
 from dqforge.machines.design.design import Design
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
@@ -51,16 +49,25 @@ def _row(found: RuleCurrents, base: float) -> tuple[str, ...]:
 
 def _harmonic_rows(comparison: WaveformComparison) -> tuple[tuple[str, ...], ...]:
     """Harmonics of phase a by rule, in % of the fundamental."""
-    lines = [found.harmonics[0] for found in comparison.rules]
-    orders = [
-        order
-        for order in range(2, _MOST_ORDERS)
-        if any(order < line.size and line[order] > _LISTED * line[1] for line in lines)
+    lines, turns = [found.harmonics[0] for found in comparison.rules], comparison.machine.turns
+    places = [
+        place
+        for place in range(2 if turns == 1 else 1, _MOST_ORDERS * turns)
+        if place != turns
+        and any(place < line.size and line[place] > _LISTED * line[turns] for line in lines)
     ]
     return tuple(
-        (f"{order}", *(f"{100.0 * line[order] / line[1]:.2f}" for line in lines))
-        for order in orders
+        (
+            _order_text(place, turns),
+            *(f"{100.0 * line[place] / line[turns]:.2f}" for line in lines),
+        )
+        for place in places
     )
+
+
+def _order_text(place: int, turns: int) -> str:
+    """An order of the electrical angle, as a fraction where it is not whole."""
+    return f"{place // turns}" if place % turns == 0 else f"{place}/{turns}"
 
 
 def _front_table(comparison: WaveformComparison) -> Table:
@@ -158,6 +165,7 @@ def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Tabl
         f"within all limits: {held}",
         *filter(None, [optimality_note(comparison)]),
         *(f"{rule}: {reason}" for rule, reason in comparison.impossible),
+        *_open_phase_notes(comparison),
     ]
     rows = tuple(_row(found, base) for found in comparison.rules)
     tables = [Table(f"{design.name}: phase currents", columns, rows, tuple(notes))]
@@ -171,6 +179,20 @@ def waveform_tables(design: Design, comparison: WaveformComparison) -> list[Tabl
     if comparison.confirmations:
         tables.append(_confirmation_table(comparison))
     return tables
+
+
+def _open_phase_notes(comparison: WaveformComparison) -> list[str]:
+    """What constant torque costs without the open phase, against dqy with all three."""
+    found = comparison.without_phase
+    if found is None:
+        return []
+    return [
+        f"phase {found.phase} open, constant torque: copper {found.copper:.3g} times and phase peak "
+        f"{found.peak:.3g} times those of dqy with all three; neutral {found.neutral_rms:.3g} A "
+        f"r.m.s., {found.neutral_peak:.3g} A peak, {found.neutral:.2g} times the phase peak before",
+        f"phase {found.phase} open: {100.0 * found.torque_at_peak:.0f} % of the torque is left with "
+        f"the same phase peak, {100.0 * found.torque_at_copper:.0f} % with the same copper loss",
+    ]
 
 
 def _plain_confirmation(entry: Confirmation) -> PlainData:
@@ -231,14 +253,18 @@ def plain_waveforms(comparison: WaveformComparison) -> PlainData:
         "optimality": {"floor_W": comparison.floor, "iterations": comparison.iterations}
         if isinstance(comparison.machine, SalientPhaseMachine)
         else None,
+        "without_phase": None
+        if comparison.without_phase is None
+        else asdict(comparison.without_phase),
         "impossible": [{"rule": rule, "reason": reason} for rule, reason in comparison.impossible],
-        "theta_rad": 2.0 * np.pi * np.arange(comparison.machine.angles) / comparison.machine.angles,
+        "theta_rad": comparison.machine.theta,
+        "turns": comparison.machine.turns,
         "emf_over_omega_Wb": comparison.machine.flux,
         "rules": {
             found.rule: {
                 "currents_A": found.currents,
                 "torque_Nm": found.torque,
-                "harmonics_A": found.harmonics[:, :_MOST_ORDERS],
+                "harmonics_A": found.harmonics[:, : _MOST_ORDERS * comparison.machine.turns],
                 "copper_W": found.figures.copper[0],
                 "mean_torque_Nm": found.figures.torque[0],
                 "ripple_Nm": found.figures.ripple[0],

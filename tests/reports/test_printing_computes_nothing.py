@@ -22,6 +22,7 @@ ROOMS_THAT_ASK = {
 
 ORCHESTRATORS = {
     "comparison.sources": "solves a design that is to be compared",
+    "flashing_choice.question": "answers a question: what to flash, with all that can be run here",
     "losses.question": "answers a question: losses over a map or a mission",
     "modulation_choice.question": "answers a question: the choice of modulator and frequency",
     "operating_points.question": "answers a question: operating points, maps and limits",

@@ -30,6 +30,10 @@ class ExportSection(Section):
         default=_EXPORT.control,
         description="control functions as C: float32, q15, q31 or a list of them; default none",
     )
+    frame_tables: bool = Field(
+        default=_EXPORT.frame_tables,
+        description="tables of the frames dqx and dqy over the angle, with their decoupling terms",
+    )
 
 
 def read_export(section: ExportSection) -> ExportSettings:

@@ -4,10 +4,13 @@ and what is said of them.
 
 from __future__ import annotations
 
+import math
+
 from dqforge.machines.design.sections.control import ControlSection
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.files.positioned_yaml import YamlDocument
+from dqforge.machines.losses.neutral_balance import neutral_balance
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.frame_choice import (
     FrameChoice,
@@ -15,8 +18,12 @@ from dqforge.machines.phase_machines.frame_choice import (
     controlled_frame,
     frame_obstacle,
     uses_zero_sequence,
+    zero_sequence_inductance,
 )
-from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.phase_machines.salient_phase_machine import (
+    AnyPhaseMachine,
+    SalientPhaseMachine,
+)
 from dqforge.machines.topologies.topology import TOPOLOGIES
 
 PHASE_KEYS = ("frame", "feedforward", "axis_gains", "harmonic_integrators", "limited_waveforms")
@@ -100,4 +107,23 @@ def phase_control_remarks(
         remarks.append(
             "inverter.midpoint_capacitance is not given: the midpoint of the link is taken as held"
         )
+    if TOPOLOGIES[topology].midpoint and uses_zero_sequence(choice.frame, topology):
+        remarks += _pulses_of_the_neutral(machine, inverter)
     return remarks
+
+
+def _pulses_of_the_neutral(machine: AnyPhaseMachine, inverter: Inverter) -> list[str]:
+    """A sentence where the pulses cost more copper in the neutral than its current saves."""
+    if isinstance(machine, SalientPhaseMachine):
+        return []
+    l_0 = zero_sequence_inductance(machine, inverter.neutral_inductance)
+    found = neutral_balance(machine, inverter.topology, inverter.v_dc, inverter.f_sw, l_0)
+    torque = found.break_even
+    saves = f"below {torque:.3g} N m" if math.isfinite(torque) else "at any torque"
+    sentence = (
+        f"inverter.topology {inverter.topology}: at standstill the pulses drive "
+        f"{found.ripple:.3g} A (r.m.s.) through the neutral, {found.cost:.3g} W of copper; the "
+        f"zero sequence saves {found.saved:.3g} W per (N m)^2, so that {saves} it costs more than "
+        "it saves (frame dqx, or a larger inverter.switching_frequency, avoids that)"
+    )
+    return [sentence]

@@ -62,13 +62,12 @@ def check_waveform(
     section: WaveformSection,
     machine: MachineSection,
     inverter: InverterSection,
-    simulated: bool,
     document: YamlDocument,
 ) -> None:
     """Check that the section on phase currents, and a topology with a neutral,
     have a machine they are for.
 
-    ``simulated`` says that the design is simulated. Raises `InputError` with a position.
+    Raises `InputError` with a position.
     """
     is_waveform = machine.model == "waveform"
     if section.model_fields_set and not is_waveform:
@@ -78,7 +77,7 @@ def check_waveform(
         )
         raise document.error(message, ("waveform",), key=True)
     if machine.inductance_harmonics is not None:
-        _check_saliency(section, inverter, simulated, document)
+        _check_saliency(section, inverter, document)
     if inverter.topology != "three-wire" and not is_waveform:
         raise document.error(
             f"inverter.topology: {inverter.topology} serves machines of model: waveform; "
@@ -88,7 +87,7 @@ def check_waveform(
 
 
 def _check_saliency(
-    section: WaveformSection, inverter: InverterSection, simulated: bool, document: YamlDocument
+    section: WaveformSection, inverter: InverterSection, document: YamlDocument
 ) -> None:
     """Check that nothing is asked for that needs constant inductances."""
     if section.form == "table":
@@ -103,12 +102,6 @@ def _check_saliency(
             "inductance_harmonics; write three-wire"
         )
         raise document.error(message, ("inverter", "topology"))
-    if simulated:
-        message = (
-            "simulation: a machine with inductance_harmonics is not simulated, the simulated "
-            "phases have constant inductances; remove the section"
-        )
-        raise document.error(message, ("simulation",), key=True)
 
 
 def read_waveform(section: WaveformSection) -> WaveformSettings:

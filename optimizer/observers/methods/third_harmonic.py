@@ -99,7 +99,7 @@ def third_flux(machine: PhaseMachine) -> tuple[float, float]:
     """Amplitude a in V s and phase phi in rad of the integral a cos(3 theta - phi) of
     the sum of the back-EMFs.
     """
-    theta = 2.0 * np.pi * np.arange(machine.angles) / machine.angles
+    theta = machine.theta
     third = 2.0 * np.mean(np.sum(machine.flux, axis=0) * np.exp(-3j * theta)) / 3j
     return float(np.abs(third)), float(-np.angle(third))
 
@@ -108,10 +108,10 @@ def other_harmonics(machine: PhaseMachine) -> float:
     """Angle error in rad, at most, by the other harmonics of the sum: their flux over
     three times that of the third.
     """
-    theta = 2.0 * np.pi * np.arange(machine.angles) / machine.angles
-    orders = np.array([h for h in range(1, machine.angles // 2) if h != 3])
-    total = np.sum(machine.flux, axis=0)
-    parts = 2.0 * np.abs(np.exp(-1j * np.outer(orders, theta)) @ total) / machine.angles / orders
+    places = np.arange(1, machine.angles // 2)
+    orders = places[places != 3 * machine.turns] / machine.turns
+    lines = np.abs(np.fft.rfft(np.sum(machine.flux, axis=0)))[1 : machine.angles // 2]
+    parts = 2.0 * lines[places != 3 * machine.turns] / machine.angles / orders
     return float(np.sum(parts) / (3.0 * third_flux(machine)[0]))
 
 
@@ -190,7 +190,7 @@ def sum_voltage(machine: PhaseMachine, theta: FloatArray, t_s: float) -> FloatAr
     """
     count = machine.angles
     spectrum = np.fft.rfft(np.sum(machine.flux, axis=0)) / count
-    orders = np.arange(1, len(spectrum) - 1)
+    orders = np.arange(1, len(spectrum) - 1) / machine.turns
     parts = 2.0 * spectrum[1:-1] / (1j * orders)
     used = np.flatnonzero(np.abs(parts) > 1e-12 * np.max(np.abs(parts)))
     flux = sum(

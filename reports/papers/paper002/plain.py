@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 
-from dqforge.reports.papers.paper002.back_emf_components import ComponentRow
-from dqforge.reports.papers.paper002.bench_currents import HIGHEST_ORDER, BenchCurves
-from dqforge.reports.papers.paper002.compensation import Compensation
 from dqforge.reports.papers.paper002.figure_list import FIGURES
-from dqforge.reports.papers.paper002.misprints import ModelCheck
 from dqforge.reports.papers.paper002.recomputed import Reproduction
+from dqforge.reports.papers.paper002_definitions.back_emf_components import ComponentRow
+from dqforge.reports.papers.paper002_definitions.bench_currents import HIGHEST_ORDER, BenchCurves
+from dqforge.reports.papers.paper002_definitions.compensation import Compensation
+from dqforge.reports.papers.paper002_definitions.misprints import ModelCheck
+from dqforge.reports.papers.paper002_loops.closed_loops import LoopRun
 from dqforge.reports.plain_data import PlainData
 
 
@@ -56,6 +58,39 @@ def _terms(found: Compensation) -> PlainData:
     return {"machine": found.name, "i_qy_A": found.i_qy, "ranges": found.ranges}
 
 
+def _loop(run: LoopRun) -> PlainData:
+    mean, least, largest = run.i_qy
+    early, late = run.asked
+    case, curves = run.case, run.curves
+    return {
+        "circuit": case.plant,
+        "header_for": case.firmware,
+        "frame": case.frame,
+        "feedforward": case.feedforward,
+        "harmonic_integrators": case.harmonics,
+        "in_the_thesis": case.shown or None,
+        "torque_Nm": run.torque,
+        "ripple_averaged_Nm": run.ripple_averaged,
+        "ripple_of_means_Nm": run.ripple_means,
+        "ripple_Nm": run.ripple,
+        "neutral_rms_A": run.neutral_rms,
+        "i_0_rms_A": run.zero_rms,
+        "i_0_order_3_A": run.zero_third,
+        "i_qy_A": {"mean": mean, "least": least, "largest": largest},
+        "phase_rms_A": run.phase_rms,
+        "copper_W": run.copper,
+        "v_0_asked_V": None if math.isnan(early) else [early, late],
+        "dip_rad_per_s": run.dip,
+        "dip_after_s": run.dip_after,
+        "theta_rad": curves.theta,
+        "i_alphabeta0_A": curves.stationary,
+        "i_dqy_A": curves.dqy,
+        "step_time_s": curves.time,
+        "step_torque_Nm": curves.torque,
+        "step_speed_rad_per_s": curves.speed,
+    }
+
+
 def plain_reproduction(found: Reproduction) -> PlainData:
     """Tables and curves as plain data."""
     return {
@@ -67,4 +102,8 @@ def plain_reproduction(found: Reproduction) -> PlainData:
         "drive": _drive(found.curves),
         "figures_6_9_to_6_16": [asdict(row) for row in found.curve_figures],
         "telling_orders": list(found.telling),
+        "diode_path": asdict(found.path),
+        "closed_loops": None if found.loops is None else [_loop(run) for run in found.loops.runs],
+        "closed_loops_left_out": found.loops_left_out or None,
+        "closed_loop_loss_ratios": [asdict(row) for row in found.ratios],
     }

@@ -8,8 +8,11 @@ import numpy as np
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
-from dqforge.reports.papers.paper002.back_emf_components import ComponentRow, table_3_1
-from dqforge.reports.papers.paper002.bench_currents import (
+from dqforge.machines.errors import VerificationError
+from dqforge.reports.papers.paper002.figure_list import PRINTED_CONDITIONS
+from dqforge.reports.papers.paper002_definitions.back_emf_components import ComponentRow, table_3_1
+from dqforge.reports.papers.paper002_definitions.bench_currents import (
+    BENCH_TORQUE,
     DESIGN_NAME,
     BenchCurves,
     CurveFigure,
@@ -18,15 +21,18 @@ from dqforge.reports.papers.paper002.bench_currents import (
     curve_figures,
     telling_orders,
 )
-from dqforge.reports.papers.paper002.compensation import (
+from dqforge.reports.papers.paper002_definitions.compensation import (
     TRAPEZOID_FLUX,
     Compensation,
     compensation,
     shipped_machine,
     trapezoid_machine,
 )
-from dqforge.reports.papers.paper002.figure_list import PRINTED_CONDITIONS
-from dqforge.reports.papers.paper002.misprints import ModelCheck, check_model
+from dqforge.reports.papers.paper002_definitions.misprints import ModelCheck, check_model
+from dqforge.reports.papers.paper002_loops.closed_loops import BENCH_SPEED, ClosedLoops, run_loops
+from dqforge.reports.papers.paper002_loops.diode_path import DiodePath, diode_path
+from dqforge.reports.papers.paper002_loops.loss_ratios import LoopRatio, loop_ratios
+from dqforge.reports.simulation.compiled_plant import require_compiler
 
 TERMS_TORQUE = 3.5
 """N m, at which the terms of Figure 4.3 are shown; chosen near the rated torque."""
@@ -53,6 +59,8 @@ class Reproduction:
     curves of chapter 6 from the definitions with the numbers read off them.
 
     ``telling`` are the orders by which the currents of dqx and dqy differ, the largest first.
+    ``loops`` and ``ratios`` are those of the emitted C, None and empty where ``loops_left_out``
+    says why.
     """
 
     rows: tuple[ComponentRow, ...]
@@ -62,6 +70,10 @@ class Reproduction:
     curves: BenchCurves
     curve_figures: tuple[CurveFigure, ...]
     telling: tuple[int, ...]
+    path: DiodePath
+    loops: ClosedLoops | None
+    ratios: tuple[LoopRatio, ...]
+    loops_left_out: str
 
 
 def _used(design: Design) -> dict[str, float]:
@@ -92,12 +104,22 @@ def conditions() -> tuple[Condition, ...]:
     )
 
 
+def _closed_loops() -> tuple[ClosedLoops | None, tuple[LoopRatio, ...], str]:
+    """What runs in the loop, or why nothing does."""
+    try:
+        require_compiler()
+    except VerificationError as error:
+        return None, (), str(error)
+    return run_loops(), loop_ratios(), ""
+
+
 def reproduce_paper() -> Reproduction:
-    """Recompute everything that needs no closed loop."""
+    """Recompute everything; without a C compiler all but the closed loops."""
     machine, omega_e = bench_machine(), TERMS_SPEED * np.pi / 30.0
     omega_e *= machine.pole_pairs
     shipped = shipped_machine(machine)
     curves = bench_curves()
+    loops, ratios, left_out = _closed_loops()
     point = (machine.pole_pairs, TERMS_TORQUE, omega_e)
     return Reproduction(
         rows=table_3_1(),
@@ -112,4 +134,8 @@ def reproduce_paper() -> Reproduction:
         curves=curves,
         curve_figures=curve_figures(curves),
         telling=telling_orders(curves),
+        path=diode_path(machine, BENCH_TORQUE, BENCH_SPEED),
+        loops=loops,
+        ratios=ratios,
+        loops_left_out=left_out,
     )

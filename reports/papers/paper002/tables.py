@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dqforge.reports.pages.table import Table
-from dqforge.reports.papers.paper002.back_emf_components import COMPONENTS, ComponentRow
-from dqforge.reports.papers.paper002.bench_currents import CurveFigure
-from dqforge.reports.papers.paper002.compensation import Compensation
 from dqforge.reports.papers.paper002.figure_list import FIGURES
-from dqforge.reports.papers.paper002.misprints import Misprint, ModelCheck
 from dqforge.reports.papers.paper002.recomputed import (
     TERMS_SPEED,
     TERMS_TORQUE,
     Condition,
     Reproduction,
 )
+from dqforge.reports.papers.paper002_definitions.back_emf_components import COMPONENTS, ComponentRow
+from dqforge.reports.papers.paper002_definitions.bench_currents import CurveFigure
+from dqforge.reports.papers.paper002_definitions.compensation import Compensation
+from dqforge.reports.papers.paper002_definitions.misprints import Misprint, ModelCheck
+from dqforge.reports.papers.paper002_loops.loop_tables import left_out_table, loop_tables
+from dqforge.reports.papers.paper002_loops.loss_ratios import SHIPPED
 
 ORDERS = (1, 3, 5, 7, 9)
 """Of the harmonics that are shown."""
@@ -71,7 +73,7 @@ def _figures() -> Table:
         tuple(
             (entry.numbers, entry.shows, entry.rests_on, entry.lacks or "-") for entry in FIGURES
         ),
-        (INFERRED_NOTE,),
+        ("Measured curves are pictures, without a scale in the text.", INFERRED_NOTE),
     )
 
 
@@ -182,6 +184,14 @@ def _curves(rows: tuple[CurveFigure, ...]) -> Table:
     )
 
 
+def _loops(found: Reproduction) -> list[Table]:
+    if found.loops is None:
+        return [left_out_table(found.loops_left_out)]
+    closed = {row.shape: row.loss_ratio for row in found.rows}
+    closed[SHIPPED] = found.curves.loss_ratio
+    return loop_tables(found.loops.runs, found.path, found.ratios, closed)
+
+
 def reproduction_tables(found: Reproduction) -> list[Table]:
     """Printed and recomputed values side by side."""
     return [
@@ -192,4 +202,5 @@ def reproduction_tables(found: Reproduction) -> list[Table]:
         _conditions(found.conditions),
         _harmonics(found),
         _curves(found.curve_figures),
+        *_loops(found),
     ]

@@ -29,6 +29,7 @@ def test_names() -> None:
         "paper002-pmsm-nonsinusoidal",
         "salient-phase-waveforms",
         "thor-pmsyrm-5k",
+        "vdyno-trampa-6340",
     ]
 
 

@@ -27,14 +27,24 @@ from dqforge.optimizer.waveforms.phase_currents import figures, unit_currents
 
 V_DC = 220.0
 NAMES: tuple[Topology, ...] = get_args(Topology)
-# What each leg's upper switch ties a phase to, written out by hand.
-STATES = {
-    "three-wire": (3, lambda s: s[:, :3]),
-    "diode-neutral": (3, lambda s: s[:, :3]),
-    "four-leg": (4, lambda s: s[:, :3] - s[:, 3:]),
-    "split-capacitor": (3, lambda s: s - 0.5),
-    "six-leg": (6, lambda s: s[:, :3] - s[:, 3:]),
-    "six-leg-isolated": (6, lambda s: s[:, :3] - s[:, 3:]),
+
+
+def phases_of(topology: Topology, states: FloatArray) -> FloatArray:
+    """Phase voltages over V_dc of the switching states, written out by hand."""
+    if topology in ("three-wire", "diode-neutral"):
+        return states
+    if topology == "split-capacitor":
+        return states - 0.5
+    return np.asarray(states[:, :3] - states[:, 3:])
+
+
+LEGS: dict[Topology, int] = {
+    "three-wire": 3,
+    "diode-neutral": 3,
+    "split-capacitor": 3,
+    "four-leg": 4,
+    "six-leg": 6,
+    "six-leg-isolated": 6,
 }
 
 
@@ -42,8 +52,8 @@ def hull_reach(topology: Topology, directions: FloatArray) -> FloatArray:
     """Largest multiples of directions (n, 3) within the hull of all states, in V_dc; without a
     neutral in the plane of the differences.
     """
-    legs, phases = STATES[topology]
-    vertices = phases(np.array(list(itertools.product((0.0, 1.0), repeat=legs))))
+    states = np.array(list(itertools.product((0.0, 1.0), repeat=LEGS[topology])))
+    vertices = phases_of(topology, states)
     if not TOPOLOGIES[topology].neutral:
         plane = clarke_matrix(power_invariant=True)[:2]
         vertices, directions = vertices @ plane.T, directions @ plane.T

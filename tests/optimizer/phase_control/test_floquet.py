@@ -9,24 +9,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from decaying_currents import SampledDrive, decay_per_sample
+from phase_drives import T_S
 from phase_loops import (
     HARMONICS,
     INDUCTANCES,
-    T_S,
     page_control,
     plants_of,
     speed_of,
     with_one_gain,
 )
 
+from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.optimizer.loops.plants import current_loop
-from dqforge.optimizer.phase_control.floquet import radius, whole_samples
+from dqforge.optimizer.phase_control.floquet import OFF_NODES, STARTS, radius, whole_samples
 from dqforge.optimizer.phase_control.periodic_step import PhasePlants, loop_state
 from dqforge.optimizer.phase_control.phase_controller import (
     HarmonicGains,
     MidpointGains,
     PhaseControl,
+    PhaseShape,
 )
 
 SAMPLES = (200, 40, 24, 16, 12)
@@ -52,7 +54,7 @@ def test_the_loop_without_coupling_is_as_fast_as_paper_and_pencil_had_it(
 def test_measured_coupling_costs_stability_at_few_samples() -> None:
     found = radii(page_control("dqy", "measured"))
     assert found[:3] == pytest.approx([0.969, 0.969, 0.972], abs=1e-3)
-    assert found[3:] == pytest.approx([0.993, 1.058], abs=5e-3)
+    assert found[3:] == pytest.approx([0.993, 1.058], abs=2.5e-3)
     fast = radii(page_control("dqy", "measured", bandwidth=1000.0))
     assert fast[1] < 1.0 < fast[2]
 
@@ -160,16 +162,17 @@ def test_a_slow_rotor_is_judged_at_fixed_angles() -> None:
 
 
 CASES: list[tuple[CurrentFrame, Feedforward, Topology, int]] = [
+    ("dqy", "references", "four-leg", 16),
     ("table", "references", "four-leg", 16),
     ("table", "measured", "six-leg", 12),
     ("dq", "measured", "six-leg-isolated", 16),
     ("dqx", "references", "three-wire", 16),
     ("dqx", "measured", "four-leg", 12),
-    ("dqy", "references", "four-leg", 16),
     ("dqy", "measured", "six-leg", 12),
 ]
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(("frame", "feedforward", "topology", "samples"), CASES)
 def test_currents_die_out_or_grow_at_the_radius(
     frame: CurrentFrame, feedforward: Feedforward, topology: Topology, samples: int
@@ -187,18 +190,28 @@ def _compare(
     l_d, l_q, l_0 = (share * size for size in control.inductances)
     plant = (control.r_s, l_d, l_q, l_0, 1.0)
     omega = speed_of(samples)
-    drive = SampledDrive(control, omega, plant, capacitance=capacitance or 1.0)
     length = -(-length // samples) * samples
-    decay = decay_per_sample(drive, 300, length)
+    starts = (np.arange(STARTS) + OFF_NODES) / STARTS * 2.0 * np.pi / samples
+    sloped = control.frame in ("dqx", "dqy") and control.feedforward == "measured"
+    decay = max(
+        decay_per_sample(
+            SampledDrive(control, omega, plant, capacitance=capacitance or 1.0, theta=start),
+            300,
+            length,
+        )
+        for start in (starts if sloped else starts[:1])
+    )
     found = float(radius(control, plants_of(control, share, capacitance), omega)[0])
     assert found == pytest.approx(decay, abs=1e-3)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("frame", ["table", "dqy"])
 def test_a_salient_rotor_in_the_time_domain(frame: CurrentFrame) -> None:
     _compare(page_control(frame, inductances=SALIENT), 16, 320)
 
 
+@pytest.mark.slow
 def test_measured_coupling_of_a_salient_rotor() -> None:
     _compare(page_control("table", "measured", inductances=SALIENT), 12, 240)
 
@@ -210,11 +223,30 @@ def test_a_split_link_oscillates_against_its_inductance_as_the_radius_says() -> 
             page_control(topology="split-capacitor"), midpoint=MidpointGains(balance, 10.0)
         )
         _compare(control, 40, 2000, capacitance)
+        _compare(replace(control, frame="dqy", feedforward="emf"), 24, 720, capacitance)
     slow = replace(page_control(topology="split-capacitor"), midpoint=MidpointGains(0.02, 10.0))
     decay = -np.log(radius(slow, plants_of(slow, 1.0, 4e-3), speed_of(40))[0]) / T_S
     assert decay == pytest.approx(3.0 * 0.02 / 4e-3, rel=0.02)
 
 
-@pytest.mark.parametrize(("frame", "share"), [("table", 1.0), ("dqy", 0.7)])
+@pytest.mark.thinned
+@pytest.mark.parametrize(("frame", "share"), [("dqy", 0.7), ("table", 1.0)])
 def test_learning_in_the_time_domain(frame: CurrentFrame, share: float) -> None:
     _compare(page_control(frame, harmonics=HARMONICS), 40, 1600, None, share)
+
+
+def test_a_shape_over_several_periods_is_taken_over_all_of_them() -> None:
+    control = page_control("dqy", "measured")
+    one = float(radius(control, plants_of(control), speed_of(60))[0])
+    twice = PhaseShape(np.tile(shape_at_nodes(control.shape), 2), turns=2)
+    both = replace(control, shape=twice)
+    assert radius(both, plants_of(both), speed_of(60))[0] == pytest.approx(one, abs=2e-4)
+    uneven = twice.flux * np.repeat([1.0, 0.7], control.shape.flux.shape[1])
+    other = replace(control, shape=replace(twice, flux=uneven))
+    assert abs(radius(other, plants_of(other), speed_of(24))[0] - one) > 1e-3
+
+
+def shape_at_nodes(shape: PhaseShape) -> FloatArray:
+    """Three rows of a table of one."""
+    count = shape.flux.shape[1]
+    return np.stack([np.roll(shape.flux[0], phase * count // 3) for phase in range(3)])

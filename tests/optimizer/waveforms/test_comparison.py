@@ -57,6 +57,7 @@ def test_diodes_in_the_neutral_refuse_dqy_and_run_dqx(machine: PhaseMachine, tor
     assert reason.endswith("use dqx")
     by_rule = {rule.rule: rule for rule in found.rules}
     assert by_rule["dqx"].obstacles == ()
+    assert found.binding == ()
     np.testing.assert_allclose(by_rule["limited"].currents, by_rule["dqx"].currents, atol=1e-9)
 
 

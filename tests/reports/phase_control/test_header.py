@@ -132,3 +132,22 @@ def test_what_is_not_emitted_is_refused(solution: Solution) -> None:
         plain_solution_control(solution, plain_control(P, inductances=(5e-3, 9e-3, 5e-3)))
     with pytest.raises(InputError, match="multiples of 3"):
         plain_solution_control(solution, plain_control(P, shape=PhaseShape(P.flux[:1, :64])))
+
+
+def test_the_limit_of_a_design_is_read_at_equal_load(
+    solution: Solution, document: dict[str, Any]
+) -> None:
+    """At 0.8 of the nominal link it is read at 1.25 of the speed; without a link no torque."""
+    limit = TorqueLimit(
+        np.array([0.0, 250.0, 500.0]), np.array([0.0, 220.0]),
+        np.array([[0.0, 4.0], [0.0, 3.0], [0.0, 0.0]]), 220.0,
+    )  # fmt: skip
+    control = plain_control(P, torque_limit=limit, harmonics=None)
+    prove(solution, document, control)
+    measured = np.array(
+        [[0, 0, 0, 0, 100.0, 176.0], [0, 0, 0, 0, 100.0, 0.0], [0, 0, 0, 0, 0.0, 1e-40]],
+        dtype=np.float32,
+    )
+    torque = np.full(3, 5.0, dtype=np.float32)
+    limited = model_of(solution, document, control).limited_torque(torque, measured)
+    assert limited == pytest.approx([0.8 * 3.0, 0.0, 0.0], abs=1e-6)

@@ -84,7 +84,9 @@ SMALL_RULE = (
 DESIGNS: dict[str, Callable[[], Design]] = {
     "control and position observer": bench,
     "speed observer": lambda: catalogue.load(BENCH),
-    "phase currents": lambda: catalogue.load("paper002-phase-waveforms"),
+    "phase currents": lambda: changed(
+        "paper002-phase-waveforms", (r"(?m)^export:$", "export:\n  frame_tables: true")
+    ),
     "salient phase currents": lambda: catalogue.load("salient-phase-waveforms"),
     "rule": lambda: changed(
         "paper000-ipmsm-100kw", (r"(?ms)^modulation_choice:.*?(?=^export:)", SMALL_RULE)
@@ -106,7 +108,7 @@ DESIGNS: dict[str, Callable[[], Design]] = {
 KINDS = {
     "control and position observer": {"control", "control_q15", "control_q31", "observer"},
     "speed observer": {"speed_observer"},
-    "phase currents": {"waveform"},
+    "phase currents": {"waveform", "frames"},
     "salient phase currents": {"waveform"},
     "rule": {"modulation", "speed_observer"},
     "surface": {"weakening", "speed_observer"},

@@ -4,7 +4,8 @@ and its saliency.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,9 @@ _PATH: KeyPath = ("machine", "back_emf")
 
 
 _SALIENCY: KeyPath = ("machine", "inductance_harmonics")
+
+
+_MOST_ORDER = 200
 
 
 _MOST_LAG = np.deg2rad(0.5)
@@ -60,7 +64,7 @@ def read_phase_machine(
     l_s = reading.per_phase(section.self_inductance, "machine.self_inductance")
     m_s = si_of(section.mutual_inductance) or 0.0
     orders, amplitudes, phases = (
-        _written(given, reading)
+        _written(given, common["pole_pairs"], reading)
         if given.harmonics is not None
         else _captured(given, common["pole_pairs"], reading)
     )
@@ -75,11 +79,10 @@ def read_phase_machine(
             m_s=m_s,
             i_max=common["i_max"],
         )
-        if given.harmonics is None and given.symmetric:
+        if given.harmonics is None and _is_averaged(given):
             machine = machine.symmetrised()
-            reading.remarks.append(
-                "machine.back_emf is the mean of the three phases and of both half waves"
-            )
+            both = " and of both half waves" if machine.turns == 1 else ""
+            reading.remarks.append(f"machine.back_emf is the mean of the three phases{both}")
     if section.inductance_harmonics is None:
         reading.remarks.append(
             f"the dq values of the machine are those of the fundamental: psi_pm "
@@ -87,6 +90,11 @@ def read_phase_machine(
             f"{format_quantity(l_s - m_s, 'H')}"
         )
     return machine
+
+
+def _is_averaged(given: BackEmfSection) -> bool:
+    """Whether the phases of a capture are to be made equal."""
+    return given.span == "electrical" if given.symmetric is None else given.symmetric
 
 
 def read_saliency(
@@ -108,9 +116,8 @@ def read_saliency(
         if order in orders[:index]:
             message = f"machine.inductance_harmonics: order {order} is listed twice; remove one"
             raise reading.document.error(message, (*_SALIENCY, index, "order"))
-    theta = 2.0 * np.pi * np.arange(phases.angles) / phases.angles
-    turns = theta - 2.0 * np.pi / 3.0 * np.arange(3)[:, np.newaxis]
-    lag = float(np.angle(np.mean(phases.flux * np.exp(-1j * turns)) / 1j))
+    lagging = phases.theta - 2.0 * np.pi / 3.0 * np.arange(3)[:, np.newaxis]
+    lag = float(np.angle(np.mean(phases.flux * np.exp(-1j * lagging)) / 1j))
     if abs(lag) > _MOST_LAG:
         raise reading.document.error(
             "machine.inductance_harmonics are about the d axis, but order 1 of back_emf lies "
@@ -133,23 +140,28 @@ def read_saliency(
     return machine
 
 
-def _written(given: BackEmfSection, reading: Reading) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Orders, amplitudes in V s/rad and phases in rad of the harmonics as written, shapes (H,)."""
+def _written(
+    given: BackEmfSection, pole_pairs: int, reading: Reading
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Orders of the electrical angle, amplitudes in V s/rad and phases in rad of the harmonics
+    as written, shapes (H,).
+    """
     harmonics = given.harmonics or ()
     path: KeyPath = (*_PATH, "harmonics")
-    orders = [harmonic.order for harmonic in harmonics]
-    for index, order in enumerate(orders):
-        if order in orders[:index]:
-            raise reading.document.error(
-                f"machine.back_emf: order {order} is listed twice", (*path, index, "order")
-            )
-    if 1 not in orders or harmonics[orders.index(1)].amplitude is None:
+    if given.span == "mechanical":
+        raise reading.document.error(
+            "machine.back_emf.span is that of a capture; harmonics of pole pairs that differ are "
+            "written with mechanical_order",
+            (*_PATH, "span"),
+        )
+    orders = _orders(harmonics, pole_pairs, path, reading)
+    if 1 not in orders or harmonics[orders.index(Fraction(1))].amplitude is None:
         raise reading.document.error(
             "machine.back_emf.harmonics needs order 1 with its amplitude; write {order: 1, "
             "amplitude: 0.2 Wb}",
             path,
         )
-    base = _amplitude(harmonics[orders.index(1)])
+    base = _amplitude(harmonics[orders.index(Fraction(1))])
     amplitudes = []
     for index, harmonic in enumerate(harmonics):
         if (harmonic.amplitude is None) == (harmonic.share is None):
@@ -159,7 +171,41 @@ def _written(given: BackEmfSection, reading: Reading) -> tuple[FloatArray, Float
             _amplitude(harmonic) if harmonic.share is None else harmonic.share.si * base
         )
     phases = [si_of(harmonic.phase) or 0.0 for harmonic in harmonics]
-    return np.array(orders, dtype=np.float64), np.array(amplitudes), np.array(phases)
+    order = np.array([float(order) for order in orders])
+    return order, np.array(amplitudes), np.array(phases)
+
+
+def _orders(
+    harmonics: Sequence[HarmonicSection], pole_pairs: int, path: KeyPath, reading: Reading
+) -> list[Fraction]:
+    """Orders of the electrical angle, each once."""
+    orders: list[Fraction] = []
+    for index, harmonic in enumerate(harmonics):
+        if (harmonic.order is None) == (harmonic.mechanical_order is None):
+            message = (
+                "machine.back_emf: write either order or mechanical_order of each harmonic, e.g. "
+                "{order: 3, share: 12 %}"
+            )
+            raise reading.document.error(message, (*path, index))
+        key = "mechanical_order" if harmonic.order is None else "order"
+        order = (
+            Fraction(harmonic.mechanical_order or 0, pole_pairs)
+            if harmonic.order is None
+            else Fraction(harmonic.order)
+        )
+        if order in orders:
+            raise reading.document.error(
+                f"machine.back_emf: order {order} is listed twice", (*path, index, key)
+            )
+        if order > _MOST_ORDER:
+            raise reading.document.error(
+                f"machine.back_emf: mechanical_order {harmonic.mechanical_order} is order "
+                f"{float(order):g} of the electrical angle; write at most "
+                f"{_MOST_ORDER * pole_pairs}",
+                (*path, index, key),
+            )
+        orders.append(order)
+    return orders
 
 
 def _amplitude(harmonic: HarmonicSection) -> float:
@@ -194,8 +240,42 @@ def _captured(
         source = error.source or names[0]
         about = error.message if source in error.message else f"{source}: {error.message}"
         raise reading.document.error(f"machine.back_emf: {about}", path) from None
-    reading.remarks.extend(f"{', '.join(names)}: {finding}" for finding in result.findings)
-    return result.orders.astype(np.float64), result.amplitudes, result.phases
+    source = ", ".join(names)
+    reading.remarks.extend(f"{source}: {finding}" for finding in result.findings)
+    pairs = result.pole_pairs
+    if given.span == "electrical":
+        if pairs is not None and pairs.finding:
+            reading.remarks.append(f"{source}: {pairs.finding}")
+        return result.orders.astype(np.float64), result.amplitudes, result.phases
+    if pairs is None:
+        raise reading.document.error(
+            _not_covered(source, result.periods, pole_pairs), (*_PATH, "span")
+        )
+    if not pairs.differ:
+        reading.remarks.append(
+            f"{source}: what the pole pairs differ by, up to {pairs.spread:.1%}, is no more than "
+            "its uncertainty; back_emf.span: electrical has less noise"
+        )
+    if pairs.orders[-1] < min(given.highest_order, result.orders[-1]):
+        reading.remarks.append(
+            f"{source}: over the mechanical turn harmonics up to order {pairs.orders[-1]:.3g} are "
+            "taken"
+        )
+    return pairs.orders, pairs.amplitudes, pairs.phases
+
+
+def _not_covered(source: str, periods: float, pole_pairs: int) -> str:
+    """Why a capture has no mechanical span."""
+    if pole_pairs == 1:
+        return (
+            "machine.back_emf.span: with one pole pair the mechanical turn is the electrical "
+            "period; leave span out"
+        )
+    return (
+        f"machine.back_emf.span: {source} does not cover a mechanical turn: it shows "
+        f"{periods:.3g} electrical periods of {pole_pairs}; capture a whole turn, or write "
+        "span: electrical"
+    )
 
 
 def _names(given: BackEmfSection) -> tuple[tuple[str, ...], KeyPath]:

@@ -22,7 +22,16 @@ class HarmonicSection(Section):
     by 120 and 240 deg.
     """
 
-    order: int = Field(ge=1, le=200, description="order h")
+    order: int | None = Field(default=None, ge=1, le=200, description="order h")
+    mechanical_order: int | None = Field(
+        default=None,
+        ge=1,
+        le=4000,
+        description=(
+            "order of the mechanical angle, h times the pole pairs, in place of order: where pole "
+            "pairs differ"
+        ),
+    )
     amplitude: Flux | None = Field(
         default=None, description="A (Wb = V s/rad electrical); kind peak (default) or rms"
     )
@@ -35,7 +44,7 @@ class HarmonicSection(Section):
 class BackEmfSection(Section):
     """Back-EMF of the three phases: harmonics, or a capture in one or several files."""
 
-    harmonics: Annotated[Listing[HarmonicSection], Field(min_length=1, max_length=100)] | None = (
+    harmonics: Annotated[Listing[HarmonicSection], Field(min_length=1, max_length=400)] | None = (
         Field(
             default=None,
             description=(
@@ -64,9 +73,17 @@ class BackEmfSection(Section):
     highest_order: int = Field(
         default=13, ge=1, le=100, description="highest harmonic taken from the file"
     )
-    symmetric: bool = Field(
-        default=True,
+    span: Literal["electrical", "mechanical"] = Field(
+        default="electrical",
         description=(
-            "take the mean of the phases and half waves of the file; false keeps them as measured"
+            "what the waveform of the file repeats after: mechanical keeps what the pole pairs "
+            "differ by"
+        ),
+    )
+    symmetric: bool | None = Field(
+        default=None,
+        description=(
+            "take the mean of the phases and half waves of the file; false keeps them as measured, "
+            "as is the default over the mechanical span, where true takes the mean of the phases"
         ),
     )

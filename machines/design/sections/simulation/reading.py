@@ -9,6 +9,7 @@ from dqforge.machines.design.reading import Reading
 from dqforge.machines.design.sections.simulation.schema import (
     CurrentProfileSection,
     CurrentSensorSection,
+    PhaseOpeningSection,
     PlantErrorsSection,
     SensorlessSection,
     SimulationSection,
@@ -21,18 +22,20 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.rules import Quantity, si_of
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import SPEED_OBSERVER
+from dqforge.machines.names import SPEED_OBSERVER, Topology
 from dqforge.machines.places import KeyPath
 from dqforge.machines.plants.scenario import (
     ControlMode,
     CurrentSensor,
     Encoder,
+    PhaseOpening,
     PlantErrors,
     Profile,
     Scenario,
     Sensorless,
     Shape,
 )
+from dqforge.machines.topologies.topology import TOPOLOGIES
 
 MOST_SAMPLES = 10_000_000
 
@@ -44,9 +47,6 @@ _MODES: tuple[ControlMode, ...] = ("speed", "torque", "current")
 
 
 _BAND = 0.8  # speed at which the encoder takes over again, of that at which it is left
-
-
-_TOPOLOGIES = ("three-wire", "split-capacitor")
 
 
 def _profile(
@@ -183,14 +183,43 @@ def _errors(section: PlantErrorsSection) -> PlantErrors:
     return PlantErrors(*(si_of(entry) or 0.0 for entry in entries))
 
 
+def _opening(
+    section: PhaseOpeningSection | None, waveform: bool, topology: Topology, reading: Reading
+) -> PhaseOpening | None:
+    """The phase that opens, None for none; ``waveform`` says whether there are phases.
+
+    Raises `InputError` with a position where no plant or no controller knows of it.
+    """
+    if section is None:
+        return None
+    path: KeyPath = (*_PATH, "open_phase")
+    if not waveform:
+        message = (
+            "simulation.open_phase: a phase opens in machines of model: waveform; write that "
+            "model, or remove the key"
+        )
+        raise reading.document.error(message, path, key=True)
+    if section.detected_after is not None and not TOPOLOGIES[topology].neutral:
+        message = (
+            f"simulation.open_phase.detected_after: two phases of {topology} make no constant "
+            "torque, so that its controller has no answer; remove the key"
+        )
+        raise reading.document.error(message, (*path, "detected_after"))
+    return PhaseOpening(section.phase, section.time.si, si_of(section.detected_after))
+
+
 def read_scenario(
     section: SimulationSection | None,
     machine: Machine,
     inverter: Inverter,
     control: ControlSettings,
     reading: Reading,
+    *,
+    waveform: bool = False,
 ) -> Scenario | None:
     """Simulation of the design, None where the file asks for none.
+
+    ``waveform`` says whether the machine is one in phase quantities.
 
     Raises
     ------
@@ -222,6 +251,7 @@ def read_scenario(
         seed=section.seed,
         sub_steps=section.steps,
         sensorless=_sensorless(section.sensorless, control, reading),
+        open_phase=_opening(section.open_phase, waveform, inverter.topology, reading),
     )
 
 
@@ -255,12 +285,6 @@ def _check(
             "encoder",
             "speed",
         )
-    if inverter.topology not in _TOPOLOGIES:
-        message = (
-            f"simulation: the topology {inverter.topology} cannot be simulated; write "
-            f"{' or '.join(_TOPOLOGIES)}"
-        )
-        raise reading.document.error(message, _PATH, key=True)
     if section.duration.si / control.t_s > MOST_SAMPLES:
         longest = MOST_SAMPLES * control.t_s
         raise fault(

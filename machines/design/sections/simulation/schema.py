@@ -17,6 +17,7 @@ from dqforge.machines.entries.kinds import (
     Voltage,
 )
 from dqforge.machines.entries.rules import Quantity, QuantityRule, not_truth
+from dqforge.machines.names import OpenPhase
 from dqforge.machines.plants.scenario import (
     CurrentSensor,
     Encoder,
@@ -214,6 +215,19 @@ class PlantErrorsSection(Section):
     v_dc: RelativeError | None = Field(default=None, description="relative; default 0")
 
 
+class PhaseOpeningSection(Section):
+    """A phase that opens while the drive runs."""
+
+    phase: OpenPhase = Field(description="a, b or c")
+    time: Instant = Field(
+        description="from which its switches rest (s); open for good once its current is gone"
+    )
+    detected_after: Instant | None = Field(
+        default=None,
+        description="time until the controller is told (s); default: never",
+    )
+
+
 class InitialSection(Section):
     """State at the start."""
 
@@ -266,6 +280,9 @@ class SimulationSection(Section):
         default=PlantErrorsSection(), description="differences from the data"
     )
     initial: InitialSection = Field(default=InitialSection(), description="state at the start")
+    open_phase: PhaseOpeningSection | None = Field(
+        default=None, description="a phase that opens (machines of model: waveform); default: none"
+    )
     seed: Whole = Field(default=1, ge=0, le=2**31, description="of the noise")
     steps: Annotated[int, Field(ge=1, le=1000), BeforeValidator(not_truth)] | None = Field(
         default=None,

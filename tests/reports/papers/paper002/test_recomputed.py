@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
-from dqforge.reports.papers.paper002 import back_emf_components, bench_currents
-from dqforge.reports.papers.paper002.bench_figures import plot_currents, plot_machine
-from dqforge.reports.papers.paper002.control_figures import plot_structures, plot_terms
 from dqforge.reports.papers.paper002.figure_list import FIGURES
-from dqforge.reports.papers.paper002.frame_figures import plot_frames
 from dqforge.reports.papers.paper002.recomputed import Reproduction, reproduce_paper
+from dqforge.reports.papers.paper002_definitions import back_emf_components, bench_currents
+from dqforge.reports.papers.paper002_definitions.bench_figures import plot_currents, plot_machine
+from dqforge.reports.papers.paper002_definitions.control_figures import plot_structures, plot_terms
+from dqforge.reports.papers.paper002_definitions.frame_figures import plot_frames
 
 RIGHT = {
     "balanced sine": (0.0, 1.2247, 1.2247, 1.2247, 0.0, 1.0),
@@ -65,7 +67,10 @@ def test_drive_makes_its_torque_and_its_q_current_is_constant() -> None:
 
 @pytest.fixture(scope="module")
 def found() -> Reproduction:
-    return reproduce_paper()
+    """Without a compiler: all but the closed loops."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shutil, "which", lambda _: None)
+        return reproduce_paper()
 
 
 def test_figures_are_drawn(found: Reproduction) -> None:
@@ -133,14 +138,18 @@ def test_copper_losses_of_dqx_over_dqy_in_closed_form(found: Reproduction) -> No
     assert found.curves.loss_ratio == pytest.approx(1.0137, abs=5e-5)
 
 
-def test_command_prints_both_values_and_writes_the_figures(tmp_path: object) -> None:
+def test_command_prints_both_values_and_writes_the_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from dqforge.cli import app
 
+    monkeypatch.setattr(shutil, "which", lambda _: None)
     runner = CliRunner()
     shown = runner.invoke(app, ["reproduce", "002", "--figures", str(tmp_path)])
     assert shown.exit_code == 0, shown.output
     assert "1.06 / 1.061" in shown.output
-    written = sorted(path.name for path in tmp_path.iterdir())  # type: ignore[attr-defined]
+    assert "Missing: no C compiler found" in shown.output
+    written = sorted(path.name for path in tmp_path.iterdir())
     assert written == [
         "dqforge-manifest.json",
         "figure-4.3-terms.svg",
@@ -151,3 +160,25 @@ def test_command_prints_both_values_and_writes_the_figures(tmp_path: object) -> 
     ]
     document = json.loads(runner.invoke(app, ["reproduce", "002", "--json"]).output)
     assert document["table_3_1"][2]["loss_ratio_dqx_over_dqy"] == pytest.approx(1.7321, abs=1e-3)
+    assert document["closed_loops"] is None
+    assert "no C compiler" in document["closed_loops_left_out"]
+
+
+@pytest.mark.slow
+def test_command_shows_both_circuits_side_by_side(tmp_path: Path) -> None:
+    from dqforge.cli import app
+
+    runner = CliRunner()
+    shown = runner.invoke(app, ["reproduce", "002", "--figures", str(tmp_path)])
+    assert shown.exit_code == 0, shown.output
+    assert "why Figure 5.4 cannot carry it" in shown.output
+    written = {path.name for path in tmp_path.iterdir()}
+    assert {"figures-6.9-to-6.16-loops.svg", "figures-6.17-to-6.18.svg"} < written
+    for path in tmp_path.glob("*.svg"):
+        assert "_{" not in path.read_text(encoding="utf-8"), path.name
+    document = json.loads(runner.invoke(app, ["reproduce", "002", "--json"]).output)
+    circuits = [run["circuit"] for run in document["closed_loops"]]
+    assert circuits.count("diode-neutral") == circuits.count("four-leg") == 3
+    assert document["closed_loops_left_out"] is None
+    for run in document["closed_loops"]:
+        assert len(run["theta_rad"]) == len(run["i_alphabeta0_A"][0]) == 400

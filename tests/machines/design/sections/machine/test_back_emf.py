@@ -15,6 +15,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.plants.scenario import PhaseOpening
 
 TEXT = """\
 dqforge: 1
@@ -237,7 +238,26 @@ def test_saliency_that_makes_no_machine_is_refused_at_its_place(
     assert "\n" not in str(caught.value)
 
 
-def test_a_salient_machine_is_not_simulated() -> None:
-    simulation = "simulation: {duration: 10 ms}\n"
-    with pytest.raises(InputError, match="a machine with inductance_harmonics is not simulated"):
-        loaded(HARMONICS, SALIENT + simulation)
+SPINNING = "simulation: {duration: 10 ms, shaft: {points: [{time: 0 s, speed: 100 rpm}]}, BODY}\n"
+CURRENT = "current: {points: [{time: 0 s, i_d: 0 A, i_q: 1 A}]}"
+
+
+def test_a_salient_machine_is_simulated() -> None:
+    design = loaded(HARMONICS, SALIENT + SPINNING.replace("BODY", CURRENT))
+    assert isinstance(design.phase_machine, SalientPhaseMachine)
+    assert design.simulation is not None
+    assert design.simulation.mode == "current"
+
+
+def test_an_opening_phase_is_read_and_refused_where_nothing_answers() -> None:
+    opens = CURRENT + ", open_phase: {phase: b, time: 5 ms, detected_after: 1 ms}"
+    wired = TEXT + SPINNING.replace("BODY", opens)
+    text = wired.replace("topology: four-leg", "topology: three-wire")
+    assert text != wired
+    with pytest.raises(InputError, match="detected_after: two phases of three-wire") as caught:
+        loaded(HARMONICS, text)
+    assert caught.value.line is not None
+    scenario = loaded(HARMONICS, wired).simulation
+    assert scenario is not None
+    assert scenario.open_phase == PhaseOpening("b", 5e-3, 1e-3)
+    assert loaded(HARMONICS, text.replace(", detected_after: 1 ms", "")).simulation is not None

@@ -17,7 +17,7 @@ from dqforge.reports.pages.figures_style import (
     new_figure,
     style,
 )
-from dqforge.reports.papers.paper002.compensation import Compensation
+from dqforge.reports.papers.paper002_definitions.compensation import Compensation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,7 +19,7 @@ from dqforge.machines.phase_machines.frame_transforms import spectral_derivative
 from dqforge.machines.phase_machines.frames import thesis_shapes
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.transforms import POWER_INVARIANT
-from dqforge.reports.papers.paper002.model_equations import (
+from dqforge.reports.papers.paper002_definitions.model_equations import (
     FrameQuantities,
     ShapedMachine,
     frame_quantities,
@@ -87,9 +87,9 @@ def trapezoid_machine(machine: PhaseMachine) -> ShapedMachine:
     step = 2.0 * np.pi / _ANGLES
     ahead = np.roll(nodes, -1, axis=1)
     # Its lines are straight and their corners nodes: middle and slope are exact.
-    theta = step * (np.arange(_ANGLES) + 0.5)
-    shape = np.asarray(0.5 * (nodes + ahead), dtype=np.float64)
-    slope = np.asarray((ahead - nodes) / step, dtype=np.float64)
+    theta = np.asarray(step * (np.arange(_ANGLES) + 0.5), dtype=np.float64)
+    shape: FloatArray = 0.5 * (nodes + ahead)
+    slope: FloatArray = (ahead - nodes) / step
     return ShapedMachine(theta, shape, slope, machine.l_s, machine.m_s, machine.r_s, TRAPEZOID_FLUX)
 
 

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from dqforge.machines.phase_machines.frame_models import frame_model
-from dqforge.reports.papers.paper002.bench_currents import bench_machine
-from dqforge.reports.papers.paper002.compensation import (
+from dqforge.reports.papers.paper002_definitions.bench_currents import bench_machine
+from dqforge.reports.papers.paper002_definitions.compensation import (
     compensation,
     shipped_machine,
     trapezoid_machine,
 )
-from dqforge.reports.papers.paper002.misprints import (
+from dqforge.reports.papers.paper002_definitions.misprints import (
     agreement,
     check_model,
     largest_shares,
     machine_by_chance,
 )
-from dqforge.reports.papers.paper002.model_equations import (
+from dqforge.reports.papers.paper002_definitions.model_equations import (
     PLACES,
     Motion,
     ShapedMachine,

@@ -3,9 +3,9 @@ of its Figure 5.4, whose neutral returns through two diodes alone.
 
 A current out of the neutral (i_n = i_a + i_b + i_c > 0) flows through the upper diode: the neutral
 lies at the positive rail, and no leg lies above it, so that no phase voltage is above 0. A current
-into the neutral needs the lower diode, and no phase voltage below 0. Constant torque at least copper
-loss has i along the back-EMF and i_n along its sum: where i_n > 0 some phase must have a voltage
-above 0 to drive its current.
+into the neutral needs the lower diode, and no phase voltage below 0. Constant torque at least
+copper loss has i along the back-EMF and i_n along its sum: where i_n > 0 some phase must have a
+voltage above 0 to drive its current.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.transforms import POWER_INVARIANT
-from dqforge.reports.papers.paper002.model_equations import (
+from dqforge.reports.papers.paper002_definitions.model_equations import (
     BLOCKS,
     FrameQuantities,
     Motion,

@@ -1,0 +1,289 @@
+"""Integers of the current control of a phase machine, from its real numbers and the bases."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.design import Design
+from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.transforms import clarke_matrix
+from dqforge.optimizer.fixed_control.arithmetic import Reach
+from dqforge.optimizer.fixed_control.design import DC_HEADROOM
+from dqforge.optimizer.fixed_phase_control.integers import (
+    FixedAxis,
+    FixedHarmonic,
+    FixedMidpoint,
+    FixedPhaseControl,
+)
+from dqforge.optimizer.fixed_phase_control.ranges import phase_ranges
+from dqforge.optimizer.loops.integer_gains import FixedGain, quantise
+from dqforge.optimizer.phase_control.phase_controller import AxisGains, PhaseControl
+
+_FLUX_ROOM = 1.05  # of the full scale of the flux over the largest value of any axis
+
+
+_MOST_FRACTION = 14
+
+
+_LARGEST_ERROR = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class FixedPhaseFit:
+    """Integers with their evidence.
+
+    ``reaches`` are the proven ranges of every product and sum; ``shape_error`` is the largest error
+    of a node of the shape over its largest value.
+    """
+
+    control: FixedPhaseControl
+    reaches: tuple[Reach, ...]
+    shape_error: float
+
+    @property
+    def fullest(self) -> Reach:
+        """The quantity that comes nearest to its word's end."""
+        return max(self.reaches, key=lambda reach: reach.share)
+
+
+def fit_phase_control(design: Design, control: PhaseControl, width: int = 16) -> FixedPhaseFit:
+    """Integers of a phase machine's control for the bases of a design.
+
+    Parameters
+    ----------
+    design:
+        For the bases, and the link.
+    control:
+        The real numbers.
+    width:
+        Bits of a code.
+
+    Raises
+    ------
+    InputError
+        The bases do not hold the largest current, speed or voltage.
+    NoSolutionError
+        A quantity can overflow, or a gain has no format.
+    """
+    if control.feedforward == "measured":
+        raise InputError(
+            "control.current_loop.feedforward: measured is not there in fixed point; write "
+            "references, or export.control: float32"
+        )
+    _require_bases(design, control)
+    bases = design.control.bases
+    flux_base = _flux_base(control.shape.flux)
+    scales = (bases.current, bases.voltage, bases.speed, bases.torque, flux_base)
+    made = _integers(design, control, scales, width)
+    codes = np.array(made.shape)[:, :-1] * (flux_base / 2 ** (width - 1))
+    error = np.max(np.abs(codes - control.shape.flux)) / np.max(np.abs(control.shape.flux))
+    return FixedPhaseFit(made, phase_ranges(made), float(error))
+
+
+def _three_rows(flux: FloatArray) -> FloatArray:
+    """Flux of all phases, shape (3, N)."""
+    if flux.shape[0] == 3:
+        return flux
+    third = flux.shape[1] // 3
+    return np.stack([np.roll(flux[0], third * phase) for phase in range(3)])
+
+
+def _flux_base(flux: FloatArray) -> float:
+    rows = _three_rows(flux)
+    axes = clarke_matrix() @ rows
+    return _FLUX_ROOM * float(max(np.max(np.abs(rows)), np.max(np.abs(axes))))
+
+
+def _require_bases(design: Design, control: PhaseControl) -> None:
+    bases, speed = design.control.bases, design.machine.omega_m_max
+    if design.i_max > bases.current * (1.0 + 1e-9):
+        raise InputError(
+            f"control.per_unit.current: {bases.current:.4g} A is full scale in fixed point, but "
+            f"the current limit is {design.i_max:.4g} A; write current: {design.i_max * 1.25:.3g} A"
+        )
+    if speed is not None and speed > bases.speed * (1.0 + 1e-9):
+        rpm = 30.0 / math.pi
+        raise InputError(
+            f"control.per_unit.speed: {bases.speed * rpm:.5g} rpm is full scale in fixed point, "
+            f"but the largest speed is {speed * rpm:.5g} rpm; write speed: "
+            f"{speed * rpm * 1.25:.4g} rpm"
+        )
+    rule = TOPOLOGIES[control.topology]
+    # Two thirds of the largest difference, or the largest phase voltage.
+    share = 1.0 if rule.neutral else 2.0 / 3.0 * (rule.between or 1.0)
+    share = 2.0 / 3.0 if rule.midpoint else share
+    needed = share * design.inverter.v_dc
+    if bases.voltage < needed * (1.0 - 1e-9):
+        raise InputError(
+            f"control.per_unit.voltage: {bases.voltage:.4g} V is full scale in fixed point, but "
+            f"phases of {control.topology} reach {needed:.4g} V; write voltage: {needed:.4g} V"
+        )
+
+
+def _gain(name: str, value: float, width: int, argument: int) -> FixedGain:
+    """A gain that uses its word, refused where it is coarse."""
+    try:
+        gain = quantise(value, width, argument)
+    except NoSolutionError as error:
+        raise NoSolutionError(f"fixed point: {name}: {error}") from None
+    if abs(gain.error) > _LARGEST_ERROR:
+        raise NoSolutionError(
+            f"fixed point: {name} {value:.4g} is rounded by {gain.error:+.1%} in {width} bits; use "
+            "other bases"
+        )
+    return gain
+
+
+def _finest(name: str, value: float, width: int, argument: int) -> tuple[FixedGain, int]:
+    """A gain to a state with the most further bits, and how many."""
+    for fraction in range(min(_MOST_FRACTION, width - 2), -1, -1):
+        try:
+            return _gain(name, value * 2.0**fraction, width, argument), fraction
+        except NoSolutionError:
+            continue
+    raise NoSolutionError(
+        f"fixed point: {name}, {value:.4g} per unit, has no format of {width} bits; use other bases"
+    )
+
+
+def _axis(
+    name: str,
+    control: PhaseControl,
+    gains: AxisGains,
+    inductance: float,
+    scales: tuple[float, float, float],
+    width: int,
+) -> FixedAxis:
+    """Controller of one axis; ``scales`` are current in A, voltage in V, electrical speed."""
+    current, voltage, omega_e = scales
+    ohm, error, code = current / voltage, 2**width - 1, 2 ** (width - 1)
+    ki, fraction = _finest(f"ki t_s of {name}", gains.ki * control.t_s * ohm, width, code)
+    return FixedAxis(
+        kp=_gain(f"kp of {name}", gains.kp * ohm, width, error),
+        ki=ki,
+        fraction=fraction,
+        resistance=_gain(f"resistance of {name}", control.r_s * ohm, width, code),
+        inductance=_gain(f"L / t_s of {name}", inductance / control.t_s * ohm, width, error),
+        reactance=_gain(f"reactance of {name}", omega_e * inductance * ohm, width, code),
+    )
+
+
+def _harmonics(
+    control: PhaseControl, scales: tuple[float, float, float], width: int
+) -> tuple[FixedHarmonic, ...]:
+    part, code = control.harmonics, 2 ** (width - 1)
+    if part is None:
+        return ()
+    current, voltage, omega_e = scales
+    found = []
+    for zero, orders in ((False, part.plane), (True, part.zero)):
+        inductance = control.inductances[2 if zero else 1]
+        for order in orders:
+            end = 2.0 * math.pi * part.frequency_max / abs(order) / omega_e  # of the base speed
+            if 0.8 * end * code < 1.0:
+                continue  # it fades below the first code of the speed
+            reactance = abs(order) * omega_e * inductance * current / voltage
+            found.append(
+                FixedHarmonic(
+                    order=order,
+                    zero=zero,
+                    reactance=_gain(f"reactance of order {order}", reactance, width, code),
+                    fade=_gain(f"fade of order {order}", 5.0 / end, width, code),
+                    end=round(min(end, 2.0) * code),
+                )
+            )
+    return tuple(found)
+
+
+def _midpoint(
+    control: PhaseControl, bases: tuple[float, float, float], dc_base: float, width: int
+) -> FixedMidpoint | None:
+    if control.midpoint is None:
+        return None
+    current, _, omega_e = bases
+    code = 2 ** (width - 1)
+    fade = 0.0 if control.midpoint.omega_e_min <= 0.0 else omega_e / control.midpoint.omega_e_min
+    return FixedMidpoint(
+        balance=_gain("midpoint", control.midpoint.balance * dc_base / current, width, code),
+        fade=FixedGain(code - 1, 0, float(code - 1))
+        if fade <= 0.0 or fade > 2.0 ** (width - 2)
+        else _gain("midpoint's fade", fade, width, code),
+    )
+
+
+def _rows(flux: FloatArray, base: float, width: int) -> tuple[tuple[int, ...], ...]:
+    top = 2 ** (width - 1) - 1
+    codes = np.clip(np.rint(flux / base * 2.0 ** (width - 1)), -top, top).astype(np.int64)
+    closed = np.concatenate([codes, codes[:, :1]], axis=1)
+    return tuple(tuple(row) for row in closed.tolist())
+
+
+def _least_square(control: PhaseControl, flux_base: float) -> float:
+    """Least of alpha^2 + beta^2 (+ 2 zero^2) over the period, per unit."""
+    axes = clarke_matrix() @ _three_rows(control.shape.flux) / flux_base
+    square = axes[0] ** 2 + axes[1] ** 2
+    return float(np.min(square + (2.0 * axes[2] ** 2 if control.frame == "dqy" else 0.0)))
+
+
+def _integers(
+    design: Design,
+    control: PhaseControl,
+    bases: tuple[float, float, float, float, float],
+    width: int,
+) -> FixedPhaseControl:
+    current, voltage, speed, torque, flux = bases
+    omega_e, code = control.pole_pairs * speed, 2 ** (width - 1)
+    scales = (current, voltage, omega_e)
+    dc_scale = max(0, math.ceil(math.log2(design.inverter.v_dc * DC_HEADROOM / voltage)))
+    dc_base = voltage * 2.0**dc_scale
+    # An open phase or unequal ones reach down to a part of the square of equal ones.
+    least = 0.2 * _least_square(control, flux)
+    unit = torque / (1.5 * control.pole_pairs * flux * current)
+    largest = unit * control.torque_max / torque / max(least, 1e-3)
+    unit_bits = max(0, math.ceil(math.log2(max(largest, 1e-9))))
+    samples = 2.0 * math.pi / (omega_e * control.t_s)  # per electrical period at the base speed
+    begin, end = (samples / count for count in control.fade)  # over the base speed
+    rate = 0.0 if control.harmonics is None else control.harmonics.rate * control.t_s
+    learning, harmonic_fraction = (
+        _finest("rate of the harmonics", rate, width, code)
+        if rate > 0.0
+        else (FixedGain(0, 0, 0.0), 0)
+    )
+    zero = control.gains[2]
+    most = 0.0 if control.harmonics is None else control.harmonics.error_max
+    return FixedPhaseControl(
+        width=width,
+        bases=bases,
+        frame=control.frame,
+        feedforward=control.feedforward,
+        topology=control.topology,
+        shape=_rows(control.shape.flux, flux, width),
+        turns=control.shape.turns,
+        fundamental=round(control.psi_pm / flux * code),
+        fade=FixedGain(code - 1, 0, code - 1.0)
+        if begin >= 1.0
+        else _gain("fade", min(1.0 / (end - begin), 2.0 ** (width - 4)), width, code),
+        fade_end=2 * code if begin >= 1.0 else round(end * code),
+        unit=_gain("current per torque", unit / 2.0**unit_bits, width, code),
+        unit_bits=unit_bits,
+        least_square=max(1, round(least * code)),
+        sample=_gain("turn in a sample", 2.0 / samples / control.shape.turns, width, code),
+        electrical=_gain("back-EMF", omega_e * flux / voltage, width, code),
+        d=_axis("d", control, control.gains[0], control.inductances[0], scales, width),
+        q=_axis("q", control, control.gains[1], control.inductances[1], scales, width),
+        zero=None
+        if zero.kp == 0.0
+        else _axis("0", control, zero, control.inductances[2], scales, width),
+        rate=learning,
+        harmonic_fraction=harmonic_fraction,
+        error_max=round(most / current * code),
+        harmonics=_harmonics(control, scales, width),
+        midpoint=_midpoint(control, scales, dc_base, width),
+        dc_scale=dc_scale,
+        dc_least=round(0.5 * design.inverter.v_dc / dc_base * code),
+    )

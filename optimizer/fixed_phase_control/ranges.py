@@ -1,0 +1,34 @@
+"""Proof that nothing overflows in the integers of a phase machine's control."""
+
+from __future__ import annotations
+
+from dqforge.machines.transforms import Pair, Triple
+from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach
+from dqforge.optimizer.fixed_control.ranges import codes, require
+from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
+from dqforge.optimizer.fixed_phase_control.step import PhaseState, Sample, control_step
+
+
+def phase_ranges(control: FixedPhaseControl) -> tuple[Reach, ...]:
+    """Range of every named product and sum of the step, from any codes and any state.
+
+    Raises
+    ------
+    NoSolutionError
+        A quantity can leave its word; the message names it.
+    """
+    width, top = control.width, control.top
+    found = Ranges(width, "phase control: ")
+    every, angle = codes(width), Range(0, 2**width - 1)
+
+    def state(fraction: int) -> Range:
+        return Range(-top << fraction, top << fraction)
+
+    axes = (control.d, control.q, control.zero)
+    integral = Triple(*(state(0 if axis is None else axis.fraction) for axis in axes))
+    turning = state(control.harmonic_fraction)
+    sample = Sample(Triple(every, every, every), angle, every, every, Range(0, top), Range(0, 3))
+    before = PhaseState(integral, tuple(Pair(turning, turning) for _ in control.harmonics))
+    control_step(found, control, before, sample, every, Pair(every, every))
+    require(found)
+    return tuple(found.reaches.values())

@@ -1,0 +1,450 @@
+"""Current control of a phase machine in integers, as the emitted C computes it.
+
+Every function takes its operations from an `Arithmetic`: numbers make it the model of the C, ranges
+the proof that nothing overflows. Vectors are alpha, beta and zero sequence (mean of the phases).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Generic
+
+from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.transforms import N, Pair, Triple, clarke, clarke_inverse, park, park_inverse
+from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, magnitude, rounded
+from dqforge.optimizer.fixed_control.gains import scaled
+from dqforge.optimizer.fixed_control.transforms import Codes, rotation
+from dqforge.optimizer.fixed_phase_control.feeding import leg_duties, within_region
+from dqforge.optimizer.fixed_phase_control.frame_integrators import (
+    frame_errors,
+    frame_voltage,
+)
+from dqforge.optimizer.fixed_phase_control.integers import (
+    FixedAxis,
+    FixedHarmonic,
+    FixedPhaseControl,
+    Vector,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample(Generic[N]):
+    """Codes of one instant: phase currents, angle of the shape, mechanical speed, link, midpoint.
+
+    ``open_phase`` is 0, or 1 to 3 for a phase that carries no current.
+    """
+
+    i: Triple[N]
+    theta: N
+    omega: N
+    v_dc: N
+    v_m: N
+    open_phase: N
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseState(Generic[N]):
+    """Integrals of the frame's axes and those of the harmonics, with their further bits."""
+
+    integral: Triple[N]
+    harmonics: tuple[Pair[N], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseStep(Generic[N]):
+    """What a step gives: duty cycles of the legs, next state, voltage, reference, errors."""
+
+    duty: tuple[N, ...]
+    state: PhaseState[N]
+    voltage: Vector[N]
+    reference: Vector[N]
+
+
+def has_zero(control: FixedPhaseControl) -> bool:
+    """Whether the topology drives a zero-sequence current."""
+    return TOPOLOGIES[control.topology].neutral
+
+
+def zero_of(o: Arithmetic[N, Any], width: int, phase: Triple[N]) -> N:
+    """Mean of the phases in codes."""
+    bits = width - 1
+    total = o.total("zero: a + b + c", *phase)
+    share = o.const(round(2**bits / 3))
+    return Codes(o, width).settled("zero", o.product("zero: / 3", total, share))
+
+
+def flux_at(o: Arithmetic[N, Any], control: FixedPhaseControl, angle: N) -> Triple[N]:
+    """Flux of the phases at an angle of the shape, in codes, by straight lines."""
+    width, nodes = control.width, control.nodes
+    place = o.product("shape: place", angle, o.const(nodes))
+    index = o.clamp(o.shifted(place, width), 0, nodes - 1)
+    share = o.shifted(o.wrapped(place, width), 1)
+    found = []
+    for phase in range(3):
+        row = control.shape[phase if len(control.shape) == 3 else 0]
+        moved = index
+        if len(control.shape) == 1 and phase:
+            ahead = o.total("shape: index", index, o.const(nodes - nodes * phase // 3))
+            past = o.total("shape: index", ahead, o.const(-nodes))
+            moved = o.choose(o.at_least(ahead, o.const(nodes)), past, ahead)
+            moved = o.clamp(moved, 0, nodes - 1)  # changes no number
+        here = o.entry(row, moved)
+        gap = o.total("shape: slope", o.entry(row[1:], moved), o.negative(here))
+        rise = rounded(o, "shape: rise", o.product("shape: rise", gap, share), width - 1)
+        found.append(Codes(o, width).saturated(o.total("shape: value", here, rise)))
+    return Triple(*found)
+
+
+def flux_vector(
+    o: Arithmetic[N, Any], control: FixedPhaseControl, phases: Triple[N], *, zero_sequence: bool
+) -> Vector[N]:
+    """Flux on alpha, beta and zero; none on zero without a ``zero_sequence``."""
+    pair = clarke(Codes(o, control.width), phases)
+    zero = zero_of(o, control.width, phases) if zero_sequence else o.const(0)
+    return Vector(pair.x, pair.y, zero)
+
+
+def electrical_angle(o: Arithmetic[N, Any], control: FixedPhaseControl, angle: N) -> N:
+    """Electrical angle of an angle of the shape."""
+    if control.turns == 1:
+        return angle
+    turned = o.product("angle: turns", angle, o.const(control.turns))
+    return o.wrapped(turned, control.width)
+
+
+def harmonic_share(o: Arithmetic[N, Any], control: FixedPhaseControl, speed: N) -> N:
+    """Share of the harmonics in the references, 0 to full scale, at a magnitude of the speed."""
+    lack = o.total("fade: lack", o.const(control.fade_end), o.negative(speed))
+    lack = o.clamp(lack, 0, control.top)
+    return o.clamp(scaled(o, "fade", control.fade, lack), 0, control.top)
+
+
+def reference_flux(
+    o: Arithmetic[N, Any], control: FixedPhaseControl, angle: N, share: N, open_phase: N
+) -> Vector[N]:
+    """Flux that the references follow: faded to its fundamental, without an open phase."""
+    width, codes = control.width, Codes(o, control.width)
+    whole = flux_at(o, control, angle)
+    turn = rotation(o, width, electrical_angle(o, control, angle))
+    size = o.const(control.fundamental)
+    sinusoidal = clarke_inverse(
+        codes,
+        Pair(
+            o.negative(codes.settled("fundamental", o.product("fundamental", size, turn.y))),
+            codes.settled("fundamental", o.product("fundamental", size, turn.x)),
+        ),
+    )
+    full = o.at_least(share, o.const(control.top))
+    left = []
+    for number, (flux, sine) in enumerate(zip(whole, sinusoidal, strict=True), start=1):
+        gap = codes.saturated(o.total("fade: harmonics", flux, o.negative(sine)))
+        part = rounded(o, "fade: part", o.product("fade: part", gap, share), width - 1)
+        faded = codes.saturated(o.total("fade: flux", sine, part))
+        value = o.choose(full, flux, faded)
+        if has_zero(control):
+            is_open = o.at_least(o.const(0), magnitude(o, _less(o, open_phase, number)))
+            value = o.choose(is_open, o.const(0), value)
+        left.append(value)
+    shaped = has_zero(control) and control.frame != "dqx"
+    return flux_vector(o, control, Triple(*left), zero_sequence=shaped)
+
+
+def _less(o: Arithmetic[N, Any], value: N, number: int) -> N:
+    return o.total("open phase", value, o.const(-number))
+
+
+def unit_square(o: Arithmetic[N, Any], control: FixedPhaseControl, flux: Vector[N]) -> N:
+    """Square alpha^2 + beta^2 + 2 zero^2 of the flux in codes, at least the least of the shape."""
+    bits = control.width - 1
+    square = o.total(
+        "square",
+        *(o.shifted(o.product("square: axis", x, x), bits) for x in flux),
+        o.shifted(o.product("square: axis", flux.zero, flux.zero), bits),
+    )
+    return o.clamp(square, control.least_square, 4 << bits)
+
+
+def reference_currents(
+    o: Arithmetic[N, Any], control: FixedPhaseControl, torque: N, flux: Vector[N]
+) -> Vector[N]:
+    """Currents T f / (p |f|^2) in codes for the code of a torque."""
+    codes, bits = Codes(o, control.width), control.width - 1
+    wanted = codes.saturated(scaled(o, "torque", control.unit, torque))
+    wide = o.product("torque 2^bits", wanted, o.const(1 << bits))
+    per_flux = codes.saturated(o.quotient("torque / square", wide, unit_square(o, control, flux)))
+    return Vector(
+        *(
+            codes.saturated(
+                rounded(
+                    o, "reference", o.product("reference", per_flux, x), bits - control.unit_bits
+                )
+            )
+            for x in flux
+        )
+    )
+
+
+def references(
+    o: Arithmetic[N, Any],
+    control: FixedPhaseControl,
+    sample: Sample[N],
+    angles: tuple[N, ...],
+    torque: N,
+    constant: Pair[N],
+) -> list[Vector[N]]:
+    """References at some angles: of a torque over the shape, and of constant dq currents."""
+    codes, speed = Codes(o, control.width), magnitude(o, sample.omega)
+    share = harmonic_share(o, control, speed)
+    found = []
+    for angle in angles:
+        turn = rotation(o, control.width, electrical_angle(o, control, angle))
+        pair = park_inverse(codes, constant, turn)
+        current = Vector(pair.x, pair.y, o.const(0))
+        if control.frame != "dq":
+            flux = reference_flux(o, control, angle, share, sample.open_phase)
+            shaped = reference_currents(o, control, torque, flux)
+            current = Vector(
+                *(
+                    codes.saturated(o.total("reference: sum", x, y))
+                    for x, y in zip(shaped, current, strict=True)
+                )
+            )
+        found.append(_balanced(o, control, sample, speed, current))
+    return found
+
+
+def _balanced(
+    o: Arithmetic[N, Any],
+    control: FixedPhaseControl,
+    sample: Sample[N],
+    speed: N,
+    current: Vector[N],
+) -> Vector[N]:
+    """The reference with a zero sequence that keeps the midpoint of a split link."""
+    if control.midpoint is None:
+        return current
+    codes, part = Codes(o, control.width), control.midpoint
+    weight = o.clamp(scaled(o, "midpoint: fade", part.fade, speed), 0, control.top)
+    kept = rounded(
+        o, "midpoint: zero", o.product("midpoint: zero", current.zero, weight), control.width - 1
+    )
+    gap = o.total("midpoint: gap", sample.v_m, o.negative(o.shifted(sample.v_dc, 1)))
+    back = scaled(o, "midpoint: balance", part.balance, codes.saturated(gap))
+    zero = codes.saturated(o.total("midpoint: reference", kept, o.negative(back)))
+    return current._replace(zero=zero)
+
+
+def axes_of(control: FixedPhaseControl) -> tuple[tuple[int, FixedAxis], ...]:
+    """Axes that are driven, by their place in a vector, with their controllers."""
+    found = ((0, control.d), (1, control.q))
+    return found if control.zero is None else (*found, (2, control.zero))
+
+
+def feedforward(
+    o: Arithmetic[N, Any],
+    control: FixedPhaseControl,
+    omega: N,
+    currents: tuple[Vector[N], Vector[N]],
+    flux: Vector[N],
+) -> list[N]:
+    """Voltage of the references in codes: resistance, inductance, back-EMF."""
+    found = [o.const(0)] * 3
+    for place, axis in axes_of(control):
+        terms = []
+        if control.feedforward != "none":
+            turning = rounded(
+                o, "omega f", o.product("omega f", omega, flux[place]), control.width - 1
+            )
+            terms.append(scaled(o, "back-EMF", control.electrical, turning))
+        if control.feedforward == "references":
+            now, then = currents[0][place], currents[1][place]
+            rise = o.total("reference: rise", then, o.negative(now))
+            terms.append(scaled(o, "L di", axis.inductance, rise))
+            mean = o.shifted(o.total("reference: mean", now, then), 1)
+            terms.append(scaled(o, "R i", axis.resistance, mean))
+        if terms:
+            found[place] = o.total("feedforward", *terms) if len(terms) > 1 else terms[0]
+    return found
+
+
+def harmonic_weight(
+    o: Arithmetic[N, Any], control: FixedPhaseControl, part: FixedHarmonic, speed: N
+) -> N:
+    """Weight of a harmonic, 0 to full scale."""
+    lack = o.total("harmonic: lack", o.const(part.end), o.negative(speed))
+    return o.clamp(
+        scaled(o, "harmonic: fade", part.fade, o.clamp(lack, 0, control.top)), 0, control.top
+    )
+
+
+def order_angle(
+    o: Arithmetic[N, Any], control: FixedPhaseControl, part: FixedHarmonic, angle: N
+) -> N:
+    """The harmonic's order times an electrical angle."""
+    return o.wrapped(o.product("harmonic: angle", angle, o.const(part.order)), control.width)
+
+
+def harmonic_voltage(
+    o: Arithmetic[N, Any],
+    control: FixedPhaseControl,
+    part: FixedHarmonic,
+    state: Pair[N],
+    angles: tuple[N, N],
+    omega: N,
+) -> Pair[N]:
+    """Voltage of one integrator in the plane, or (voltage, 0) of the zero sequence.
+
+    ``angles`` are the electrical angle, and that by which the drive turns in 1.5 samples.
+    """
+    width, codes = control.width, Codes(o, control.width)
+    axis = control.zero if part.zero and control.zero is not None else control.q
+    bits = control.harmonic_fraction
+    held = Pair(*(codes.saturated(rounded(o, "harmonic: state", x, bits)) for x in state))
+    now = park_inverse(codes, held, rotation(o, width, order_angle(o, control, part, angles[0])))
+    then = park_inverse(codes, now, rotation(o, width, order_angle(o, control, part, angles[1])))
+    sign = 1 if part.order > 0 else -1
+    turning = [
+        rounded(o, "harmonic: omega i", o.product("harmonic: omega i", omega, x), width - 1)
+        for x in then
+    ]
+    reactive = [scaled(o, "harmonic: X i", part.reactance, x) for x in turning]
+    across = (o.negative(reactive[1]), reactive[0])
+    if sign < 0:
+        across = (o.negative(across[0]), o.negative(across[1]))
+    weight = harmonic_weight(o, control, part, magnitude(o, omega))
+    found = []
+    for x, y, z in zip(now, then, across, strict=True):
+        whole = codes.saturated(
+            o.total(
+                "harmonic: voltage",
+                scaled(o, "harmonic: kp i", axis.kp, x),
+                scaled(o, "harmonic: R i", axis.resistance, y),
+                z,
+            )
+        )
+        found.append(
+            rounded(
+                o, "harmonic: weighted", o.product("harmonic: weighted", whole, weight), width - 1
+            )
+        )
+    return Pair(found[0], found[1])
+
+
+def harmonic_update(
+    o: Arithmetic[N, Any],
+    control: FixedPhaseControl,
+    part: FixedHarmonic,
+    state: Pair[N],
+    angle: N,
+    error: tuple[N, ...],
+    omega: N,
+) -> Pair[N]:
+    """Next state of one integrator for an error in codes of one word."""
+    width, codes = control.width, Codes(o, control.width)
+    turn = rotation(o, width, order_angle(o, control, part, angle))
+    seen = Pair(error[2], o.const(0)) if part.zero else Pair(error[0], error[1])
+    turned = park(codes, seen, turn)
+    weight = harmonic_weight(o, control, part, magnitude(o, omega))
+    most = control.top << control.harmonic_fraction
+    found = []
+    for x, y in zip(state, turned, strict=True):
+        part_of = rounded(o, "harmonic: error", o.product("harmonic: error", y, weight), width - 1)
+        step = scaled(o, "harmonic: rate", control.rate, part_of)
+        found.append(o.clamp(o.total("harmonic: next", x, step), -most, most))
+    return Pair(found[0], found[1])
+
+
+def control_step(
+    o: Arithmetic[N, Any],
+    control: FixedPhaseControl,
+    state: PhaseState[N],
+    sample: Sample[N],
+    torque: N,
+    constant: Pair[N],
+) -> PhaseStep[N]:
+    """One sample: duty cycles that act from the next one on, for one period.
+
+    Parameters
+    ----------
+    o:
+        The arithmetic.
+    control:
+        The integers.
+    state:
+        What the last step left.
+    sample:
+        What is measured now.
+    torque:
+        Code of the torque; of no account in frame dq.
+    constant:
+        Codes of constant dq currents; in frame dq the reference.
+    """
+    width, codes = control.width, Codes(o, control.width)
+    v_dc = o.clamp(sample.v_dc, control.dc_least, control.top)
+    ahead = scaled(o, "angle: sample", control.sample, sample.omega)
+    half = o.shifted(ahead, 1)
+    middle = o.total("angle: 1.5 samples", ahead, half)
+    angles = (
+        sample.theta,
+        o.wrapped(o.total("angle: next", sample.theta, ahead), width),
+        o.wrapped(o.total("angle: after next", sample.theta, ahead, ahead), width),
+    )
+    acting = o.wrapped(o.total("angle: acting", sample.theta, middle), width)
+    now, then, after = references(o, control, sample, angles, torque, constant)
+    pair = clarke(codes, sample.i)
+    zero = zero_of(o, width, sample.i) if has_zero(control) else o.const(0)
+    error = [
+        o.total("error", wanted, o.negative(found))
+        for wanted, found in zip(now, (pair.x, pair.y, zero), strict=True)
+    ]
+    near = tuple(codes.saturated(x) for x in error)
+    neutral = has_zero(control)
+    flux = flux_vector(o, control, flux_at(o, control, acting), zero_sequence=neutral)
+    terms = [[x] for x in feedforward(o, control, sample.omega, (then, after), flux)]
+    for place, axis in axes_of(control):
+        terms[place].append(scaled(o, "kp e", axis.kp, error[place]))
+    electrical = electrical_angle(o, control, sample.theta)
+    turned = electrical_angle(o, control, o.wrapped(middle, width))
+    held = frame_voltage(
+        o, control, state.integral, (acting, electrical_angle(o, control, acting)), flux
+    )
+    for place in range(3):
+        terms[place].append(held[place])
+    for part, r in zip(control.harmonics, state.harmonics, strict=True):
+        made = harmonic_voltage(o, control, part, r, (electrical, turned), sample.omega)
+        if part.zero:
+            terms[2].append(made.x)
+        else:
+            terms[0].append(made.x)
+            terms[1].append(made.y)
+    asked = Vector(*(o.total("voltage", *parts) for parts in terms))
+    voltage, limited = within_region(o, control, asked, v_dc, sample.v_m)
+    seen = flux_vector(o, control, flux_at(o, control, sample.theta), zero_sequence=neutral)
+    frame_error = frame_errors(o, control, near, electrical, seen)
+    integral = Triple(
+        *(
+            o.choose(limited, old, _integrated(o, control, axis, old, e))
+            for old, axis, e in zip(
+                state.integral, (control.d, control.q, control.zero), frame_error, strict=True
+            )
+        )
+    )
+    size = o.total("harmonic: sum of errors", *(magnitude(o, x) for x in error))
+    rests = o.at_least(size, o.const(control.error_max + 1))
+    harmonics = []
+    for part, r in zip(control.harmonics, state.harmonics, strict=True):
+        new = harmonic_update(o, control, part, r, electrical, near, sample.omega)
+        kept = Pair(*(o.choose(rests, a, b) for a, b in zip(r, new, strict=True)))
+        harmonics.append(Pair(*(o.choose(limited, a, b) for a, b in zip(r, kept, strict=True))))
+    duty = leg_duties(o, control, voltage, v_dc, sample.v_m)
+    return PhaseStep(duty, PhaseState(integral, tuple(harmonics)), voltage, now)
+
+
+def _integrated(
+    o: Arithmetic[N, Any], control: FixedPhaseControl, axis: FixedAxis | None, old: N, error: N
+) -> N:
+    if axis is None:
+        return old
+    most = control.top << axis.fraction
+    step = scaled(o, "ki e", axis.ki, error)
+    return o.clamp(o.total("integral + ki e", old, step), -most, most)

@@ -1,0 +1,1 @@
+"""What to flash: the comparison as tables and plain data, and its rows in the simulation."""

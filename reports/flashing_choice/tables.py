@@ -1,0 +1,172 @@
+"""The comparison of topologies and controllers as a table, and as plain data."""
+
+from __future__ import annotations
+
+import math
+
+from dqforge.machines.design.design import Design
+from dqforge.optimizer.flashing_choice.advice import Advice
+from dqforge.optimizer.flashing_choice.choices import DEVIATIONS, FlashRow, RippleFigures
+from dqforge.optimizer.flashing_choice.solve import FlashComparison
+from dqforge.reports.flashing_choice.words import FRAME_TEXT, TOPOLOGY_TEXT, advice_lines
+from dqforge.reports.pages.table import Table
+from dqforge.reports.plain_data import PlainData
+
+_RPM = 30.0 / math.pi
+
+
+_COLUMNS = (
+    "legs",
+    "control",
+    "ripple %",
+    "copper W",
+    "inverter W",
+    "link V",
+    "neutral A",
+    "cycles",
+    "table B",
+    "",
+)
+
+
+_DEVIATIONS = {
+    "offset": "a sensor 30 mA off",
+    "noise": "30 mA of noise",
+    "inductance": "L 30 % lower",
+    "back_emf": "EMF 5 % higher",
+}
+
+
+def _number(value: float, digits: int = 3) -> str:
+    return f"{value:.{digits}g}" if math.isfinite(value) else "-"
+
+
+def _share(figures: RippleFigures | None, name: str | None = None) -> str:
+    """Percent with two decimals; a dash where it is not known."""
+    if figures is None:
+        return "-"
+    share = figures.plain if name is None else figures.deviating.get(name, math.nan)
+    return f"{100.0 * share:.2f}" if math.isfinite(share) else "-"
+
+
+def _cells(row: FlashRow, advice: Advice, *, without_device: bool) -> tuple[str, ...]:
+    known = row.ripple_known
+    best = advice.row is not None and (row.topology, row.frame) == (
+        advice.row.topology,
+        advice.row.frame,
+    )
+    return (
+        TOPOLOGY_TEXT[row.topology],
+        FRAME_TEXT[row.frame],
+        _share(known),
+        _number(row.copper, 4),
+        "no device" if without_device else _number(row.bridge, 4),
+        _number(row.link, 4),
+        _number(row.neutral),
+        "-" if row.cycles is None else f"{0.5 * sum(row.cycles):.0f}",
+        str(row.constants) if row.constants else "-",
+        "flash this" if best else row.obstacle,
+    )
+
+
+def flash_tables(design: Design, found: FlashComparison, advice: Advice) -> list[Table]:
+    """Rows of topologies and controllers, the recommendation below them; then what the torque
+    ripple becomes where sensors and machine are not what the firmware takes them for.
+    """
+    point = f"{found.torque:.4g} N m, {found.omega_m * _RPM:.4g} rpm, {found.v_dc:.4g} V"
+    rows = tuple(_cells(row, advice, without_device=found.without_device) for row in found.rows)
+    by = "of the emitted C in the compiled simulation"
+    if found.unsimulated:
+        by = f"by closed form ({found.unsimulated})"
+    notes = [
+        *advice_lines(advice),
+        *_fault(found),
+        f"torque ripple, peak to peak of the means over a PWM period, {by}, with a dead time of "
+        f"{1e6 * design.inverter.dead_time:.3g} us; table: with harmonic integrators",
+    ]
+    if found.uncounted:
+        notes.append(f"no cycles: {found.uncounted}")
+    if found.without_device:
+        notes.append(
+            "inverter W: the design has no inverter.device, nothing is known of the switches"
+        )
+    if design.inverter.midpoint_capacitance is None:
+        notes.append(
+            f"split-capacitor: with {1e3 * found.capacitance:.3g} mF in all, which hold the "
+            "midpoint within 2 % of the link here"
+        )
+    main = Table(f"{design.name}: what to flash at {point}", _COLUMNS, rows, tuple(notes))
+    columns = ("legs", "control", "as it is", *(_DEVIATIONS[name] for name in DEVIATIONS))
+    sensitive = tuple(
+        (
+            TOPOLOGY_TEXT[row.topology],
+            FRAME_TEXT[row.frame],
+            _share(row.ripple_known),
+            *(_share(row.ripple_known, name) for name in DEVIATIONS),
+        )
+        for row in found.rows
+        if row.ripple_known is not None
+    )
+    return [main, Table("Torque ripple in % where something is not as assumed", columns, sensitive)]
+
+
+def _fault(found: FlashComparison) -> list[str]:
+    """What speaks for a neutral where a phase may fail."""
+    price = found.without_phase
+    if price is None:
+        return []
+    return [
+        "with a phase open a star's torque vanishes twice a period; with a neutral it stays "
+        f"constant for {price.copper:.3g} times the copper, and the neutral's leg carries "
+        f"{price.neutral:.2g} times the phase peak"
+    ]
+
+
+def _plain_ripple(figures: RippleFigures | None) -> PlainData | None:
+    return None if figures is None else {"plain": figures.plain, **figures.deviating}
+
+
+def plain_flash(found: FlashComparison, advice: Advice) -> PlainData:
+    """Rows, recommendation and what was left out."""
+    rows = [
+        {
+            "topology": row.topology,
+            "frame": row.frame,
+            "obstacle": row.obstacle,
+            "copper_W": row.copper,
+            "bridge_W": row.bridge,
+            "neutral_leg_W": row.neutral_leg,
+            "link_V": row.link,
+            "neutral_A": row.neutral,
+            "table_B": row.constants,
+            "ripple_closed_form": _plain_ripple(row.ripple),
+            "ripple_simulated": _plain_ripple(row.simulated),
+            "cycles": None if row.cycles is None else list(row.cycles),
+        }
+        for row in found.rows
+    ]
+    chosen = advice.row
+    trades = [
+        {
+            "topology": trade.topology,
+            "copper_saved_W": trade.copper_saved,
+            "bridge_added_W": trade.bridge_added,
+            "net_W": trade.net,
+            "link_saved_V": trade.link_saved,
+            "obstacle": trade.obstacle,
+        }
+        for trade in advice.trades
+    ]
+    return {
+        "torque_Nm": found.torque,
+        "omega_m_rad_per_s": found.omega_m,
+        "v_dc_V": found.v_dc,
+        "midpoint_capacitance_F": found.capacitance,
+        "rows": rows,
+        "flash": None if chosen is None else {"topology": chosen.topology, "frame": chosen.frame},
+        "dq_ripple": advice.dq_ripple,
+        "trades": trades,
+        "words": [*advice_lines(advice), *_fault(found)],
+        "unsimulated": found.unsimulated,
+        "uncounted": found.uncounted,
+    }

@@ -1,0 +1,1 @@
+"""Tables of the frames dqx and dqy, as C, tables, JSON and text."""

@@ -1,0 +1,102 @@
+"""Rows of integers through the control of a phase machine: inputs that reach the ends, and what
+must come out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.transforms import Pair, Triple
+from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
+from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
+from dqforge.optimizer.fixed_phase_control.step import PhaseState, Sample, control_step
+
+_MEASURED = ("i_a", "i_b", "i_c", "theta", "omega", "v_dc", "v_m", "open", "torque", "d", "q")
+
+
+_INTEGRALS = ("integral_d", "integral_q", "integral_0")
+
+
+_VECTORS = ("v_alpha", "v_beta", "v_0", "reference_alpha", "reference_beta", "reference_0")
+
+
+def _states(control: FixedPhaseControl) -> tuple[str, ...]:
+    names = [f"harmonic_{k}{axis}" for k in range(len(control.harmonics)) for axis in "xy"]
+    return (*_INTEGRALS, *names)
+
+
+def phase_inputs(control: FixedPhaseControl) -> tuple[str, ...]:
+    """Columns of the inputs: what is measured and wanted, then the state."""
+    return (*_MEASURED, *_states(control))
+
+
+def phase_outputs(control: FixedPhaseControl) -> tuple[str, ...]:
+    """Columns of the results: duty cycles, the next state, voltage and reference."""
+    legs = (f"duty_{leg}" for leg in TOPOLOGIES[control.topology].legs)
+    return (*legs, *_states(control), *_VECTORS)
+
+
+def _columns(control: FixedPhaseControl) -> dict[str, tuple[int, int]]:
+    """Least and largest value of each input."""
+    top = control.top
+    found = dict.fromkeys(phase_inputs(control), (-top - 1, top))
+    found |= {
+        "theta": (0, 2**control.width - 1),
+        "v_m": (0, top),
+        "open": (0, 3 if TOPOLOGIES[control.topology].neutral else 0),
+        # Without a table the step takes no torque.
+        "torque": (0, 0) if control.frame == "dq" else (-top - 1, top),
+    }
+    for name, axis in zip(_INTEGRALS, (control.d, control.q, control.zero), strict=True):
+        most = 0 if axis is None else top << axis.fraction
+        found[name] = (-most, most)
+    most = top << control.harmonic_fraction
+    return found | dict.fromkeys(_states(control)[3:], (-most, most))
+
+
+def phase_rows(control: FixedPhaseControl, count: int, seed: int) -> CodeArray:
+    """Inputs of shape (count, columns).
+
+    A third near the middle of an operating drive, a third anywhere, a third at the ends of words
+    and near zero. In 16 bits every angle comes once in 65,536 rows.
+    """
+    generator = np.random.default_rng(seed)
+    kind, columns = generator.integers(0, 3, count), []
+    for name, (low, high) in _columns(control).items():
+        if name == "open":
+            columns.append(generator.integers(low, high, count, endpoint=True))
+            continue
+        even = generator.integers(low, high, count, endpoint=True)
+        ends = generator.choice(
+            np.array([low, min(low + 1, high), 0, max(high - 1, low), high]), count
+        )
+        small = low // 64 if low < 0 else high // 2
+        calm = generator.integers(min(small, high), high // 64 + high // 2 + 1, count)
+        near = even // 32 if low < 0 else np.clip(calm, low, high)
+        columns.append(np.choose(kind, [near, even, np.clip(ends, low, high)]))
+    rows = np.stack(columns, axis=1)
+    if control.width == 16:
+        rows[:, phase_inputs(control).index("theta")] = (np.arange(count) * 40_503) % 65_536
+    return rows
+
+
+def phase_results(
+    control: FixedPhaseControl, inputs: CodeArray, arithmetic: Integers | None = None
+) -> CodeArray:
+    """Results of one step for rows of inputs, shape (rows, results), columns as `phase_outputs`."""
+    o = Integers() if arithmetic is None else arithmetic
+    x = dict(zip(phase_inputs(control), inputs.T, strict=True))
+    sample = Sample(
+        Triple(x["i_a"], x["i_b"], x["i_c"]), x["theta"], x["omega"], x["v_dc"], x["v_m"], x["open"]
+    )
+    names = _states(control)[3:]
+    pairs = zip(names[::2], names[1::2], strict=True)
+    state = PhaseState(
+        Triple(*(x[name] for name in _INTEGRALS)), tuple(Pair(x[a], x[b]) for a, b in pairs)
+    )
+    step = control_step(o, control, state, sample, x["torque"], Pair(x["d"], x["q"]))
+    turning = [value for pair in step.state.harmonics for value in pair]
+    found = [*step.duty, *step.state.integral, *turning, *step.voltage, *step.reference]
+    shape = inputs.shape[:1]
+    return np.stack([np.broadcast_to(value, shape) for value in found], axis=1)

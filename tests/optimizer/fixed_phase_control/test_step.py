@@ -1,0 +1,243 @@
+"""Control of phase machines in integers: on a sampled plant of its own, and its refusals."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from phase_drives import T_S, near_sinusoidal, plain_control, trapezoidal
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.names import CurrentFrame, Topology
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.transforms import Pair, Triple, clarke_matrix
+from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges
+from dqforge.optimizer.fixed_phase_control.design import fit_phase_control
+from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
+from dqforge.optimizer.fixed_phase_control.step import PhaseState, Sample, control_step, flux_at
+from dqforge.optimizer.phase_control.phase_controller import PhaseControl
+
+RPM = math.pi / 30.0
+
+P, Z = near_sinusoidal(96), trapezoidal(96)
+
+
+def design(voltage: float = 300.0, **bases: float) -> Any:
+    """What the integers need of a design."""
+    scales = {"current": 8.0, "voltage": voltage, "speed": 2000.0 * RPM, "torque": 5.0} | bases
+    return SimpleNamespace(
+        control=SimpleNamespace(bases=SimpleNamespace(**scales)),
+        machine=SimpleNamespace(omega_m_max=1800.0 * RPM),
+        i_max=5.94,
+        inverter=SimpleNamespace(v_dc=220.0),
+    )
+
+
+def integers(machine: PhaseMachine, topology: Topology, **changes: Any) -> FixedPhaseControl:
+    return fit_phase_control(design(), plain_control(machine, topology, **changes)).control
+
+
+@dataclass
+class Loop:
+    """Averaged plant with exact exponentials per axis, two periods per sampling period."""
+
+    machine: PhaseMachine
+    control: FixedPhaseControl
+    omega_m: float
+    code: int = 2**15
+
+    def __post_init__(self) -> None:
+        self.fine = clarke_matrix() @ np.stack(
+            [
+                np.interp(
+                    np.arange(7200) / 20.0,
+                    np.arange(self.machine.angles + 1) * (360.0 / self.machine.angles),
+                    np.append(row, row[0]),
+                )
+                for row in self.machine.flux
+            ]
+        )
+
+    def codes(self, value: float) -> Any:
+        return np.array([min(max(round(value * self.code), -self.code), self.code - 1)])
+
+    def torque(self, asked: float, constant: float, steps: int, open_phase: int = 0) -> FloatArray:
+        """Mean torque of every sampling period in N m."""
+        k, machine = self.control, self.machine
+        current, voltage, speed, torque, _ = k.bases
+        zero = np.zeros(1, dtype=np.int64)
+        state = PhaseState(Triple(zero, zero, zero), tuple(Pair(zero, zero) for _ in k.harmonics))
+        plane, none = machine.l_s - machine.m_s, machine.l_s + 2.0 * machine.m_s
+        decay = np.exp(-machine.r_s / np.array([plane, plane, none]) * (T_S / 4.0))
+        i, theta, duty, found = np.zeros(3), 0.0, None, np.empty(steps)
+        omega_e = machine.pole_pairs * self.omega_m
+        back = np.linalg.inv(clarke_matrix())
+        for step in range(steps):
+            phases = back @ i
+            sample = Sample(
+                Triple(*(self.codes(x / current) for x in phases)),
+                np.array([round(theta / (2.0 * math.pi) * 65536) % 65536]),
+                self.codes(self.omega_m / speed),
+                self.codes(220.0 / (voltage * 2**k.dc_scale)),
+                self.codes(110.0 / (voltage * 2**k.dc_scale)),
+                np.array([open_phase]),
+            )
+            made = control_step(
+                Integers(), k, state, sample, self.codes(asked / torque),
+                Pair(zero, self.codes(constant / current)),
+            )  # fmt: skip
+            state = made.state
+            v = np.zeros(3) if duty is None else self._voltage(duty)
+            mean = 0.0
+            for _ in range(4):
+                flux = self.fine[:, round((theta + omega_e * T_S / 8.0) / math.tau * 7200) % 7200]
+                i = i * decay + (1.0 - decay) * (v - omega_e * flux) / machine.r_s
+                if not TOPOLOGIES[k.topology].neutral:
+                    i[2] = 0.0
+                theta += omega_e * T_S / 4.0
+                flux = self.fine[:, round(theta / math.tau * 7200) % 7200]
+                mean += machine.pole_pairs * (1.5 * flux[:2] @ i[:2] + 3.0 * flux[2] * i[2]) / 4.0
+            duty = [float(x[0]) / self.code for x in made.duty]
+            found[step] = mean
+        return found
+
+    def _voltage(self, duty: list[float]) -> FloatArray:
+        legs = np.array(duty)
+        tied = {
+            "four-leg": legs[3:4],
+            "six-leg": legs[3:],
+            "six-leg-isolated": legs[3:],
+            "split-capacitor": np.array([0.5]),
+        }.get(self.control.topology, np.mean(legs))
+        v = clarke_matrix() @ ((legs[:3] - tied) * 220.0)
+        if not TOPOLOGIES[self.control.topology].neutral:
+            v[2] = 0.0
+        return np.asarray(v)
+
+
+CASES = [
+    ("P", "four-leg", "table", 0.4),
+    pytest.param("Z", "six-leg", "dqy", 0.9, marks=pytest.mark.slow),
+    pytest.param("Z", "three-wire", "table", 0.9, marks=pytest.mark.slow),
+    pytest.param("P", "split-capacitor", "dqx", 0.4, marks=pytest.mark.slow),
+    pytest.param("P", "six-leg-isolated", "dqx", 0.4, marks=pytest.mark.slow),
+    pytest.param("Z", "diode-neutral", "table", 0.9, marks=pytest.mark.slow),
+    pytest.param("Z", "four-leg", "dqy", 0.9, marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize(("name", "topology", "frame", "ripple"), CASES)
+def test_torque_is_smooth_and_right(
+    name: str, topology: Topology, frame: CurrentFrame, ripple: float
+) -> None:
+    machine = {"P": P, "Z": Z}[name]
+    loop = Loop(machine, integers(machine, topology, frame=frame), 750.0 * RPM)
+    torque = loop.torque(1.0, 0.0, 700)[500:]
+    assert np.mean(torque) == pytest.approx(1.0, abs=2e-3)
+    assert 100.0 * np.ptp(torque) < ripple
+
+
+@pytest.mark.slow
+def test_sinusoidal_currents_leave_the_ripple_of_the_back_emf() -> None:
+    control = integers(P, "four-leg", frame="dq")
+    torque = Loop(P, control, 750.0 * RPM).torque(0.0, 1.0 / (3.0 * P.psi_pm), 900)[500:]
+    assert np.mean(torque) == pytest.approx(1.0, abs=5e-3)
+    assert 100.0 * np.ptp(torque) == pytest.approx(4.0, abs=0.3)
+
+
+def test_flux_between_the_nodes_is_that_of_the_machine() -> None:
+    control = integers(Z, "four-leg")
+    angle = np.arange(65536)
+    found = np.stack(flux_at(Integers(), control, angle)) / 2**15 * control.bases[4]
+    exact = np.stack(
+        [np.interp(angle / 65536.0, np.arange(97) / 96.0, np.append(row, row[0])) for row in Z.flux]
+    )
+    assert np.max(np.abs(found - exact)) < 3.0 * control.bases[4] / 2**15
+
+
+@pytest.mark.parametrize("topology", get_args(Topology))
+def test_nothing_overflows_from_any_state(topology: Topology) -> None:
+    reaches = fit_phase_control(design(), plain_control(P, topology)).reaches
+    assert all(reach.fits for reach in reaches) and len(reaches) > 60
+
+
+def test_what_is_seen_lies_within_the_ranges() -> None:
+    """Random codes reach no value that the intervals exclude."""
+    control, generator = integers(P, "split-capacitor"), np.random.default_rng(5)
+    ranges = Ranges(16)
+    every, word = Range(-(2**15), 2**15 - 1), lambda: generator.integers(-(2**15), 2**15, 4000)
+    held = lambda bits: Range(-32767 << bits, 32767 << bits)  # noqa: E731
+    axes = (control.d, control.q, control.zero)
+    states = [held(0 if axis is None else axis.fraction) for axis in axes]
+    turning = held(control.harmonic_fraction)
+
+    def some(part: Range) -> Any:
+        return generator.integers(part.low, part.high, 4000, endpoint=True)
+
+    pairs = control.harmonics
+    control_step(
+        ranges, control,
+        PhaseState(Triple(*states), tuple(Pair(turning, turning) for _ in pairs)),
+        Sample(Triple(every, every, every), Range(0, 65535), every, every, Range(0, 32767),
+               Range(0, 3)),
+        every, Pair(every, every),
+    )  # fmt: skip
+    numbers = Integers(seen={})
+    control_step(
+        numbers, control,
+        PhaseState(
+            Triple(*(some(part) for part in states)),
+            tuple(Pair(some(turning), some(turning)) for _ in pairs),
+        ),
+        Sample(Triple(word(), word(), word()), some(Range(0, 65535)), word(), word(),
+               some(Range(0, 32767)), some(Range(0, 3))),
+        word(), Pair(word(), word()),
+    )  # fmt: skip
+    assert numbers.seen
+    for name, (low, high) in numbers.seen.items():
+        found = ranges.reaches[name].range.hull(Range(0, 0))  # where the record starts
+        assert found.low <= low and high <= found.high, name
+
+
+def test_open_phase_is_taken_from_the_reference() -> None:
+    control = integers(P, "four-leg")
+    loop = Loop(P, control, 300.0 * RPM)
+    zero = np.zeros(1, dtype=np.int64)
+    state = PhaseState(Triple(zero, zero, zero), tuple(Pair(zero, zero) for _ in control.harmonics))
+    for angle in range(0, 65536, 4096):
+        sample = Sample(
+            Triple(zero, zero, zero), np.array([angle]), loop.codes(0.1), loop.codes(0.5),
+            zero, np.array([2]),
+        )  # fmt: skip
+        made = control_step(Integers(), control, state, sample, loop.codes(0.2), Pair(zero, zero))
+        alpha, beta, none = (float(x[0]) for x in made.reference)
+        a, b, c = np.linalg.inv(clarke_matrix()) @ np.array([alpha, beta, none])
+        assert abs(b) <= 3.0
+        assert max(abs(a), abs(c)) > 500.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [({"current": 5.0}, "current"), ({"speed": 100.0}, "speed"), ({"voltage": 90.0}, "voltage")],
+)
+def test_bases_that_hold_too_little_are_named(changes: dict[str, float], key: str) -> None:
+    with pytest.raises(InputError, match=rf"control\.per_unit\.{key}.*write {key}:"):
+        fit_phase_control(design(**changes), plain_control(P))
+
+
+def test_measured_coupling_is_refused() -> None:
+    with pytest.raises(InputError, match="measured is not there in fixed point; write references"):
+        fit_phase_control(design(), plain_control(P, frame="dqy", feedforward="measured"))
+
+
+def test_gain_that_no_word_holds_is_named() -> None:
+    control: PhaseControl = plain_control(P)
+    large = replace(control, inductances=(8e-3, 8e-3, 5e3))
+    with pytest.raises(NoSolutionError, match="L / t_s of 0"):
+        fit_phase_control(design(), large)

@@ -1,0 +1,124 @@
+"""What to flash: the recommendation turns with the switches, and rows say why they cannot be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from phase_shapes import paper_machine, trapezoid_machine
+
+from dqforge.machines.design import catalogue
+from dqforge.machines.design.design import Design
+from dqforge.machines.devices.switch import SwitchDevice
+from dqforge.machines.errors import InputError
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.optimizer.flashing_choice.advice import advise
+from dqforge.optimizer.flashing_choice.choices import DEVIATIONS
+from dqforge.optimizer.flashing_choice.solve import compare_flashing
+
+P = catalogue.load("paper002-phase-waveforms")
+
+
+IGBT = catalogue.load("paper002-pmsm-nonsinusoidal").inverter
+
+
+MOSFET = replace(IGBT, device=SwitchDevice("mosfet", 40e-3, 0.0, 0.0, 20.0, 300.0, 2.0))
+
+
+def _drive(machine: PhaseMachine, inverter: object = IGBT, torque: float = 3.9) -> Design:
+    return replace(
+        P,
+        phase_machine=machine,
+        inverter=inverter,  # type: ignore[arg-type]
+        waveform=replace(P.waveform, torque=torque),
+    )
+
+
+def test_with_igbts_the_star_is_flashed_and_the_watts_are_named() -> None:
+    """Copper saved, what the leg costs, and the balance, at 3.9 N m of the paper's machine."""
+    advice = advise(compare_flashing(_drive(paper_machine())))
+    assert advice.row is not None
+    assert (advice.row.topology, advice.row.frame) == ("three-wire", "table")
+    fourth = next(trade for trade in advice.trades if trade.topology == "four-leg")
+    assert fourth.copper_saved == pytest.approx(0.69, abs=0.02)
+    assert fourth.neutral_leg == pytest.approx(1.98, abs=0.03)
+    assert fourth.net == pytest.approx(-1.68, abs=0.04)
+    six = next(trade for trade in advice.trades if trade.topology == "six-leg")
+    assert six.net == pytest.approx(-18.4, abs=0.5)
+    assert six.link_saved > 30.0
+    assert advice.dq_ripple > 5.0 * advice.row.ripple.plain  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("machine", "gain"), [(paper_machine(), 0.5), (trapezoid_machine(), 1.5)], ids=["P", "Z"]
+)
+def test_with_small_mosfets_the_fourth_leg_pays(machine: PhaseMachine, gain: float) -> None:
+    """40 mOhm: the copper is worth more than the channels; the star is then what would cost."""
+    advice = advise(compare_flashing(_drive(machine, MOSFET)))
+    assert advice.row is not None
+    assert (advice.row.topology, advice.row.frame) == ("four-leg", "table")
+    star = next(trade for trade in advice.trades if trade.topology == "three-wire")
+    assert -2.0 < star.net < -gain
+
+
+def test_without_a_device_nothing_is_said_of_the_inverter() -> None:
+    """The fewest legs are named, and what others cost is unknown."""
+    found = compare_flashing(_drive(paper_machine(), replace(IGBT, device=None)))
+    advice = advise(found)
+    assert found.without_device
+    assert advice.row is not None
+    assert advice.row.topology == "three-wire"
+    assert all(math.isnan(trade.net) for trade in advice.trades)
+    assert all(trade.copper_saved != 0.0 for trade in advice.trades)
+
+
+def test_a_sinusoidal_machine_needs_no_table() -> None:
+    """The third harmonic is gone, and dq is as smooth."""
+    sine = PhaseMachine.from_harmonics(
+        [1, 5], [0.2233, 1e-6], [0.0, 0.0], pole_pairs=2, r_s=1.0, l_s=7e-3, m_s=-1e-3, i_max=14.0
+    )
+    advice = advise(compare_flashing(_drive(sine, replace(IGBT, dead_time=0.0))))
+    assert advice.row is not None
+    assert (advice.row.topology, advice.row.frame) == ("three-wire", "dq")
+
+
+def test_where_the_link_ends_more_legs_are_named() -> None:
+    """At 120 V the star cannot make 1800 rpm; six legs can."""
+    drive = _drive(paper_machine(), replace(IGBT, v_dc=120.0))
+    drive = replace(drive, waveform=replace(drive.waveform, omega_m=1800.0 * math.pi / 30.0))
+    found = compare_flashing(drive)
+    advice = advise(found)
+    assert "the link ends at 120 V" in found.row("three-wire", "table").obstacle
+    assert advice.row is not None
+    assert advice.row.topology == "six-leg"
+
+
+def test_nothing_is_flashed_where_nothing_fits() -> None:
+    """A link of 20 V drives none of them."""
+    advice = advise(compare_flashing(_drive(paper_machine(), replace(IGBT, v_dc=20.0))))
+    assert advice.row is None
+    assert advice.trades == ()
+
+
+def test_every_row_has_every_figure() -> None:
+    """Fifteen rows, each with the ripple as it is and with every deviation."""
+    found = compare_flashing(_drive(paper_machine()))
+    assert len(found.rows) == 15
+    for row in found.rows:
+        assert row.ripple is not None
+        assert set(row.ripple.deviating) == set(DEVIATIONS)
+        # An error of a sensor is never smoother; an inductance or a back-EMF may be.
+        assert min(row.ripple.deviating[name] for name in ("offset", "noise")) > row.ripple.plain
+        assert row.constants >= 4 * 97
+        assert row.control is not None
+        assert (row.control.harmonics is not None) == (row.frame == "table")
+    assert found.row("split-capacitor", "dqy").neutral > found.row("four-leg", "dqy").neutral
+
+
+def test_a_point_at_rest_is_refused() -> None:
+    """Ripple over an electrical period needs one."""
+    drive = _drive(paper_machine())
+    for still in (replace(drive.waveform, torque=0.0), replace(drive.waveform, omega_m=0.0)):
+        with pytest.raises(InputError, match="--flash"):
+            compare_flashing(replace(drive, waveform=still))

@@ -1,0 +1,83 @@
+"""The table of the back-EMF: sizes and errors against waveforms in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.optimizer.phase_control.phase_controller import PhaseShape
+from dqforge.optimizer.phase_control.shape_table import fit_shape, resampled, shape_error
+
+SHARES = ((1, 1.0), (3, 0.12), (5, 0.03), (7, 0.01))
+
+
+def wave(theta: np.ndarray) -> np.ndarray:
+    return np.asarray(-0.2233 * sum(share * np.sin(order * theta) for order, share in SHARES))
+
+
+def harmonic(angles: int = 360) -> PhaseMachine:
+    theta = 2.0 * np.pi * np.arange(angles) / angles
+    flux = np.stack([wave(theta - 2.0 * np.pi * k / 3.0) for k in range(3)])
+    return PhaseMachine(2, 1.0, 7e-3, -1e-3, flux, 6.0)
+
+
+def trapezoid(angles: int = 360) -> PhaseMachine:
+    """Flat for 120 degrees, corners at multiples of 30 degrees."""
+    theta = 2.0 * np.pi * np.arange(angles) / angles
+    sine = np.sin(theta - 2.0 * np.pi / 3.0 * np.arange(3)[:, np.newaxis])
+    flux = -0.2 * np.clip(np.arcsin(np.clip(sine, -1.0, 1.0)) * 6.0 / np.pi, -1.0, 1.0)
+    return PhaseMachine(2, 1.0, 7e-3, -1e-3, flux, 6.0)
+
+
+@pytest.mark.parametrize(("nodes", "percent"), [(48, 0.28), (96, 0.07), (192, 0.02)])
+def test_errors_are_those_of_tables_in_the_loop(nodes: int, percent: float) -> None:
+    shape = PhaseShape(resampled(harmonic().flux[:1], nodes))
+    error, _ = shape_error(harmonic(), shape, zero=True)
+    assert 100.0 * error == pytest.approx(percent, rel=0.12)
+    # The same from the formula of the waveform, at angles of the test's own.
+    theta = np.linspace(0.0, 2.0 * np.pi, 50_001)[:-1]
+    turns = [theta - 2.0 * np.pi * k / 3.0 for k in range(3)]
+    exact = np.stack([wave(turn) for turn in turns])
+    grid = 2.0 * np.pi * np.arange(nodes + 1) / nodes
+    table = np.stack([np.interp(np.mod(turn, 2.0 * np.pi), grid, wave(grid)) for turn in turns])
+    torque = np.sum(exact * table, axis=0) / np.sum(table**2, axis=0)
+    assert error == pytest.approx(np.ptp(torque), rel=1e-2)
+
+
+def test_the_smallest_size_that_holds_is_taken() -> None:
+    found = fit_shape(harmonic(), zero=True)
+    size = found.shape.flux.shape[1]
+    assert found.error <= 1e-3
+    smaller = PhaseShape(resampled(harmonic().flux[:1], size - 24))
+    assert shape_error(harmonic(), smaller, zero=True)[0] > 1e-3
+
+
+def test_corners_lie_on_nodes_and_cost_nothing() -> None:
+    found = fit_shape(trapezoid(), zero=True)
+    assert found.shape.flux.shape == (1, 24)
+    assert found.error < 1e-12
+    # Off the corners the table is far worse, although it is larger.
+    assert (
+        shape_error(trapezoid(), PhaseShape(resampled(trapezoid().flux[:1], 128)), zero=True)[0]
+        > 5e-3
+    )
+
+
+def test_phases_that_differ_have_three_rows() -> None:
+    machine = harmonic()
+    flux = machine.flux * np.array([[1.0], [0.5], [1.0]])
+    found = fit_shape(replace(machine, flux=flux), zero=True)
+    assert found.shape.flux.shape[0] == 3
+    assert found.error <= 1e-3
+
+
+def test_data_with_noise_are_taken_as_they_are() -> None:
+    """The angles of the data themselves are the largest table that says anything."""
+    noise = np.random.default_rng(7).normal(0.0, 2e-3, (3, 360))
+    machine = replace(harmonic(), flux=harmonic().flux + noise)
+    found = fit_shape(machine, zero=True)
+    assert found.shape.flux.shape == (3, 360)
+    assert np.array_equal(found.shape.flux, machine.flux)
