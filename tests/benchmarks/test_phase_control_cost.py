@@ -46,7 +46,8 @@ static inline void control_step_at(float theta, float *first, float *last)
     measured.v_dc = 220.0F;
     {midpoint}
     {{
-        const {prefix}_{duties} duty = {prefix}_torque_control(&{macro}_CONTROL_GAINS, &control_state, &measured, 1.0F);
+        const {prefix}_{duties} duty =
+            {prefix}_torque_control(&{macro}_CONTROL_GAINS, &control_state, &measured, 1.0F);
 
         *first = duty.a;
         *last = duty.c;
