@@ -76,6 +76,13 @@ def check_phase_control(
             (*path, "limited_waveforms"),
             key=True,
         )
+    if loop.limited_waveforms and isinstance(machine, SalientPhaseMachine):
+        raise document.error(
+            "control.current_loop.limited_waveforms needs inductances that do not vary with the "
+            "angle, this machine has inductance_harmonics; remove it",
+            (*path, "limited_waveforms"),
+            key=True,
+        )
 
 
 def phase_control_remarks(
@@ -109,8 +116,8 @@ def phase_control_remarks(
         )
     if loop.limited_waveforms:
         remarks.append(
-            "control.current_loop.limited_waveforms: the table is designed and checked; the emitted "
-            "control reduces the torque to that of the plain currents"
+            "control.current_loop.limited_waveforms: the table is designed and checked; the "
+            "emitted control reduces the torque to that of the plain currents"
         )
     if TOPOLOGIES[topology].midpoint and uses_zero_sequence(choice.frame, topology):
         remarks += _pulses_of_the_neutral(machine, inverter)
