@@ -155,7 +155,8 @@ def test_pole_pairs_that_differ_get_a_table_over_the_mechanical_turn() -> None:
     """The first order of the mechanical turn: the second pole pair is weaker than the first."""
     found = loops(
         "inverter.topology=six-leg",
-        "machine.back_emf.harmonics=[{order: 1, amplitude: 0.2 Wb}, {mechanical_order: 1, share: 2 %}]",
+        "machine.back_emf.harmonics=[{order: 1, amplitude: 0.2 Wb}, "
+        "{mechanical_order: 1, share: 2 %}]",
     )
     assert found.control.frame == "table"
     assert found.control.shape.turns == 2
