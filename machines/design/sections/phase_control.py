@@ -114,11 +114,6 @@ def phase_control_remarks(
         remarks.append(
             "inverter.midpoint_capacitance is not given: the midpoint of the link is taken as held"
         )
-    if loop.limited_waveforms:
-        remarks.append(
-            "control.current_loop.limited_waveforms: the table is designed and checked; the "
-            "emitted control reduces the torque to that of the plain currents"
-        )
     if TOPOLOGIES[topology].midpoint and uses_zero_sequence(choice.frame, topology):
         remarks += _pulses_of_the_neutral(machine, inverter)
     return remarks
