@@ -138,6 +138,7 @@ def header_context(plain: Mapping[str, Any]) -> dict[str, Any]:
         "nodes": len(plain["shape"][0]) - 1,
         "shape": plain["shape"],
         "torque_limit": plain["torque_limit"],
+        "limited": plain["limited"],
         "orders": bool(ascending),
         "plane": list(made.plane),
         "zero_orders": list(made.zero),
