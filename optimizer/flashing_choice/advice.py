@@ -24,9 +24,9 @@ WORTH = 5e-3
 class Trade:
     """What another topology would change against the one to flash.
 
-    ``copper_saved`` and ``bridge_added`` in W (the latter NaN without a device), ``neutral_leg`` its
-    loss in W or NaN, ``link_saved`` in V that the link could be lower, ``obstacle`` why it cannot be
-    had, else empty.
+    ``copper_saved`` and ``bridge_added`` in W (the latter NaN without a device), ``neutral_leg``
+    its loss in W or NaN, ``link_saved`` in V that the link could be lower, ``obstacle`` why it
+    cannot be had, else empty.
     """
 
     topology: Topology
@@ -46,8 +46,8 @@ class Trade:
 class Advice:
     """What to flash.
 
-    ``row`` is None where nothing can be run at the point. ``dq_ripple`` is what plain dq would leave
-    on the same topology, over the torque.
+    ``row`` is None where nothing can be run at the point. ``dq_ripple`` is what plain dq would
+    leave on the same topology, over the torque.
     """
 
     row: FlashRow | None
