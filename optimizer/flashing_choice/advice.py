@@ -66,7 +66,7 @@ def advise(found: FlashComparison) -> Advice:
     found:
         The comparison, with what was simulated of it.
     """
-    tables = [found.row(topology, "table") for topology in COMPARED]
+    tables = [_candidate(found, topology) for topology in COMPARED]
     possible = [row for row in tables if not row.obstacle]
     if not possible:
         return Advice(None, math.nan, ())
@@ -79,6 +79,13 @@ def advise(found: FlashComparison) -> Advice:
     trades = tuple(_trade(row, best) for row in tables if row.topology != best.topology)
     enough = not plain.obstacle and dq_ripple <= ripple + SMOOTH
     return Advice(plain if enough else best, dq_ripple, trades)
+
+
+def _candidate(found: FlashComparison, topology: Topology) -> FlashRow:
+    """The table, or plain dq where that alone can be run."""
+    table, plain = found.row(topology, "table"), found.row(topology, "dq")
+    alone = table.control is None or (table.obstacle and not plain.obstacle)
+    return plain if alone else table
 
 
 def _ripple(row: FlashRow) -> float:

@@ -379,3 +379,17 @@ def test_dead_time_takes_twice_the_volts_of_two_legs() -> None:
     assert volts["six-leg"] == pytest.approx(2.0 * volts["three-wire"], rel=1e-9)
     # 4/pi t_d f_sw V_dc for sinusoids.
     assert volts["three-wire"] == pytest.approx(4.0 / np.pi * 2.2, rel=2e-2)
+
+
+@pytest.mark.parametrize("topology", ["three-wire", "four-leg"])
+def test_equal_pole_pairs_over_a_mechanical_turn_lose_what_one_period_says(
+    topology: Topology,
+) -> None:
+    """The same back-EMF written over two electrical periods: every figure as before."""
+    once = paper_machine(120)
+    twice = replace(once, flux=np.tile(once.flux, (1, 2)), turns=2)
+    one, two = (_budget(machine, IGBT, topology, "dqx", 2.0) for machine in (once, twice))
+    for part in (*PARTS, "total", "voltage", "input_power", "torque"):
+        found = getattr(two.budget, part)
+        assert found == pytest.approx(getattr(one.budget, part), rel=1e-9, abs=1e-12)
+    assert two.link_demand == pytest.approx(one.link_demand, rel=1e-9)
