@@ -33,6 +33,9 @@ from dqforge.optimizer.waveforms.open_phase import OpenPhasePrice, open_phase_pr
 from dqforge.optimizer.waveforms.phase_currents import dq_waveform, unit_currents
 from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
 
+_KEY = "control.current_loop.frame: "
+
+
 SPLIT_SWING = 0.02
 
 """Swing of the midpoint over the link's voltage that a split link is given capacitors for, where
@@ -122,7 +125,7 @@ def compare_flashing(design: Design, settings: WaveformSettings | None = None) -
     if torque == 0.0 or omega_m == 0.0:
         raise InputError("--flash compares at a torque and a speed; neither may be 0")
     capacitance = _capacitance(design, machine, torque, omega_m)
-    gains = solve_gains(variant(design, "three-wire", "table", capacitance))
+    gains = solve_gains(variant(design, "three-wire", "dq", capacitance))
     loops = gains.i_d, gains.i_q
     rows = [
         _row(variant(design, topology, frame, capacitance), loops, torque, omega_m)
@@ -174,7 +177,9 @@ def reference_currents(
     zero = frame == "dqy" or (frame == "table" and TOPOLOGIES[topology].neutral)
     if frame == "dq":
         if isinstance(machine, PhaseMachine):
-            return dq_waveform(0.0, torque / design.machine.torque_per_ampere, machine.angles)
+            return dq_waveform(
+                0.0, torque / design.machine.torque_per_ampere, machine.angles, machine.turns
+            )
         return np.asarray(pointwise_dq(design, torque, machine.angles))
     if isinstance(machine, PhaseMachine):
         return np.asarray(torque * unit_currents(machine, "dqy" if zero else "dqx"))
@@ -209,9 +214,9 @@ def _row(
     machine = require_phases(design)
     try:
         currents = reference_currents(design, machine, frame, topology, torque)
-        control = phase_control(design, *loops).control
+        control = phase_control(design, *loops, within_link=False).control
     except (NoSolutionError, InputError) as error:
-        return _empty(topology, frame, error.message)
+        return _empty(topology, frame, error.message.removeprefix(_KEY))
     budget = phase_budget(
         machine,
         design.inverter,

@@ -75,7 +75,9 @@ class PhaseLoops:
     judged: JudgedLoops | None = None
 
 
-def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
+def phase_control(
+    design: Design, i_d: LoopGains, i_q: LoopGains, *, within_link: bool = True
+) -> PhaseLoops:
     """Current control of a design's phase machine.
 
     Parameters
@@ -84,6 +86,9 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
         The design, with a phase machine.
     i_d, i_q:
         Its current loops.
+    within_link:
+        Whether it knows where the link ends the torque, which takes a second to find; without it
+        stands for points that are known to lie within.
 
     Raises
     ------
@@ -141,7 +146,8 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
         torque_max=torque_max,
         midpoint=midpoint,
     )
-    found = replace(unlimited, torque_limit=_torque_limit(design, unlimited))
+    limit = _torque_limit(design, unlimited) if within_link else None
+    found = replace(unlimited, torque_limit=limit)
     limited = _limited(design, phases, found) if settings.limited_waveforms else None
     found = replace(found, limited=None if limited is None else limited.shapes)
     return PhaseLoops(found, fit, zero, limited)
