@@ -97,7 +97,7 @@ def residual_currents(
         Inductance of the plant over the model's.
     """
     plane, zero = stationary(disturbance)
-    orders = np.fft.fftfreq(plane.size, 1.0 / plane.size).astype(np.float64)
+    orders = np.fft.fftfreq(plane.size, control.shape.turns / plane.size).astype(np.float64)
     w = orders * omega_e
     l_ab = 0.5 * (control.inductances[0] + control.inductances[1])
     found = []

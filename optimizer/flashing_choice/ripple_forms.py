@@ -82,7 +82,11 @@ def ripple_figures(
     dead = dead_time_voltages(inverter, wave)
     linked = np.einsum("jkl,lj->kj", inductance_over_angle(machine), currents)
     deviations = {
-        "inductance": (-INDUCTANCE * omega * derivative(linked), 1.0 + INDUCTANCE, 1.0),
+        "inductance": (
+            -INDUCTANCE * omega * derivative(linked, machine.turns),
+            1.0 + INDUCTANCE,
+            1.0,
+        ),
         "back_emf": (-BACK_EMF * omega * machine.flux, 1.0, 1.0 + BACK_EMF),
     }
 
