@@ -75,6 +75,11 @@ def fit_phase_control(design: Design, control: PhaseControl, width: int = 16) ->
             "control.current_loop.feedforward: measured is not there in fixed point; write "
             "references, or export.control: float32"
         )
+    if control.inductances[0] != control.inductances[1]:
+        raise InputError(
+            "export.control: machines with inductance_harmonics are controlled in float32 alone; "
+            "write float32"
+        )
     _require_bases(design, control)
     bases = design.control.bases
     flux_base = _flux_base(control.shape.flux)
