@@ -140,7 +140,7 @@ def phase_terminals(
     omega = machine.pole_pairs * np.asarray(omega_m, dtype=np.float64)
     linked = np.einsum("jkl,...lj->...kj", inductance_over_angle(machine), currents)
     linked = linked + neutral_inductance * np.sum(currents, axis=-2, keepdims=True)
-    induced = omega[:, None, None] * (derivative(linked) + machine.flux)
+    induced = omega[:, None, None] * (derivative(linked, machine.turns) + machine.flux)
     basis = allowed_currents(topology, open_phase)
     part = np.einsum("kl,...lj->...kj", basis @ basis.T, induced)
     still = np.abs(omega) < _STANDSTILL
@@ -159,7 +159,7 @@ def phase_terminals(
     series = resistance + loss.magnet * omega * omega / 1.5
     through = np.sum(terminal, axis=-2, keepdims=True)
     torque = np.mean(machine.torque(currents), axis=-1)
-    value, slope = between(terminal)
+    value, slope = between(terminal, machine.turns)
     sums = (np.sum(part, axis=-2, keepdims=True) for part in (value, slope))
     drop = (series - machine.r_s)[:, None, None] * value
     drop = drop + neutral_resistance * next(sums)

@@ -24,9 +24,9 @@ WORTH = 5e-3
 class Trade:
     """What another topology would change against the one to flash.
 
-    ``copper_saved`` and ``bridge_added`` in W (the latter NaN without a device), ``neutral_leg`` its
-    loss in W or NaN, ``link_saved`` in V that the link could be lower, ``obstacle`` why it cannot be
-    had, else empty.
+    ``copper_saved`` and ``bridge_added`` in W (the latter NaN without a device), ``neutral_leg``
+    its loss in W or NaN, ``link_saved`` in V that the link could be lower, ``obstacle`` why it
+    cannot be had, else empty.
     """
 
     topology: Topology
@@ -46,8 +46,8 @@ class Trade:
 class Advice:
     """What to flash.
 
-    ``row`` is None where nothing can be run at the point. ``dq_ripple`` is what plain dq would leave
-    on the same topology, over the torque.
+    ``row`` is None where nothing can be run at the point. ``dq_ripple`` is what plain dq would
+    leave on the same topology, over the torque.
     """
 
     row: FlashRow | None
@@ -66,7 +66,7 @@ def advise(found: FlashComparison) -> Advice:
     found:
         The comparison, with what was simulated of it.
     """
-    tables = [found.row(topology, "table") for topology in COMPARED]
+    tables = [_candidate(found, topology) for topology in COMPARED]
     possible = [row for row in tables if not row.obstacle]
     if not possible:
         return Advice(None, math.nan, ())
@@ -79,6 +79,13 @@ def advise(found: FlashComparison) -> Advice:
     trades = tuple(_trade(row, best) for row in tables if row.topology != best.topology)
     enough = not plain.obstacle and dq_ripple <= ripple + SMOOTH
     return Advice(plain if enough else best, dq_ripple, trades)
+
+
+def _candidate(found: FlashComparison, topology: Topology) -> FlashRow:
+    """The table, or plain dq where that alone can be run."""
+    table, plain = found.row(topology, "table"), found.row(topology, "dq")
+    alone = table.control is None or (table.obstacle and not plain.obstacle)
+    return plain if alone else table
 
 
 def _ripple(row: FlashRow) -> float:

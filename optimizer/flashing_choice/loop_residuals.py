@@ -81,7 +81,11 @@ def _impedance(
 
 
 def residual_currents(
-    control: PhaseControl, disturbance: FloatArray, omega_e: float, share: float = 1.0
+    control: PhaseControl,
+    disturbance: FloatArray,
+    omega_e: float,
+    share: float = 1.0,
+    turns: int = 1,
 ) -> FloatArray:
     """Phase currents in A, shape (3, N), that the loop leaves of voltages.
 
@@ -95,9 +99,11 @@ def residual_currents(
         Electrical speed in rad/s, not 0.
     share:
         Inductance of the plant over the model's.
+    turns:
+        Electrical periods that the waveforms span; orders between the whole ones count.
     """
     plane, zero = stationary(disturbance)
-    orders = np.fft.fftfreq(plane.size, 1.0 / plane.size).astype(np.float64)
+    orders = np.fft.fftfreq(plane.size, turns / plane.size).astype(np.float64)
     w = orders * omega_e
     l_ab = 0.5 * (control.inductances[0] + control.inductances[1])
     found = []

@@ -82,12 +82,18 @@ def ripple_figures(
     dead = dead_time_voltages(inverter, wave)
     linked = np.einsum("jkl,lj->kj", inductance_over_angle(machine), currents)
     deviations = {
-        "inductance": (-INDUCTANCE * omega * derivative(linked), 1.0 + INDUCTANCE, 1.0),
+        "inductance": (
+            -INDUCTANCE * omega * derivative(linked, machine.turns),
+            1.0 + INDUCTANCE,
+            1.0,
+        ),
         "back_emf": (-BACK_EMF * omega * machine.flux, 1.0, 1.0 + BACK_EMF),
     }
 
     def ripple(voltages: FloatArray, added: FloatArray, share: float, flux: float) -> float:
-        left = residual_currents(control, _within(voltages, neutral=neutral), omega, share)
+        left = residual_currents(
+            control, _within(voltages, neutral=neutral), omega, share, machine.turns
+        )
         torque = flux * machine.torque(currents + left + added)
         return float(np.ptp(torque) / abs(np.mean(torque)))
 

@@ -23,15 +23,18 @@ from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.flashing_choice.choices import COMPARED, FlashRow, compared_frames
 from dqforge.optimizer.flashing_choice.ripple_forms import ripple_figures
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.losses.loss_map import budget_options
 from dqforge.optimizer.losses.phase_budget import PhaseBudget, phase_budget
-from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.phase_control.design import phase_control
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 from dqforge.optimizer.waveforms.comparison import operating_point, require_phases
 from dqforge.optimizer.waveforms.open_phase import OpenPhasePrice, open_phase_price
 from dqforge.optimizer.waveforms.phase_currents import dq_waveform, unit_currents
 from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
+
+_KEY = "control.current_loop.frame: "
+
 
 SPLIT_SWING = 0.02
 
@@ -122,7 +125,7 @@ def compare_flashing(design: Design, settings: WaveformSettings | None = None) -
     if torque == 0.0 or omega_m == 0.0:
         raise InputError("--flash compares at a torque and a speed; neither may be 0")
     capacitance = _capacitance(design, machine, torque, omega_m)
-    gains = solve_gains(variant(design, "three-wire", "table", capacitance))
+    gains = solve_gains(variant(design, "three-wire", "dq", capacitance))
     loops = gains.i_d, gains.i_q
     rows = [
         _row(variant(design, topology, frame, capacitance), loops, torque, omega_m)
@@ -174,15 +177,16 @@ def reference_currents(
     zero = frame == "dqy" or (frame == "table" and TOPOLOGIES[topology].neutral)
     if frame == "dq":
         if isinstance(machine, PhaseMachine):
-            return dq_waveform(0.0, torque / design.machine.torque_per_ampere, machine.angles)
-        return np.asarray(pointwise_dq(design, torque, machine.angles))
+            i_q = torque / design.machine.torque_per_ampere
+            return dq_waveform(0.0, i_q, machine.angles, machine.turns)
+        return np.asarray(pointwise_dq(design, torque, machine))
     if isinstance(machine, PhaseMachine):
         return np.asarray(torque * unit_currents(machine, "dqy" if zero else "dqx"))
     way: Topology = "six-leg" if zero else "three-wire"
     return np.asarray(pointwise_currents(machine, np.array([torque]), way)[0])
 
 
-def pointwise_dq(design: Design, torque: float, angles: int) -> FloatArray:
+def pointwise_dq(design: Design, torque: float, machine: AnyPhaseMachine) -> FloatArray:
     """Sinusoidal currents in A of a salient machine by MTPA, shape (3, N).
 
     Parameters
@@ -191,13 +195,14 @@ def pointwise_dq(design: Design, torque: float, angles: int) -> FloatArray:
         The design, of whose machine in dq coordinates it is.
     torque:
         In N m.
-    angles:
-        Number N of angles.
+    machine:
+        The machine, on whose angles they are.
     """
     from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
     i_d, i_q = CurrentChoice(design.machine, "mtpa", design.i_max).currents(np.array([abs(torque)]))
-    return dq_waveform(float(i_d[0]), math.copysign(float(i_q[0]), torque), angles)
+    i_q_signed = math.copysign(float(i_q[0]), torque)
+    return dq_waveform(float(i_d[0]), i_q_signed, machine.angles, machine.turns)
 
 
 def _row(
@@ -209,9 +214,9 @@ def _row(
     machine = require_phases(design)
     try:
         currents = reference_currents(design, machine, frame, topology, torque)
-        control = phase_control(design, *loops).control
+        control = phase_control(design, *loops, within_link=False).control
     except (NoSolutionError, InputError) as error:
-        return _empty(topology, frame, error.message)
+        return _empty(topology, frame, error.message.removeprefix(_KEY))
     budget = phase_budget(
         machine,
         design.inverter,

@@ -31,6 +31,7 @@ from dqforge.machines.losses.ripple_iron import sheet_factor
 from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName, OpenPhase
+from dqforge.machines.phase_machines.phase_machine import grid
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.topologies.regions import link_demand
 from dqforge.machines.topologies.topology import TOPOLOGIES
@@ -373,7 +374,7 @@ def _blanked(
         "shaft_power": found.shaft_power,
         "friction": drive.friction * omega_m * omega_m,
         "winding_temperature": found.winding_temperature,
-        "voltage": _fundamental(found.voltages),
+        "voltage": _fundamental(found.voltages, drive.machine.turns),
     }
     numbers = {name: np.stack([row.numbers[name] for row in rows]) for name in rows[0].numbers}
     numbers |= {name: np.stack([value] * len(rows)) for name, value in common.items()}
@@ -404,8 +405,10 @@ def _blanked(
     )
 
 
-def _fundamental(voltages: FloatArray) -> FloatArray:
-    """Amplitude in V (peak) of the fundamental's positive sequence, shape (n,)."""
-    angle = 2.0 * np.pi * np.arange(voltages.shape[-1]) / voltages.shape[-1]
-    turns = np.exp(-1j * (angle - 2.0 * np.pi / 3.0 * np.arange(3)[:, None]))
-    return np.asarray(2.0 * np.abs(np.mean(voltages * turns, axis=(-2, -1))))
+def _fundamental(voltages: FloatArray, turns: int) -> FloatArray:
+    """Amplitude in V (peak) of the fundamental's positive sequence, shape (n,), of voltages over
+    ``turns`` electrical periods.
+    """
+    angle = grid(voltages.shape[-1], turns)
+    lagging = np.exp(-1j * (angle - 2.0 * np.pi / 3.0 * np.arange(3)[:, None]))
+    return np.asarray(2.0 * np.abs(np.mean(voltages * lagging, axis=(-2, -1))))

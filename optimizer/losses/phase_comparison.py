@@ -209,9 +209,9 @@ def _sinusoids(
         i_max=drive.i_max,
         options=drive.options,
     )
-    angles = drive.machine.angles
+    angles, turns = drive.machine.angles, drive.machine.turns
     pairs = zip(i_d.tolist(), i_q.tolist(), strict=True)
-    return np.stack([dq_waveform(d, q, angles) for d, q in pairs]), reached
+    return np.stack([dq_waveform(d, q, angles, turns) for d, q in pairs]), reached
 
 
 def _limited(

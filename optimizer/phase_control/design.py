@@ -32,9 +32,14 @@ from dqforge.optimizer.phase_control.phase_controller import (
     PhaseControl,
     TorqueLimit,
 )
-from dqforge.optimizer.phase_control.salient_limit import salient_torques
+from dqforge.optimizer.phase_control.salient_limit import salient_torques, table_torques
 from dqforge.optimizer.phase_control.shape_table import ShapeFit, fit_shape
-from dqforge.optimizer.phase_control.shape_vectors import PHASES, flux_at, unit_currents
+from dqforge.optimizer.phase_control.shape_vectors import (
+    PHASES,
+    flux_at,
+    reference_currents,
+    unit_currents,
+)
 from dqforge.optimizer.phase_control.torque_limit import (
     MARGIN,
     largest_torques,
@@ -70,7 +75,9 @@ class PhaseLoops:
     judged: JudgedLoops | None = None
 
 
-def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
+def phase_control(
+    design: Design, i_d: LoopGains, i_q: LoopGains, *, within_link: bool = True
+) -> PhaseLoops:
     """Current control of a design's phase machine.
 
     Parameters
@@ -79,6 +86,9 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
         The design, with a phase machine.
     i_d, i_q:
         Its current loops.
+    within_link:
+        Whether it knows where the link ends the torque, which takes a second to find; without it
+        stands for points that are known to lie within.
 
     Raises
     ------
@@ -136,7 +146,8 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
         torque_max=torque_max,
         midpoint=midpoint,
     )
-    found = replace(unlimited, torque_limit=_torque_limit(design, unlimited))
+    limit = _torque_limit(design, unlimited) if within_link else None
+    found = replace(unlimited, torque_limit=limit)
     limited = _limited(design, phases, found) if settings.limited_waveforms else None
     found = replace(found, limited=None if limited is None else limited.shapes)
     return PhaseLoops(found, fit, zero, limited)
@@ -183,8 +194,11 @@ def _torque_limit(design: Design, control: PhaseControl) -> TorqueLimit:
     if control.midpoint is not None:
         margin += SWING * min(1.0, control.midpoint.omega_e_min / last)
         last = no_load_speed(control, v_dc, margin)
-    if isinstance(machine, SalientPhaseMachine):
+    if isinstance(machine, SalientPhaseMachine) and control.frame == "dq":
         largest = salient_torques(machine, _choice(design), control.topology, margin)
+    elif isinstance(machine, SalientPhaseMachine):
+        unit = PHASES @ reference_currents(control, machine.phases.theta, np.zeros(1))
+        largest = table_torques(machine, unit, control.torque_max, control.topology, margin)
     else:
         largest = partial(largest_torques, control, margin=margin)
     return torque_limit(v_dc, last, largest)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import WaveformSettings
-from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.errors import InputError, NoSolutionError, VerificationError
 from dqforge.optimizer.flashing_choice.advice import Advice, advise
 from dqforge.optimizer.flashing_choice.solve import (
     FlashComparison,
@@ -47,7 +47,11 @@ def what_to_flash(
         As `compare_flashing`.
     """
     found = compare_flashing(design, settings)
-    solution = _references(design, found)
+    try:
+        solution = _references(design, settings, found)
+    except (NoSolutionError, InputError) as error:
+        found = with_rows(found, found.rows, unsimulated=error.message, uncounted=error.message)
+        return found, advise(found)
     try:
         found = with_rows(found, simulated_rows(solution, found, progress), unsimulated="")
     except (VerificationError, InputError) as error:
@@ -59,9 +63,18 @@ def what_to_flash(
     return found, advise(found)
 
 
-def _references(design: Design, found: FlashComparison) -> Solution:
-    """The solution that the emitted control takes its current references from, and nothing else."""
-    plain = variant(design, "three-wire", "table", found.capacitance)
+def _references(design: Design, settings: WaveformSettings, found: FlashComparison) -> Solution:
+    """The solution that the emitted control takes its current references from, on the design's own
+    topology and without what else the design asks for.
+    """
+    plain = variant(design, design.inverter.topology, "dq", found.capacitance)
     return solve(
-        replace(plain, losses=None, simulation=None, modulation_choice=None, weakening=None)
+        replace(
+            plain,
+            waveform=settings,
+            losses=None,
+            simulation=None,
+            modulation_choice=None,
+            weakening=None,
+        )
     )

@@ -8,7 +8,7 @@ from dqforge.machines.design.design import Design
 from dqforge.optimizer.flashing_choice.advice import Advice
 from dqforge.optimizer.flashing_choice.choices import DEVIATIONS, FlashRow, RippleFigures
 from dqforge.optimizer.flashing_choice.solve import FlashComparison
-from dqforge.reports.flashing_choice.words import FRAME_TEXT, TOPOLOGY_TEXT, advice_lines
+from dqforge.reports.flashing_choice.advice_words import FRAME_TEXT, TOPOLOGY_TEXT, advice_lines
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
 

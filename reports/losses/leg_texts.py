@@ -39,23 +39,27 @@ def leg_notes(comparison: LossComparison, point: int) -> list[str]:
     found = comparison.legs
     if found is None:
         return []
-    notes = []
+    rules: dict[str, list[str]] = {}
     for s, strategy in enumerate(comparison.strategies):
-        index = (s, 0, point)
-        text = legs_text(found, index)
-        if not text:
-            continue
-        neutral, ripple = float(found.neutral_current[index]), float(found.neutral_ripple[index])
-        if ripple > 0.0:
-            text += (
-                f"; neutral {three_decimals(neutral)} A r.m.s. and {three_decimals(ripple)} A of "
-                "the switching"
-            )
-        volts = float(found.budget.voltage_error[index])
-        if volts > 0.0:
-            text += f"; dead time takes {three_decimals(volts)} V where nothing compensates it"
-        notes.append(f"legs with {strategy}: {text}")
-    return notes
+        text = _rule_text(found, (s, 0, point))
+        if text:
+            rules.setdefault(text, []).append(strategy)
+    return [f"legs with {', '.join(names)}: {text}" for text, names in rules.items()]
+
+
+def _rule_text(found: PhaseBudget, index: Index) -> str:
+    """Legs, neutral and dead time of one rule; empty where the legs are unknown."""
+    text = legs_text(found, index)
+    if not text:
+        return ""
+    neutral, ripple = float(found.neutral_current[index]), float(found.neutral_ripple[index])
+    if ripple > 0.0:
+        through = f"{three_decimals(neutral)} A r.m.s. and " if neutral > 0.0 else ""
+        text += f"; neutral {through}{three_decimals(ripple)} A r.m.s. of the switching"
+    volts = float(found.budget.voltage_error[index])
+    if volts > 0.0:
+        text += f"; dead time takes {three_decimals(volts)} V where nothing compensates it"
+    return text
 
 
 def plain_legs(found: PhaseBudget, index: Index) -> dict[str, PlainData]:

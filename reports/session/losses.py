@@ -234,7 +234,8 @@ def losses(
         Torques in N m and mechanical speeds in rad/s, broadcast together to P points; None for
         those of the section ``losses`` of the design.
     strategies:
-        Some of ``mtpa``, ``id0``, ``least-loss``; None for the design's, else ``mtpa``.
+        Some of ``mtpa``, ``id0``, ``least-loss``; None for the design's, else ``mtpa``. Machines
+        with any back-EMF are compared by the rules ``dq``, ``dqx``, ``dqy`` and ``limited``.
     modulations:
         Modulators by name; None for the design's, else spwm, svpwm, dpwm1 and ddt-gdpwm.
     f_sw:

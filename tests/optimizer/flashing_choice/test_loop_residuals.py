@@ -153,3 +153,13 @@ def test_noise_passes_by_the_loop_stepped_in_time() -> None:
         squares += current * current
     stepped = math.sqrt(squares / noise.size)
     assert noise_gain(gains, r_s, inductance, T_S) == pytest.approx(stepped, rel=3e-2)
+
+
+def test_two_periods_leave_what_one_leaves() -> None:
+    """Waveforms over several electrical periods, with orders between the whole ones."""
+    theta = 2.0 * np.pi * np.arange(360) / 360.0
+    volts = np.stack([np.cos(5.0 * (theta - 2.0 * np.pi / 3.0 * k)) for k in range(3)])
+    omega = 2.0 * math.pi * 25.0
+    one = residual_currents(CONTROL, volts, omega)
+    two = residual_currents(CONTROL, np.tile(volts, (1, 2)), omega, turns=2)
+    assert two == pytest.approx(np.tile(one, (1, 2)), abs=1e-12)

@@ -122,3 +122,14 @@ def test_a_point_at_rest_is_refused() -> None:
     for still in (replace(drive.waveform, torque=0.0), replace(drive.waveform, omega_m=0.0)):
         with pytest.raises(InputError, match="--flash"):
             compare_flashing(replace(drive, waveform=still))
+
+
+def test_a_salient_machine_has_dq_alone() -> None:
+    """Its other frames are refused with the reason; dq is flashed where the link permits it."""
+    drive = catalogue.load("salient-phase-waveforms")
+    drive = replace(drive, inverter=replace(drive.inverter, v_dc=250.0, topology="four-leg"))
+    found = compare_flashing(drive)
+    advice = advise(found)
+    assert "inductances that do not vary" in found.row("three-wire", "table").obstacle
+    assert advice.row is not None
+    assert (advice.row.topology, advice.row.frame) == ("three-wire", "dq")

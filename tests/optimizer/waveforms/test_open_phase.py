@@ -23,8 +23,8 @@ NEUTRALS: tuple[Topology, ...] = ("four-leg", "six-leg", "split-capacitor")
 @pytest.mark.parametrize("topology", NEUTRALS)
 @pytest.mark.parametrize("phase", ["a", "b", "c"])
 def test_the_neutral_needs_nearly_three_times_a_phase(topology: Topology, phase: OpenPhase) -> None:
-    """The paper's machine at 1 N m: 1.61 of copper, twice the peak, 2.14 A and 3.56 A in the neutral,
-    2.7 times the healthy phase peak; half and 79 % of the torque are left.
+    """The paper's machine at 1 N m: 1.61 of copper, twice the peak, 2.14 A and 3.56 A in the
+    neutral, 2.7 times the healthy phase peak; half and 79 % of the torque are left.
     """
     found = open_phase_price(paper_machine(), topology, phase, 1.0)
     assert found is not None

@@ -64,7 +64,8 @@ def _first(row: FlashRow, dq_ripple: float) -> str:
     kept = f"torque ripple {percent(ripple)}"
     if row.frame != "dq":
         kept += f", {percent(dq_ripple)} with dq"
-    return f"flash {TOPOLOGY_TEXT[row.topology]}, {control}: {watts(row.copper)} of copper{bridge}, {kept}"
+    lost = f"{watts(row.copper)} of copper{bridge}"
+    return f"flash {TOPOLOGY_TEXT[row.topology]}, {control}: {lost}, {kept}"
 
 
 def _traded(trade: Trade) -> str:
