@@ -24,8 +24,9 @@ from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.flashing_choice.choices import COMPARED, FlashRow, compared_frames
 from dqforge.optimizer.flashing_choice.ripple_forms import ripple_figures
 from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.losses.leg_budgets import PhaseBudget
 from dqforge.optimizer.losses.loss_map import budget_options
-from dqforge.optimizer.losses.phase_budget import PhaseBudget, phase_budget
+from dqforge.optimizer.losses.phase_budget import phase_budget
 from dqforge.optimizer.phase_control.design import phase_control
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 from dqforge.optimizer.waveforms.comparison import operating_point, require_phases
