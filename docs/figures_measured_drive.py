@@ -17,8 +17,8 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.names import CurrentFrame
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, TEAL, save, style
 from dqforge.reports.session.waveforms import BackEmf, read_back_emf
-from dqforge.reports.simulation.compiled_plant import Simulation
 from dqforge.reports.simulation.design_run import simulate_design
+from dqforge.reports.simulation.recorded_run import Simulation
 
 DRIVE = "vdyno-trampa-6340"
 CAPTURES = {

@@ -20,6 +20,7 @@ import figures_measured_drive
 import figures_modulation
 import figures_observers
 import figures_operating_points
+import figures_phase_control
 import figures_phase_design
 import figures_simulation
 import figures_stability
@@ -49,6 +50,7 @@ def main() -> None:
     figures_estimators.estimators(folder / "estimators.svg")
     figures_observers.position_errors(folder / "position-observers.svg")
     figures_operating_points.operating_points_map(folder / "operating-map.svg")
+    figures_phase_control.torque_over_angle(folder / "phase-control.svg")
     figures_losses.modulation_waveforms(folder / "modulation-waveforms.svg")
     figures_modulation.zero_sequences(folder / "modulation-family.svg")
     figures_modulation.merits(folder / "modulation-merits.svg")

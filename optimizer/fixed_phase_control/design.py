@@ -20,7 +20,7 @@ from dqforge.optimizer.fixed_phase_control.integers import (
     FixedMidpoint,
     FixedPhaseControl,
 )
-from dqforge.optimizer.fixed_phase_control.ranges import phase_ranges
+from dqforge.optimizer.fixed_phase_control.phase_ranges import phase_ranges
 from dqforge.optimizer.loops.integer_gains import FixedGain, quantise
 from dqforge.optimizer.phase_control.phase_controller import AxisGains, PhaseControl
 

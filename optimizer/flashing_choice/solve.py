@@ -178,17 +178,16 @@ def reference_currents(
     zero = frame == "dqy" or (frame == "table" and TOPOLOGIES[topology].neutral)
     if frame == "dq":
         if isinstance(machine, PhaseMachine):
-            return dq_waveform(
-                0.0, torque / design.machine.torque_per_ampere, machine.angles, machine.turns
-            )
-        return np.asarray(pointwise_dq(design, torque, machine.angles))
+            i_q = torque / design.machine.torque_per_ampere
+            return dq_waveform(0.0, i_q, machine.angles, machine.turns)
+        return np.asarray(pointwise_dq(design, torque, machine))
     if isinstance(machine, PhaseMachine):
         return np.asarray(torque * unit_currents(machine, "dqy" if zero else "dqx"))
     way: Topology = "six-leg" if zero else "three-wire"
     return np.asarray(pointwise_currents(machine, np.array([torque]), way)[0])
 
 
-def pointwise_dq(design: Design, torque: float, angles: int) -> FloatArray:
+def pointwise_dq(design: Design, torque: float, machine: AnyPhaseMachine) -> FloatArray:
     """Sinusoidal currents in A of a salient machine by MTPA, shape (3, N).
 
     Parameters
@@ -197,13 +196,14 @@ def pointwise_dq(design: Design, torque: float, angles: int) -> FloatArray:
         The design, of whose machine in dq coordinates it is.
     torque:
         In N m.
-    angles:
-        Number N of angles.
+    machine:
+        The machine, on whose angles they are.
     """
     from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
     i_d, i_q = CurrentChoice(design.machine, "mtpa", design.i_max).currents(np.array([abs(torque)]))
-    return dq_waveform(float(i_d[0]), math.copysign(float(i_q[0]), torque), angles)
+    i_q_signed = math.copysign(float(i_q[0]), torque)
+    return dq_waveform(float(i_d[0]), i_q_signed, machine.angles, machine.turns)
 
 
 def _row(

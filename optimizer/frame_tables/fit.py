@@ -19,7 +19,7 @@ from dqforge.optimizer.curves.single_precision import (
     fused_multiply_add,
     multiply_add,
 )
-from dqforge.optimizer.frame_tables.exact import (
+from dqforge.optimizer.frame_tables.exact_frames import (
     ANGLES,
     COLUMNS,
     COUPLING,

@@ -340,7 +340,9 @@ def _blanked(
 
 
 def _fundamental(voltages: FloatArray, turns: int) -> FloatArray:
-    """Amplitude in V (peak) of the fundamental's positive sequence, shape (n,)."""
+    """Amplitude in V (peak) of the fundamental's positive sequence, shape (n,), of voltages over
+    ``turns`` electrical periods.
+    """
     angle = grid(voltages.shape[-1], turns)
-    turned = np.exp(-1j * (angle - 2.0 * np.pi / 3.0 * np.arange(3)[:, None]))
-    return np.asarray(2.0 * np.abs(np.mean(voltages * turned, axis=(-2, -1))))
+    lagging = np.exp(-1j * (angle - 2.0 * np.pi / 3.0 * np.arange(3)[:, None]))
+    return np.asarray(2.0 * np.abs(np.mean(voltages * lagging, axis=(-2, -1))))

@@ -32,9 +32,14 @@ from dqforge.optimizer.phase_control.phase_controller import (
     PhaseControl,
     TorqueLimit,
 )
-from dqforge.optimizer.phase_control.salient_limit import salient_torques
+from dqforge.optimizer.phase_control.salient_limit import salient_torques, table_torques
 from dqforge.optimizer.phase_control.shape_table import ShapeFit, fit_shape
-from dqforge.optimizer.phase_control.shape_vectors import PHASES, flux_at, unit_currents
+from dqforge.optimizer.phase_control.shape_vectors import (
+    PHASES,
+    flux_at,
+    reference_currents,
+    unit_currents,
+)
 from dqforge.optimizer.phase_control.torque_limit import (
     MARGIN,
     largest_torques,
@@ -189,8 +194,11 @@ def _torque_limit(design: Design, control: PhaseControl) -> TorqueLimit:
     if control.midpoint is not None:
         margin += SWING * min(1.0, control.midpoint.omega_e_min / last)
         last = no_load_speed(control, v_dc, margin)
-    if isinstance(machine, SalientPhaseMachine):
+    if isinstance(machine, SalientPhaseMachine) and control.frame == "dq":
         largest = salient_torques(machine, _choice(design), control.topology, margin)
+    elif isinstance(machine, SalientPhaseMachine):
+        unit = PHASES @ reference_currents(control, machine.phases.theta, np.zeros(1))
+        largest = table_torques(machine, unit, control.torque_max, control.topology, margin)
     else:
         largest = partial(largest_torques, control, margin=margin)
     return torque_limit(v_dc, last, largest)

@@ -30,8 +30,9 @@ from dqforge.optimizer.flashing_choice.solve import FlashComparison
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.phase_control.header import phase_control_files
-from dqforge.reports.simulation.compiled_plant import Summary, simulate_many, simulator
+from dqforge.reports.simulation.compiled_plant import simulate_many, simulator
 from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.recorded_run import Summary
 
 LEARNING, SETTLING = 0.4, 0.2
 """Duration in s of a run with and without harmonic integrators, of which the last part counts."""

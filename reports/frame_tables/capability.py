@@ -11,7 +11,7 @@ from dqforge.reports.frame_tables.float32_model import (
     plain_frame_model,
 )
 from dqforge.reports.frame_tables.header import frame_files, frame_programme
-from dqforge.reports.frame_tables.words import frame_part, frame_rows, frame_table, plain_frames
+from dqforge.reports.frame_tables.tables import frame_part, frame_rows, frame_table, plain_frames
 from dqforge.reports.pages.chapters import WAVEFORMS as CHAPTER
 
 _HEADER: HeaderKind[FrameTables, FrameModel] = HeaderKind(

@@ -10,7 +10,7 @@ import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.frame_tables.exact import COLUMNS
+from dqforge.optimizer.frame_tables.exact_frames import COLUMNS
 from dqforge.optimizer.frame_tables.fit import FrameTable
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.read_back import singles_from

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dqforge.machines.design.design import Design
-from dqforge.optimizer.frame_tables.exact import COLUMNS, DENSE
+from dqforge.optimizer.frame_tables.exact_frames import COLUMNS, DENSE
 from dqforge.optimizer.frame_tables.fit import FrameTables
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.numbers import rounded_up

@@ -16,7 +16,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.names import ModulationName, Strategy
 from dqforge.machines.plants.scenario import Profile, Scenario
 from dqforge.reports.papers.transients import bench
-from dqforge.reports.simulation.compiled_plant import Simulation
+from dqforge.reports.simulation.recorded_run import Simulation
 
 DESIGN_NAME = "paper000-ipmsm-100kw"
 

@@ -24,7 +24,7 @@ from dqforge.optimizer.observers.reduced_order import ObserverError, steady_stat
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.papers.paper001_sensorless import Estimator, estimator_errors
 from dqforge.reports.papers.transients import RPM, Bench, bench, settling_time
-from dqforge.reports.simulation.compiled_plant import Simulation
+from dqforge.reports.simulation.recorded_run import Simulation
 
 DESIGN_NAME = "paper001-pmsm-bench"
 

@@ -23,8 +23,9 @@ from dqforge.optimizer.solution import solve
 from dqforge.reports.control.header import plain_control
 from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
 from dqforge.reports.papers.transients import RPM, Bench
-from dqforge.reports.simulation.compiled_plant import Simulation, simulator
+from dqforge.reports.simulation.compiled_plant import simulator
 from dqforge.reports.simulation.design_run import angle_error, controller_files
+from dqforge.reports.simulation.recorded_run import Simulation
 
 PRINTED_SPEED, PRINTED_ANGLE = 0.04, 0.10
 

@@ -21,7 +21,7 @@ from dqforge.optimizer.fixed_phase_control.integers import (
     FixedMidpoint,
     FixedPhaseControl,
 )
-from dqforge.optimizer.fixed_phase_control.ranges import phase_ranges
+from dqforge.optimizer.fixed_phase_control.phase_ranges import phase_ranges
 from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
@@ -123,6 +123,13 @@ def _shape(plain: Any, width: int) -> tuple[tuple[int, ...], ...]:
     return rows
 
 
+def _bases(plain: Any) -> tuple[float, float, float, float, float]:
+    current, voltage, speed, torque, flux = (float(value) for value in plain)
+    if not all(0.0 < value < math.inf for value in (current, voltage, speed, torque, flux)):
+        raise ValueError(plain)
+    return current, voltage, speed, torque, flux
+
+
 def phase_integers_from(plain: Mapping[str, Any], width: int) -> FixedPhaseControl:
     """Read the control in words of ``width`` bits back, and prove again that nothing overflows.
 
@@ -135,13 +142,10 @@ def phase_integers_from(plain: Mapping[str, Any], width: int) -> FixedPhaseContr
     gains = ("fade", "unit", "sample", "electrical", "rate")
     middle = plain.get("midpoint")
     try:
-        bases = tuple(float(value) for value in plain["bases"])
-        if len(bases) != 5 or not all(0.0 < value < math.inf for value in bases):
-            raise ValueError(bases)
         found = FixedPhaseControl(
             **{name: _gain(plain[name], width) for name in gains},
             width=_whole(plain["width"], width, width),
-            bases=(bases[0], bases[1], bases[2], bases[3], bases[4]),
+            bases=_bases(plain["bases"]),
             frame=_one_of(plain["frame"], CurrentFrame),
             feedforward=_one_of(plain["feedforward"], Feedforward),
             topology=_one_of(plain["topology"], Topology),

@@ -10,7 +10,7 @@ from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import Pair, Triple
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
-from dqforge.optimizer.fixed_phase_control.step import PhaseState, Sample, control_step
+from dqforge.optimizer.fixed_phase_control.phase_step import PhaseState, Sample, control_step
 
 _MEASURED = ("i_a", "i_b", "i_c", "theta", "omega", "v_dc", "v_m", "open", "torque", "d", "q")
 

@@ -190,11 +190,12 @@ def balanced(
     scale = (plane * ((f.alpha * alpha) + (f.beta * beta))) - (triple * (f.zero * balance))
     there = square > _LEAST_SQUARE
     scale = np.where(there, scale / np.where(there, square, _ONE), _ZERO)
-    return Stationary(
+    found = (
         i.alpha + (alpha - (scale * f.alpha)),
         i.beta + (beta - (scale * f.beta)),
         i.zero - (balance + (scale * f.zero)),
     )
+    return Stationary(*(np.asarray(part, dtype=np.float32) for part in found))
 
 
 def largest_torque(
@@ -222,7 +223,7 @@ def largest_torque(
     (j, x), (k, y) = places
     low = torque[j, k] + (y * (torque[j, k + 1] - torque[j, k]))
     high = torque[j + 1, k] + (y * (torque[j + 1, k + 1] - torque[j + 1, k]))
-    return low + (x * (high - low))
+    return np.asarray(low + (x * (high - low)), dtype=np.float32)
 
 
 def equal_load(

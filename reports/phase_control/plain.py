@@ -136,10 +136,10 @@ def _require(control: PhaseControl) -> None:
             "control.current_loop.frame: dqy needs a zero-sequence current, and "
             f"{control.topology} drives none; write dqx or table"
         )
-    if l_d != l_q and control.frame != "dq":
+    if l_d != l_q and control.frame not in ("dq", "table"):
         raise InputError(
             f"control.current_loop.frame: {control.frame} is for machines without saliency; write "
-            "dq"
+            "table or dq"
         )
     rows, nodes = control.shape.flux.shape
     if rows == 1 and (control.shape.turns > 1 or nodes % 3):

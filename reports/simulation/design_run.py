@@ -26,16 +26,10 @@ from dqforge.reports.main_header.header import header_files
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
 from dqforge.reports.phase_control.emitted import emitted_control_files, phase_control_of
-from dqforge.reports.simulation.compiled_plant import (
-    PhaseRecord,
-    Simulation,
-    Summary,
-    require_compiler,
-    simulate,
-    simulator,
-)
+from dqforge.reports.simulation.compiled_plant import require_compiler, simulate, simulator
 from dqforge.reports.simulation.number_format import SIMULATED, not_simulated
 from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.recorded_run import PhaseRecord, Simulation, Summary
 
 SETTLED = 0.02
 
@@ -376,7 +370,7 @@ def npz_bytes(run: Simulation) -> bytes:
     """The samples as a NumPy archive: float64 arrays by name, without a date,
     the same bytes for the same run.
     """
-    parts = [run] if run.phases is None else [run, run.phases]
+    parts: list[Simulation | PhaseRecord] = [run] if run.phases is None else [run, run.phases]
     arrays = {
         name: getattr(part, name)
         for part in parts

@@ -79,7 +79,7 @@ def scheduled() -> Design:
 
 
 def waves() -> Design:
-    return catalogue.load("paper002-phase-waveforms")
+    return catalogue.load("paper002-phase-waveforms", ["export.frame_tables=true"])
 
 
 def without_loops() -> Design:
@@ -125,7 +125,7 @@ ASKED = {
     "sections": {"mtpa", "fit", "gains", "losses", "speed_observer", "weakening"}
     | {"modulation_choice"},
     "schedule": {"mtpa", "fit", "gains", "gain_schedule"},
-    "waveforms": {"mtpa", "fit", "gains", "waveforms", "waveform_fit"},
+    "waveforms": {"mtpa", "fit", "gains", "waveforms", "waveform_fit", "frame_tables"},
 }
 ELSEWHERE = {
     "mtpa_negative",

@@ -76,6 +76,13 @@ def check_phase_control(
             (*path, "limited_waveforms"),
             key=True,
         )
+    if loop.limited_waveforms and isinstance(machine, SalientPhaseMachine):
+        raise document.error(
+            "control.current_loop.limited_waveforms needs inductances that do not vary with the "
+            "angle, this machine has inductance_harmonics; remove it",
+            (*path, "limited_waveforms"),
+            key=True,
+        )
 
 
 def phase_control_remarks(

@@ -22,13 +22,9 @@ from dqforge.reports.papers.paper002_loops.loop_cases import (
     case_design,
     controller_files,
 )
-from dqforge.reports.simulation.compiled_plant import (
-    Simulation,
-    Simulator,
-    simulate,
-    simulator,
-)
+from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
 from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.recorded_run import Simulation
 
 RPM = np.pi / 30.0
 

@@ -18,7 +18,7 @@ from dqforge.machines.phase_machines.frame_transforms import (
 )
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, grid
 from dqforge.optimizer.curves.single_precision import fused_multiply_add
-from dqforge.optimizer.frame_tables.exact import COLUMNS, exact_frames
+from dqforge.optimizer.frame_tables.exact_frames import COLUMNS, exact_frames
 from dqforge.optimizer.frame_tables.fit import (
     errors_of,
     fit_frames,

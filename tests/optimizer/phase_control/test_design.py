@@ -10,10 +10,14 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.errors import DqforgeError, NoSolutionError
 from dqforge.machines.names import Topology
+from dqforge.machines.phase_machines.frame_choice import reluctance_gain
+from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.phase_control.design import PhaseLoops
 from dqforge.optimizer.phase_control.harmonic_orders import harmonic_orders
 from dqforge.optimizer.phase_control.midpoint_balance import midpoint_gains
+from dqforge.optimizer.phase_control.torque_limit import limit_at
+from dqforge.optimizer.waveforms.phase_currents import dq_waveform
 
 P = "paper002-phase-waveforms"
 
@@ -82,10 +86,35 @@ def test_a_sine_gets_dq() -> None:
     assert found.frame == "dq"
 
 
-def test_saliency_gets_dq_with_both_inductances() -> None:
-    found = loops(drive="salient-phase-waveforms").control
-    assert found.frame == "dq"
+@pytest.mark.parametrize("frame", ["dq", "table"])
+def test_saliency_keeps_both_inductances(frame: str) -> None:
+    salient = "salient-phase-waveforms"
+    found = loops(f"control.current_loop.frame={frame}", drive=salient).control
+    assert found.frame == frame
     assert found.inductances == pytest.approx((5.3e-3, 10.7e-3, 5e-3), rel=1e-6)
+    # 120 V: both are limited near the largest speed, and neither at half of it.
+    limit = found.torque_limit
+    assert limit is not None
+    at = limit_at(limit, 377.0 * np.array([0.4, 0.95]), np.full(2, 120.0))
+    assert at[0] == pytest.approx(found.torque_max)
+    assert at[1] < 0.7 * found.torque_max
+
+
+def test_a_table_makes_constant_torque_on_a_salient_machine() -> None:
+    """Currents along the back-EMF make next to no reluctance torque; constant dq currents 4 %."""
+    machine = design(drive="salient-phase-waveforms").phase_machine
+    assert isinstance(machine, SalientPhaseMachine)
+    currents = 3.0 * machine.flux / (2.0 * np.sum(machine.flux**2, axis=0))
+    torque = machine.torque(currents)
+    assert np.mean(torque) == pytest.approx(3.0, rel=1e-9)
+    assert np.ptp(torque) < 1e-3 * 3.0
+    constant = machine.torque(dq_waveform(0.0, 5.0, machine.angles))
+    assert np.ptp(constant) > 0.03 * np.mean(constant)
+    # Torque of the saliency at the limit: the best of all angles of a current of that length.
+    i_max, psi, l_d, l_q = machine.phases.i_max, 0.2, 5.3e-3, 10.7e-3
+    turn = np.linspace(0.0, 1.5, 100_000)
+    best = np.max(psi * np.cos(turn) + (l_q - l_d) * i_max * np.sin(turn) * np.cos(turn))
+    assert reluctance_gain(machine) == pytest.approx(best / psi - 1.0, abs=1e-5)
 
 
 def test_one_gain_is_refused_from_the_ratio_of_the_page_on() -> None:
@@ -126,7 +155,8 @@ def test_pole_pairs_that_differ_get_a_table_over_the_mechanical_turn() -> None:
     """The first order of the mechanical turn: the second pole pair is weaker than the first."""
     found = loops(
         "inverter.topology=six-leg",
-        "machine.back_emf.harmonics=[{order: 1, amplitude: 0.2 Wb}, {mechanical_order: 1, share: 2 %}]",
+        "machine.back_emf.harmonics=[{order: 1, amplitude: 0.2 Wb}, "
+        "{mechanical_order: 1, share: 2 %}]",
     )
     assert found.control.frame == "table"
     assert found.control.shape.turns == 2

@@ -23,8 +23,9 @@ from dqforge.optimizer.loops.coupled_loops import CurrentControl, TurningMachine
 from dqforge.optimizer.loops.pi_methods import current_pi
 from dqforge.reports.control.header import gain_bytes
 from dqforge.reports.papers.transients import Bench, bench
-from dqforge.reports.simulation.compiled_plant import Summary, simulate_many
+from dqforge.reports.simulation.compiled_plant import simulate_many
 from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.recorded_run import Summary
 
 V_DC = 400.0
 METHODS: tuple[CurrentLoopMethod, ...] = (

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
-from dqforge.optimizer.frame_tables.exact import COLUMNS
+from dqforge.optimizer.frame_tables.exact_frames import COLUMNS
 from dqforge.optimizer.frame_tables.fit import fit_frames
 from dqforge.reports.frame_tables.float32_model import (
     FrameModel,

@@ -38,6 +38,7 @@ def test_the_terminal_shows_the_zero_sequence_and_the_radii(gains: GainSet) -> N
     assert found.rows[-1][5] == "r_s +30 %"
     assert found.rows[-1][6] == "-5, 7, -11, 13; zero sequence 3, 9"
     assert any("midpoint returns to 1/e in 4" in note or "in 5" in note for note in found.notes)
+    assert [curve.gains.loop for curve in gains.responses()] == ["i_d", "i_q", "i_0"]
     plain = gains_tables(DESIGN, solve_gains(DESIGN))
     assert len(next(table for table in plain if table.title == found.title).columns) == 6
 

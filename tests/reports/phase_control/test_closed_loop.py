@@ -23,8 +23,9 @@ from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.phase_control.header import phase_control_files
-from dqforge.reports.simulation.compiled_plant import Summary, simulate, simulate_many, simulator
+from dqforge.reports.simulation.compiled_plant import simulate, simulate_many, simulator
 from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.recorded_run import Summary
 
 P, Z = near_sinusoidal(192), trapezoidal(192)
 PLANT_P, PLANT_Z = near_sinusoidal(720), trapezoidal(720)

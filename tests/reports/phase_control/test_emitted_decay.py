@@ -8,17 +8,22 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from emitted_decay import EmittedLoop, compiled_loop
+from emitted_decay import LINK, EmittedLoop, compiled_loop
 from phase_drives import near_sinusoidal, plain_control, trapezoidal
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.plants.scenario import Profile, Scenario, constant
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.phase_control.floquet import radius
 from dqforge.optimizer.phase_control.periodic_step import PhasePlants
 from dqforge.optimizer.phase_control.phase_controller import AxisGains, MidpointGains, PhaseControl
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.main_header.header import header_files
+from dqforge.reports.phase_control.header import phase_control_files
+from dqforge.reports.simulation.compiled_plant import simulate, simulator
+from dqforge.reports.simulation.plant_input import Drive
 
 P, Z = near_sinusoidal(360), trapezoidal(360)
 CAPACITANCE = 2e-3
@@ -197,3 +202,62 @@ def test_drives_just_beyond_the_limit_oscillate_and_just_inside_decay(
         else:
             assert decay > 1.0
             assert 20.0 < swing < 1e6
+
+
+PLANT = near_sinusoidal(720)
+
+
+def difference_dies(solution: Solution, control: PhaseControl, samples: int, periods: int) -> float:
+    """What is left per sample, in the compiled simulation, of a torque that was asked for at first.
+
+    The difference of two runs moves as if references and back-EMF were zero.
+    """
+    omega_m = speed_of(samples) / PLANT.pole_pairs
+    capacitance = 4e-3 if control.topology == "split-capacitor" else None
+    inverter = replace(
+        solution.design.inverter,
+        topology=control.topology, v_dc=LINK, midpoint_capacitance=capacitance,
+    )  # fmt: skip
+    drive = Drive(solution.design.machine, inverter, T_S, 1, PLANT)
+    first, last = 4 * samples, (4 + periods) * samples
+    runs = []
+    with simulator(
+        header_files(solution) | phase_control_files(solution, control),
+        solution.design.export.prefix, (), control.topology,
+    ) as program:  # fmt: skip
+        for torque in (0.0, 2.0):
+            asked = Profile((0.0, first * T_S), (torque, 0.0))
+            scenario = Scenario(
+                (last + 1) * T_S, "torque", asked,
+                shaft=constant(omega_m), omega_m=omega_m, dead_time=0.0,
+            )  # fmt: skip
+            found = simulate(program, drive, scenario)
+            runs.append(np.stack([found.i_d, found.i_q, found.i_zero]))
+    left = np.linalg.norm(runs[1] - runs[0], axis=0)
+    start = first + samples  # by then the slowest part is all that is left
+    return float((left[last] / left[start]) ** (1.0 / (last - start)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("topology", "frame", "feedforward", "samples", "periods"),
+    [
+        ("four-leg", "table", "references", 40, 6),
+        ("six-leg", "dqx", "emf", 24, 10),
+        ("four-leg", "dqy", "references", 40, 6),
+        ("three-wire", "table", "measured", 16, 40),
+        ("four-leg", "dqy", "measured", 24, 8),
+    ],
+)
+def test_a_torque_in_the_compiled_plant_is_forgotten_at_the_radius(
+    topology: Topology,
+    frame: CurrentFrame,
+    feedforward: Feedforward,
+    samples: int,
+    periods: int,
+    solution: Solution,
+) -> None:
+    control = plain_control(P, topology, frame, feedforward, harmonics=None)
+    found = float(radius(control, plants_of(plant_of(control)), speed_of(samples))[0])
+    decay = difference_dies(solution, control, samples, periods)
+    assert decay == pytest.approx(found, abs=3e-3 if feedforward == "measured" else 1e-3)

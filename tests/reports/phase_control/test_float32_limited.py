@@ -152,5 +152,5 @@ def test_foreign_tables_are_refused(
 def test_sinusoidal_references_have_no_such_table(
     solution: Solution, control: PhaseControl
 ) -> None:
-    with pytest.raises(InputError, match="limited_waveforms.*write table"):
+    with pytest.raises(InputError, match=r"limited_waveforms.*write table"):
         plain_solution_control(solution, replace(control, frame="dqx"))

@@ -117,19 +117,23 @@ def test_rows_turns_limits_and_no_harmonics(
     assert limited[0] == pytest.approx(3.0)
 
 
-@pytest.mark.parametrize("feedforward", ["references", "measured"])
+@pytest.mark.parametrize(
+    ("frame", "feedforward"), [("dq", "references"), ("dq", "measured"), ("table", "references")]
+)
 def test_saliency_in_rotor_coordinates(
-    feedforward: Feedforward, solution: Solution, document: dict[str, Any]
+    frame: CurrentFrame, feedforward: Feedforward, solution: Solution, document: dict[str, Any]
 ) -> None:
-    control = plain_control(P, "six-leg", "dq", feedforward)
+    control = plain_control(P, "six-leg", frame, feedforward)
     prove(solution, document, replace(control, inductances=(5e-3, 11e-3, 5e-3)))
 
 
 def test_what_is_not_emitted_is_refused(solution: Solution) -> None:
     with pytest.raises(InputError, match=r"dqy needs a zero-sequence current.*write dqx or table"):
         plain_solution_control(solution, plain_control(P, "three-wire", "dqy"))
-    with pytest.raises(InputError, match="table is for machines without saliency; write dq"):
-        plain_solution_control(solution, plain_control(P, inductances=(5e-3, 9e-3, 5e-3)))
+    with pytest.raises(InputError, match="dqx is for machines without saliency; write table or"):
+        plain_solution_control(
+            solution, plain_control(P, frame="dqx", inductances=(5e-3, 9e-3, 5e-3))
+        )
     with pytest.raises(InputError, match="multiples of 3"):
         plain_solution_control(solution, plain_control(P, shape=PhaseShape(P.flux[:1, :64])))
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dqforge.machines.design import catalogue
 from dqforge.machines.design.loader import load_text
-from dqforge.reports.simulation.compiled_plant import Simulation
 from dqforge.reports.simulation.design_run import simulate_design
+from dqforge.reports.simulation.recorded_run import Simulation
 
 DESIGN = """\
 dqforge: 1
@@ -70,3 +71,16 @@ def test_frames_of_differing_pole_pairs(
     mean, ripple = settled(topology, frame)
     assert mean == pytest.approx(1.0, rel=2e-3)
     assert least <= ripple < most
+
+
+@pytest.mark.slow
+def test_a_salient_machine_runs_on_constant_dq_currents() -> None:
+    """The library drive: 1 and 3 N m with the ripple of its harmonics, 3 N m of it by reluctance
+    too.
+    """
+    run = simulate_design(catalogue.load("salient-phase-waveforms")).run
+    turn = 60.0 / 750.0
+    for end, torque, ripple in ((0.3, 1.0, 0.039), (0.6, 3.0, 0.041)):
+        made = run.torque[(run.t > end - 2.0 * turn) & (run.t < end)]
+        assert np.mean(made) == pytest.approx(torque, rel=2e-3)
+        assert np.ptp(made) / torque == pytest.approx(ripple, abs=0.005)

@@ -36,7 +36,6 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import gain_bytes, plain_control
 from dqforge.reports.simulation import compiled_plant as simulation_module
 from dqforge.reports.simulation.compiled_plant import (
-    Simulation,
     Simulator,
     compile_simulator,
     simulate,
@@ -51,6 +50,7 @@ from dqforge.reports.simulation.design_run import (
     step_figures,
 )
 from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.recorded_run import Simulation
 from dqforge.reports.simulation.tables import plain_simulation, simulation_tables
 
 T_S = 1e-4

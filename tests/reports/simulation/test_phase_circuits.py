@@ -333,7 +333,48 @@ def test_errors_of_the_plant_scale_saliency_and_back_emf(plant: Simulator) -> No
     assert_close(changed.i_phases, same.i_phases, 1e-12)
 
 
-def test_many_harmonics_are_those_of_their_sum() -> None:
+def test_pole_pairs_that_differ_turn_with_the_shaft(plant: Simulator) -> None:
+    """Orders of thirds of the electrical angle; the controller is given the angle over all three
+    periods.
+    """
+    orders = np.array([1.0, 1.0 / 3.0, 5.0 / 3.0])
+    size, lag = np.array([0.1, 0.01, 0.004]), np.array([0.0, 0.3, -0.2])
+    machine = PhaseMachine.from_harmonics(
+        orders,
+        np.stack([size, 1.1 * size, 0.9 * size]),
+        np.stack([lag + 2.0 * np.pi / 3.0 * k for k in range(3)]),
+        pole_pairs=P,
+        r_s=R,
+        l_s=L_S,
+        m_s=M_S,
+        i_max=30.0,
+    )
+    assert machine.turns == P
+    scenario = Scenario(
+        0.12,
+        "open-loop",
+        Profile(),
+        duties=profiles(duties(4, 1200)),
+        shaft=constant(60.0),
+        theta_e=0.4,
+    )
+    found = simulate(plant, drive("four-leg", machine), scenario)
+    assert found.phases is not None
+    theta = 0.4 + P * 60.0 * found.t
+    angle = orders[:, np.newaxis] * theta - lag[:, np.newaxis]
+    f = [
+        -scale * size @ np.sin(angle - 2.0 * np.pi / 3.0 * k)
+        for k, scale in enumerate((1.0, 1.1, 0.9))
+    ]
+    expected = P * np.sum(np.stack(f, axis=1) * found.phases.i_phases, axis=1)
+    assert_close(found.torque, expected, 1e-9)
+    assert_close(found.theta_e_measured, theta % (6.0 * np.pi), 1e-9)
+    f_in = found.figures
+    stored = float(f_in.e_in[0] - f_in.e_copper[0] - f_in.e_shaft[0])
+    assert stored == pytest.approx(float(f_in.e_magnetic[0]), abs=1e-6 * float(f_in.e_copper[0]))
+
+
+def test_many_harmonics_are_those_of_their_sum(plant: Simulator) -> None:
     """A trapezoid has orders up to half its angles: the plant reads them from cells."""
     theta = 2.0 * np.pi * np.arange(360) / 360
     lag = 2.0 * np.pi / 3.0 * np.arange(3)[:, np.newaxis]
@@ -347,8 +388,7 @@ def test_many_harmonics_are_those_of_their_sum() -> None:
         shaft=constant(60.0),
         sub_steps=60,
     )
-    with simulator() as program:
-        few = simulate(program, drive("four-leg", machine), scenario)
+    few = simulate(plant, drive("four-leg", machine), scenario)
     table = emf_table(machine).reshape(-1, 7)
     assert table[-1, 0] > 150
     turns = np.outer(P * 60.0 * few.t, table[:, 0])

@@ -11,7 +11,7 @@ import pytest
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.names import Topology
-from dqforge.machines.plants.scenario import Scenario, constant
+from dqforge.machines.plants.scenario import PhaseOpening, Scenario, constant
 from dqforge.reports.simulation.design_run import DriveSimulation, simulate_design
 from dqforge.reports.simulation.tables import plain_simulation, simulation_tables
 
@@ -26,7 +26,7 @@ def found(topology: Topology) -> DriveSimulation:
 
 def test_split_link_shows_neutral_and_midpoint() -> None:
     drive = found("split-capacitor")
-    rows = dict(simulation_tables(drive)[0].rows)
+    rows = {row[0]: row[1] for row in simulation_tables(drive)[0].rows}
     shown = plain_simulation(drive)["phases"]
     assert drive.phases is not None
     assert shown["topology"] == "split-capacitor"
@@ -46,9 +46,32 @@ def test_split_link_shows_neutral_and_midpoint() -> None:
     assert archive["duty_legs"].shape[1] == 3
 
 
+@pytest.mark.slow
+def test_emitted_control_answers_an_open_phase() -> None:
+    """Told of it after 1 ms, it makes constant torque again, but for the dead times."""
+    base = catalogue.load("paper002-phase-waveforms")
+    speed = 750.0 * math.pi / 30.0
+    scenario = Scenario(
+        0.4,
+        "torque",
+        constant(1.0),
+        shaft=constant(speed),
+        omega_m=speed,
+        dead_time=0.0,
+        open_phase=PhaseOpening("b", 0.1, 1e-3),
+    )
+    drive = simulate_design(replace(base, simulation=scenario))
+    assert drive.phases is not None
+    assert drive.phases.torque == pytest.approx(1.0, rel=5e-3)
+    assert drive.phases.ripple_means < 0.01
+    assert drive.phases.copper[1] == 0.0
+    assert sum(drive.phases.copper) == pytest.approx(5.31, rel=0.01)
+    assert drive.phases.neutral_rms == pytest.approx(2.14, rel=0.01)
+
+
 def test_three_wires_show_neither() -> None:
     drive = found("three-wire")
-    rows = dict(simulation_tables(drive)[0].rows)
+    rows = {row[0]: row[1] for row in simulation_tables(drive)[0].rows}
     assert "neutral current, r.m.s." not in rows
     assert "midpoint off half the link, at most" not in rows
     assert "last tenth: mean torque" in rows

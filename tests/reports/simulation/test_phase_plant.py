@@ -42,12 +42,8 @@ from dqforge.machines.plants.scenario import (
     constant,
 )
 from dqforge.machines.topologies.topology import TOPOLOGIES
-from dqforge.reports.simulation.compiled_plant import (
-    Simulation,
-    Simulator,
-    simulate,
-    simulator,
-)
+from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
+from dqforge.reports.simulation.recorded_run import Simulation
 
 
 @pytest.fixture(scope="module")
@@ -59,10 +55,8 @@ def plant() -> Iterator[Simulator]:
 def flux(theta_e: float) -> FloatArray:
     """Back-EMF over electrical speed."""
     angle = theta_e - np.array([0.0, 1.0, 2.0]) * 2.0 * math.pi / 3.0
-    return -np.sum(
-        SHARES[:, np.newaxis] * np.sin(ORDERS[:, np.newaxis] * angle - np.array(LAGS)[:, None]),
-        axis=0,
-    )
+    waves = np.sin(ORDERS[:, np.newaxis] * angle - np.array(LAGS)[:, np.newaxis])
+    return np.asarray(-(SHARES @ waves), dtype=np.float64)
 
 
 def inductances(theta_e: float, l_2: float) -> tuple[FloatArray, FloatArray]:
@@ -87,9 +81,10 @@ def phase_rates(
     matrix, slope = inductances(theta_e, l_2)
     across = end - R * i - P * omega_m * (flux(theta_e) + slope @ i)
     if neutral is not None:
-        return np.linalg.solve(matrix + choke, across - neutral)
+        return np.asarray(np.linalg.solve(matrix + choke, across - neutral), dtype=np.float64)
     bordered = np.block([[matrix, np.ones((3, 1))], [np.ones((1, 3)), np.zeros((1, 1))]])
-    return np.linalg.solve(bordered, np.append(across, 0.0))[:3]
+    whole = np.linalg.solve(bordered, np.append(across, 0.0))
+    return np.asarray(whole[:3], dtype=np.float64)
 
 
 def ends(legs: FloatArray) -> FloatArray:

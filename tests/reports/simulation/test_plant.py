@@ -29,14 +29,9 @@ from dqforge.machines.plants.scenario import (
     Scenario,
     constant,
 )
-from dqforge.reports.simulation.compiled_plant import (
-    Simulation,
-    Simulator,
-    simulate,
-    simulate_many,
-    simulator,
-)
+from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulate_many, simulator
 from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.recorded_run import Simulation
 
 T_S = 1e-4
 IPM = LinearMachine(

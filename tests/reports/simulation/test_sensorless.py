@@ -42,9 +42,10 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.c_code.float32_functions import SINGLE, wrap
 from dqforge.reports.observers.speed_float32_model import observed_speeds, speed_observer_gains
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.simulation.compiled_plant import Simulation, Simulator, simulate, simulator
+from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
 from dqforge.reports.simulation.design_run import controller_files, drive_of, evaluate, observers_of
 from dqforge.reports.simulation.figures import plot_simulation
+from dqforge.reports.simulation.recorded_run import Simulation
 from dqforge.reports.simulation.tables import plain_simulation, simulation_tables
 
 T_S = 1e-4

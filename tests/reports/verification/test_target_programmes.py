@@ -109,7 +109,7 @@ KINDS = {
     "control and position observer": {"control", "control_q15", "control_q31", "observer"},
     "speed observer": {"speed_observer"},
     "phase currents": {"waveform", "frames"},
-    "salient phase currents": {"waveform"},
+    "salient phase currents": {"waveform", "control"},
     "rule": {"modulation", "speed_observer"},
     "surface": {"weakening", "speed_observer"},
     "schedule": {"gains"},

@@ -43,8 +43,9 @@ def written(line: str) -> bytes:
         (P, [FIFTH, "frame=dqx"], r"alpha-beta vector falls to .* write table"),
         (P, [FIFTH, "frame=dqy"], r"alpha-beta vector falls to .* write table"),
         (P, [FIFTH, "inverter.topology=three-wire", "frame=table"], r"write dq, and accept"),
-        (SALIENT, ["frame=dqx"], r"inductance_harmonics; write dq"),
-        (SALIENT, ["frame=table"], r"inductance_harmonics; write dq"),
+        (SALIENT, ["frame=dqx"], r"inductance_harmonics; write table or dq"),
+        (SALIENT, ["frame=dqy"], r"inductance_harmonics; write table or dq"),
+        (SALIENT, ["frame=table", "limited_waveforms=true"], r"do not vary.*; remove it"),
         (P, ["frame=dqx", "limited_waveforms=true"], r"the frame is dqx; write frame: table"),
         (BENCH, ["frame=dq"], "serves machines of model: waveform; remove it"),
         (BENCH, ["feedforward=emf"], "serves machines of model: waveform; remove it"),
@@ -86,7 +87,11 @@ def test_the_frame_and_its_reason_are_said() -> None:
     said = remarks("inverter.topology=three-wire")
     assert "frame is table: the back-EMF is up to 4 % of its peak off a sine" in said
     assert "zero-sequence" not in said
-    assert "frame is dq: the inductances vary with the angle" in remarks(drive=SALIENT)
+    assert "frame is table: the back-EMF is up to 12 %" in remarks(drive=SALIENT)
+    # L_q - L_d of 12 mH instead of 5.4 mH.
+    strong = "machine.inductance_harmonics=[{order: 2, amplitude: -4 mH}]"
+    wide = "machine.self_inductance=14 mH"
+    assert "frame is dq: the saliency makes" in remarks(strong, wide, drive=SALIENT)
     assert "frame is dq: the back-EMF's alpha-beta vector falls to" in remarks(
         FIFTH, "inverter.topology=three-wire"
     )

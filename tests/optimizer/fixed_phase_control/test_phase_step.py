@@ -20,7 +20,12 @@ from dqforge.machines.transforms import Pair, Triple, clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Integers, Range, Ranges
 from dqforge.optimizer.fixed_phase_control.design import fit_phase_control
 from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
-from dqforge.optimizer.fixed_phase_control.step import PhaseState, Sample, control_step, flux_at
+from dqforge.optimizer.fixed_phase_control.phase_step import (
+    PhaseState,
+    Sample,
+    control_step,
+    flux_at,
+)
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 
 RPM = math.pi / 30.0
@@ -164,15 +169,22 @@ def test_flux_between_the_nodes_is_that_of_the_machine() -> None:
 @pytest.mark.parametrize("topology", get_args(Topology))
 def test_nothing_overflows_from_any_state(topology: Topology) -> None:
     reaches = fit_phase_control(design(), plain_control(P, topology)).reaches
-    assert all(reach.fits for reach in reaches) and len(reaches) > 60
+    assert all(reach.fits for reach in reaches)
+    assert len(reaches) > 60
 
 
 def test_what_is_seen_lies_within_the_ranges() -> None:
     """Random codes reach no value that the intervals exclude."""
     control, generator = integers(P, "split-capacitor"), np.random.default_rng(5)
     ranges = Ranges(16)
-    every, word = Range(-(2**15), 2**15 - 1), lambda: generator.integers(-(2**15), 2**15, 4000)
-    held = lambda bits: Range(-32767 << bits, 32767 << bits)  # noqa: E731
+    every = Range(-(2**15), 2**15 - 1)
+
+    def held(bits: int) -> Range:
+        return Range(-32767 << bits, 32767 << bits)
+
+    def word() -> Any:
+        return generator.integers(-(2**15), 2**15, 4000)
+
     axes = (control.d, control.q, control.zero)
     states = [held(0 if axis is None else axis.fraction) for axis in axes]
     turning = held(control.harmonic_fraction)
@@ -202,7 +214,8 @@ def test_what_is_seen_lies_within_the_ranges() -> None:
     assert numbers.seen
     for name, (low, high) in numbers.seen.items():
         found = ranges.reaches[name].range.hull(Range(0, 0))  # where the record starts
-        assert found.low <= low and high <= found.high, name
+        assert found.low <= low, name
+        assert high <= found.high, name
 
 
 def test_open_phase_is_taken_from_the_reference() -> None:

@@ -6,7 +6,7 @@ from dqforge.machines.transforms import Pair, Triple
 from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach
 from dqforge.optimizer.fixed_control.ranges import codes, require
 from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
-from dqforge.optimizer.fixed_phase_control.step import PhaseState, Sample, control_step
+from dqforge.optimizer.fixed_phase_control.phase_step import PhaseState, Sample, control_step
 
 
 def phase_ranges(control: FixedPhaseControl) -> tuple[Reach, ...]:
