@@ -169,6 +169,7 @@ def plain_flash(found: FlashComparison, advice: Advice) -> PlainData:
         "rows": rows,
         "flash": None if chosen is None else {"topology": chosen.topology, "frame": chosen.frame},
         "dq_ripple": advice.dq_ripple,
+        "dq_saved_W": advice.dq_saved,
         "trades": trades,
         "words": [*advice_lines(advice), *_fault(found)],
         "unsimulated": found.unsimulated,
