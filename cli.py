@@ -163,7 +163,7 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
 
 
 @app.command()
-def dqy(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
+def dqy(
     design: given.Design,
     sets: given.Set = None,
     json: given.Json = False,

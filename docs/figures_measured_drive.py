@@ -134,7 +134,7 @@ def running(path: Path) -> None:
             xlim=(0.0, 720.0),
             xticks=np.arange(0, 721, 180),
         )
-        part.legend(frameon=False, ncols=2)
+        part.legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     save(figure, path)
 
 

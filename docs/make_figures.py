@@ -16,6 +16,7 @@ import figures_fixed_point
 import figures_flux_maps
 import figures_gains
 import figures_losses
+import figures_measured_drive
 import figures_modulation
 import figures_observers
 import figures_operating_points
@@ -61,6 +62,8 @@ def main() -> None:
     figures_losses.modulation_choice(folder / "modulation-choice.svg")
     figures_waveforms.phase_waveforms(folder / "phase-waveforms.svg")
     figures_waveforms.capture(folder / "back-emf.svg")
+    figures_measured_drive.capture(folder / "measured-drive-capture.svg")
+    figures_measured_drive.running(folder / "measured-drive-running.svg")
     figures_phase_design.torque_and_currents(folder / "phase-design.svg")
     figures_weakening.weakening_errors(folder / "weakening-errors.svg")
     figures_certificates.proven_bounds(folder / "certificate.svg")

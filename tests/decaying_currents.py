@@ -130,7 +130,7 @@ class SampledDrive:
         seen = to_axes(self.currents)
         error = -seen
         if self.split and control.midpoint is not None:
-            error[2] -= control.midpoint.balance * self.midpoint
+            error += self.balance(self.theta)
         if not self.neutral:
             error[2] = 0.0
         middle = self.theta + 1.5 * self.omega * t_s
@@ -140,11 +140,24 @@ class SampledDrive:
             voltage += self.coupled(seen, middle)
         voltage += self.harmonics(error)
         if self.split and control.midpoint is not None and control.feedforward == "references":
-            voltage[2] -= control.r_s * control.midpoint.balance * self.midpoint
+            first, second = (
+                self.balance(self.theta + n * self.omega * control.t_s) for n in (1, 2)
+            )
+            sizes = np.array(control.inductances)
+            voltage += control.r_s * (first + second) / 2.0
+            voltage += sizes * (second - first) / control.t_s
         if not self.neutral:
             voltage[2] = 0.0
         phases = to_phases(voltage)
         return phases + self.midpoint if self.split else phases
+
+    def balance(self, theta: float) -> Real:
+        """References that bring the midpoint back without torque: sum of f i is zero."""
+        assert self.control.midpoint is not None
+        flux = to_axes(self.shape(theta)[0])
+        zero = -self.control.midpoint.balance * self.midpoint
+        plane = -2.0 * flux[2] * zero / (flux[0] ** 2 + flux[1] ** 2) * flux[:2]
+        return np.array([*plane, zero])
 
     def gained(self, gains: Real, error: Real) -> Real:
         """Errors times gains, those of d and q in the rotor's axes."""

@@ -1,6 +1,7 @@
 """A current controller for phase machines written by hand, to try the simulated plant with:
 currents in proportion to the back-EMF, P action and integrators in alpha-beta-0, the whole voltage
-of the references ahead. It has the functions and members that the simulation calls, and nothing else.
+of the references ahead. It has the functions and members that the simulation calls, and nothing
+else.
 """
 
 from __future__ import annotations

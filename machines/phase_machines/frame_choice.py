@@ -8,7 +8,6 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import CurrentFrame, Topology
-from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import (
     AnyPhaseMachine,
     SalientPhaseMachine,
@@ -105,22 +104,11 @@ def distance_from_sine(machine: AnyPhaseMachine, topology: Topology) -> float:
     """
     phases = machine.phases if isinstance(machine, SalientPhaseMachine) else machine
     axes = flux_axes(machine)
-    angle = electrical_angles(phases)
+    angle = phases.theta
     axes[0] += machine.psi_pm * np.sin(angle)
     axes[1] -= machine.psi_pm * np.cos(angle)
     used = axes if TOPOLOGIES[topology].neutral else axes[:2]
     return float(np.max(np.linalg.norm(used, axis=0)) / machine.psi_pm)
-
-
-def electrical_angles(machine: PhaseMachine) -> FloatArray:
-    """Angles theta_e of the waveform's columns in rad, shape (N,).
-
-    Parameters
-    ----------
-    machine:
-        The machine without its saliency.
-    """
-    return np.asarray(2.0 * np.pi * np.arange(machine.angles) / machine.angles)
 
 
 def _weakest(machine: AnyPhaseMachine, *, zero: bool) -> tuple[float, float]:
@@ -133,7 +121,8 @@ def _weakest(machine: AnyPhaseMachine, *, zero: bool) -> tuple[float, float]:
     where = int(np.argmin(length))
     largest = float(np.max(length))
     share = float(length[where]) / largest if largest > 0.0 else 0.0
-    return share, 360.0 * where / machine.angles
+    phases = machine.phases if isinstance(machine, SalientPhaseMachine) else machine
+    return share, float(np.degrees(phases.theta[where]))
 
 
 def frame_obstacle(frame: CurrentFrame, machine: AnyPhaseMachine, topology: Topology) -> str:

@@ -48,7 +48,7 @@ def phases_of(plane: ComplexArray, zero: FloatArray) -> FloatArray:
         As from `stationary`.
     """
     turn = np.exp(-2j * np.pi / 3.0 * np.arange(3))
-    return np.real(turn[:, np.newaxis] * plane) + zero
+    return np.asarray(np.real(turn[:, np.newaxis] * plane) + zero)
 
 
 def _integrated(
@@ -62,7 +62,7 @@ def _integrated(
         frequency = abs(order * omega_e) / (2.0 * np.pi)
         left = (1.0 - frequency / control.harmonics.frequency_max) / (1.0 - _FADES_FROM)
         hit = np.abs(orders) == abs(order) if zero else orders == order
-        share = np.where(hit, np.clip(np.sign(left), 0.0, 1.0), share)
+        share = np.where(hit, 1.0 if left > 0.0 else 0.0, share)
     return share
 
 
@@ -97,7 +97,7 @@ def residual_currents(
         Inductance of the plant over the model's.
     """
     plane, zero = stationary(disturbance)
-    orders = np.fft.fftfreq(plane.size, 1.0 / plane.size)
+    orders = np.fft.fftfreq(plane.size, 1.0 / plane.size).astype(np.float64)
     w = orders * omega_e
     l_ab = 0.5 * (control.inductances[0] + control.inductances[1])
     found = []

@@ -274,7 +274,13 @@ def _filled(
     )
 
 
-def with_rows(found: FlashComparison, rows: Sequence[FlashRow], **said: str) -> FlashComparison:
+def with_rows(
+    found: FlashComparison,
+    rows: Sequence[FlashRow],
+    *,
+    unsimulated: str | None = None,
+    uncounted: str | None = None,
+) -> FlashComparison:
     """The comparison with rows that know more, and what is said of what they do not know.
 
     Parameters
@@ -283,7 +289,12 @@ def with_rows(found: FlashComparison, rows: Sequence[FlashRow], **said: str) -> 
         The comparison.
     rows:
         Its rows, in their order.
-    said:
-        ``unsimulated`` or ``uncounted``.
+    unsimulated, uncounted:
+        As in the comparison; None leaves what it says.
     """
-    return replace(found, rows=tuple(rows), **said)
+    return replace(
+        found,
+        rows=tuple(rows),
+        unsimulated=found.unsimulated if unsimulated is None else unsimulated,
+        uncounted=found.uncounted if uncounted is None else uncounted,
+    )

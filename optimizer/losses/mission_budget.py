@@ -316,7 +316,7 @@ def _machine_side(
             temperature = heat.coolant_temperature if np.isnan(temperature) else temperature
             # A winding without thermal resistance to a coolant as warm as the winding:
             # its temperature is given.
-            options = replace(options, winding=_held(heat, temperature))
+            options = replace(options, winding=held_winding(heat, temperature))
         loss = None
         if strategy == "least-loss":
             carried = replace(drive.inverter, f_sw=frequency)
@@ -356,5 +356,14 @@ def _machine_side(
     )
 
 
-def _held(heat: WindingHeat, temperature: float) -> WindingHeat:
+def held_winding(heat: WindingHeat, temperature: float) -> WindingHeat:
+    """A winding that stays at a temperature in degC.
+
+    Parameters
+    ----------
+    heat:
+        Coefficient and reference of its resistance.
+    temperature:
+        In degC.
+    """
     return replace(heat, thermal_resistance=0.0, coolant_temperature=temperature)

@@ -17,6 +17,7 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.losses.bridge_heat import at_temperature, junction_balance
 from dqforge.machines.losses.bridge_tables import BridgeTables
 from dqforge.machines.losses.leg_losses import (
+    LegAverages,
     LegWaveforms,
     leg_averages,
     leg_waveforms,
@@ -194,13 +195,48 @@ class _Drive:
         return self.options.ripple_resistance is not None
 
 
-def _points(drive: _Drive, currents: FloatArray, omega_m: FloatArray) -> PhaseBudget:
-    """Budget of a chunk of points, arrays (F, n)."""
+def averages_of_legs(
+    machine: AnyPhaseMachine,
+    inverter: Inverter,
+    currents: FloatArray,
+    omega_m: FloatArray,
+    *,
+    modulation: ModulationName = "svpwm",
+    options: BudgetOptions | None = None,
+) -> LegAverages:
+    """What the legs lose at every temperature of the tables, for who follows their junctions.
+
+    Parameters
+    ----------
+    machine, inverter, currents, omega_m, modulation, options:
+        As of `phase_budget`, at the carrier of the inverter; the currents without NaN.
+    """
+    chosen = BudgetOptions() if options is None else options
+    tables = known_bridge(inverter)
+    carrier = np.array([inverter.f_sw])
+    drive = _Drive(machine, inverter, tables, chosen, modulation, carrier, 0.0, None)
+    flux = float(drive.flux[0]) if drive.sees_ripple else 0.0
+    found = []
+    for start in range(0, max(omega_m.size, 1), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        wave = _wave(drive, _terminals(drive, currents[part], omega_m[part]))
+        found.append(leg_averages(tables, inverter.topology, wave, flux))
+    places = {"switched": 0, "link_current": 0, "capacitor_square": 0}
+    return LegAverages(
+        **{
+            part.name: np.concatenate(
+                [getattr(one, part.name) for one in found], axis=places.get(part.name, 3)
+            )
+            for part in fields(LegAverages)
+        }
+    )
+
+
+def _terminals(drive: _Drive, currents: FloatArray, omega_m: FloatArray) -> PhaseTerminals:
     inverter = drive.inverter
-    known = np.all(np.isfinite(currents), axis=(1, 2))
-    found = phase_terminals(
+    return phase_terminals(
         drive.machine,
-        np.where(known[:, None, None], currents, 0.0),
+        currents,
         omega_m,
         inverter.topology,
         loss=drive.options.machine_loss,
@@ -209,8 +245,13 @@ def _points(drive: _Drive, currents: FloatArray, omega_m: FloatArray) -> PhaseBu
         neutral_resistance=inverter.neutral_resistance,
         neutral_inductance=inverter.neutral_inductance,
     )
+
+
+def _wave(drive: _Drive, found: PhaseTerminals) -> LegWaveforms:
+    """Legs at the terminals; at rest where the winding runs away, which is not looked at."""
+    inverter = drive.inverter
     quiet = np.where(found.steady, 1.0, 0.0)[:, None, None]
-    wave = leg_waveforms(
+    return leg_waveforms(
         inverter.topology,
         np.nan_to_num(found.voltages) * quiet,
         found.currents,
@@ -219,6 +260,13 @@ def _points(drive: _Drive, currents: FloatArray, omega_m: FloatArray) -> PhaseBu
         modulation=drive.modulation,
         open_phase=drive.open_phase,
     )
+
+
+def _points(drive: _Drive, currents: FloatArray, omega_m: FloatArray) -> PhaseBudget:
+    """Budget of a chunk of points, arrays (F, n)."""
+    known = np.all(np.isfinite(currents), axis=(1, 2))
+    found = _terminals(drive, np.where(known[:, None, None], currents, 0.0), omega_m)
+    wave = _wave(drive, found)
     rows = [_at_frequency(drive, found, wave, k) for k in range(drive.carrier.size)]
     return _blanked(drive, found, known, omega_m, rows)
 
@@ -309,7 +357,7 @@ def _link_demand(drive: _Drive, found: PhaseTerminals, wave: LegWaveforms) -> Fl
     if drive.name == CENTRED or MODULATORS[drive.name].rests:
         return demand
     off_middle = np.max(np.abs(wave.duty - 0.5), axis=(-2, -1))
-    return np.maximum(demand, 2.0 * drive.inverter.v_dc * off_middle)
+    return np.asarray(np.maximum(demand, 2.0 * drive.inverter.v_dc * off_middle))
 
 
 def _blanked(

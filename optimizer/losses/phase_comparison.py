@@ -122,7 +122,7 @@ def compare_phases(
     for strategy in labels.strategies:
         rows, made = [], []
         for frequency in labels.frequencies:
-            currents, kept = _currents(drive, strategy, torque, omega_m, frequency)
+            currents, kept = rule_currents(drive, strategy, torque, omega_m, frequency)
             rows.append([_budget(drive, currents, omega_m, name, frequency) for name in names])
             made.append(kept)
         by_name = [joined_phase_budgets([row[m] for row in rows]) for m in range(len(names))]
@@ -153,7 +153,7 @@ def _budget(
     )
 
 
-def _currents(
+def rule_currents(
     drive: PhaseDrive,
     strategy: AnyStrategy,
     torque: FloatArray,
@@ -162,6 +162,17 @@ def _currents(
 ) -> tuple[FloatArray, BoolArray]:
     """Phase currents (P, 3, N) in A of one row, NaN where there are none, and whether they make
     the torque.
+
+    Parameters
+    ----------
+    drive:
+        Machine, inverter and limits.
+    strategy:
+        The row.
+    torque, omega_m:
+        In N m and rad/s, shape (P,).
+    frequency:
+        Carrier in Hz, whose dead time the link pays.
     """
     if strategy == "limited":
         return _limited(drive, torque, omega_m, frequency)

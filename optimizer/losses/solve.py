@@ -5,9 +5,13 @@ from __future__ import annotations
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
+from dqforge.machines.losses.mission import Mission
 from dqforge.optimizer.losses.drive_budget import BudgetOptions
 from dqforge.optimizer.losses.drive_comparison import Alternatives
+from dqforge.optimizer.losses.loss_map import budget_options
 from dqforge.optimizer.losses.mission_budget import MissionComparison, compare_mission
+from dqforge.optimizer.losses.phase_comparison import PhaseDrive
+from dqforge.optimizer.losses.phase_mission import compare_phase_mission
 from dqforge.optimizer.losses.point_comparison import LossComparison, compare_points
 
 
@@ -56,12 +60,41 @@ def solve_mission(design: Design) -> MissionComparison | None:
     losses = design.losses
     if losses is None or losses.mission is None:
         return None
+    alternatives = Alternatives(losses.strategies, losses.modulations, (design.inverter.f_sw,))
+    return mission_comparison(design, losses.mission, alternatives, design.operation.voltage_margin)
+
+
+def mission_comparison(
+    design: Design, mission: Mission, alternatives: Alternatives, margin: float
+) -> MissionComparison:
+    """A mission with every alternative; with any back-EMF by the rules of its phase currents.
+
+    Parameters
+    ----------
+    design:
+        Machine, inverter and losses.
+    mission:
+        Torque and speed over time.
+    alternatives:
+        Strategies, modulators and frequencies.
+    margin:
+        Share of the voltage that is kept free for control.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        As `compare_mission`.
+    """
+    machine, inverter, options = design.machine, design.inverter, budget_options(design)
+    if design.phase_machine is not None:
+        drive = PhaseDrive(design.phase_machine, machine, inverter, design.i_max, options, margin)
+        return compare_phase_mission(drive, mission, alternatives)
     return compare_mission(
-        design.machine,
-        design.inverter,
-        losses.mission,
-        Alternatives(losses.strategies, losses.modulations, (design.inverter.f_sw,)),
+        machine,
+        inverter,
+        mission,
+        alternatives,
         i_max=design.i_max,
-        options=BudgetOptions(design.machine_loss, design.winding, design.inverter.capacitor_esr),
-        margin=design.operation.voltage_margin,
+        options=options,
+        margin=margin,
     )

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.frame_choice import (
@@ -26,7 +27,11 @@ from dqforge.optimizer.phase_control.harmonic_orders import harmonic_gains, harm
 from dqforge.optimizer.phase_control.judged_box import JudgedLoops, judge_loops
 from dqforge.optimizer.phase_control.limited_shapes import LimitedFit, fit_limited
 from dqforge.optimizer.phase_control.midpoint_balance import SWING, midpoint_gains
-from dqforge.optimizer.phase_control.phase_controller import PhaseControl, TorqueLimit
+from dqforge.optimizer.phase_control.phase_controller import (
+    HarmonicGains,
+    PhaseControl,
+    TorqueLimit,
+)
 from dqforge.optimizer.phase_control.salient_limit import salient_torques
 from dqforge.optimizer.phase_control.shape_table import ShapeFit, fit_shape
 from dqforge.optimizer.phase_control.shape_vectors import PHASES, flux_at, unit_currents
@@ -98,35 +103,24 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
     l_d, l_q = design.machine.l_d, design.machine.l_q
     l_0 = zero_sequence_inductance(machine, inverter.neutral_inductance)
     zero = zero_loop(control, i_q, machine.r_s, l_q, l_0) if neutral else None
-    turns = phases.turns
-    fit = fit_shape(phases, zero=uses_zero, turns=turns, currents=frame != "dq")
-    angle = 2.0 * np.pi * turns * np.arange(_ANGLES * turns) / (_ANGLES * turns)
+    fit = fit_shape(phases, zero=uses_zero, turns=phases.turns, currents=frame != "dq")
+    period = 2.0 * np.pi * phases.turns
+    angle = period * np.arange(_ANGLES * phases.turns) / (_ANGLES * phases.turns)
     flux = flux_at(fit.shape, angle)
-    if frame == "dq":
-        sine = machine.psi_pm * np.stack([-np.sin(angle), np.cos(angle), 0.0 * angle])
-        unit, torque_max = (
-            unit_currents(sine, phases.pole_pairs, zero=False),
-            _choice(design).largest_torque(),
-        )
-    else:
-        unit = unit_currents(flux, phases.pole_pairs, zero=uses_zero)
-        torque_max = design.i_max / float(np.max(np.abs(PHASES @ unit)))
-    harmonics = None
-    if settings.harmonic_integrators:
-        loops = [(i_d.kp, l_d), (i_q.kp, l_q), *([] if zero is None else [(zero.kp, l_0)])]
-        harmonics = harmonic_gains(
-            harmonic_orders(PHASES @ unit, PHASES @ flux, turns),
-            control.t_s,
-            min(kp / inductance for kp, inductance in loops),
-            design.i_max,
-            _top_speed(design),
-            neutral=neutral,
-        )
+    sine = machine.psi_pm * np.stack([-np.sin(angle), np.cos(angle), 0.0 * angle])
+    used = sine if frame == "dq" else flux
+    unit = unit_currents(used, phases.pole_pairs, zero=uses_zero)
+    torque_max = (
+        _choice(design).largest_torque()
+        if frame == "dq"
+        else design.i_max / float(np.max(np.abs(PHASES @ unit)))
+    )
     midpoint = None
     if TOPOLOGIES[topology].midpoint and inverter.midpoint_capacitance is not None:
         midpoint = midpoint_gains(
-            unit[2], turns, torque_max, inverter.midpoint_capacitance, inverter.v_dc
+            unit[2], phases.turns, torque_max, inverter.midpoint_capacitance, inverter.v_dc
         )
+    loops = [(i_d.kp, l_d), (i_q.kp, l_q), *([] if zero is None else [(zero.kp, l_0)])]
     unlimited = PhaseControl(
         frame=frame,
         feedforward=settings.feedforward,
@@ -137,7 +131,7 @@ def phase_control(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops:
         psi_pm=machine.psi_pm,
         inductances=(l_d, l_q, l_0),
         gains=(axis_gains(i_d), axis_gains(i_q), axis_gains(zero)),
-        harmonics=harmonics,
+        harmonics=_harmonics(design, PHASES @ unit, PHASES @ flux, loops),
         t_s=control.t_s,
         torque_max=torque_max,
         midpoint=midpoint,
@@ -156,6 +150,30 @@ def voltage_margin(design: Design) -> float:
     """
     inverter = design.inverter
     return design.operation.voltage_margin + MARGIN + 2.0 * inverter.dead_time * inverter.f_sw
+
+
+def _harmonics(
+    design: Design,
+    currents: FloatArray,
+    flux: FloatArray,
+    loops: list[tuple[float, float]],
+) -> HarmonicGains | None:
+    """Harmonic integrators for currents per torque and back-EMF of the phases, shape (3, N).
+
+    ``loops`` are (kp, inductance) of each axis that is controlled.
+    """
+    control, machine = design.control, design.phase_machine
+    if machine is None or not control.current_loop.harmonic_integrators:
+        return None
+    phases = machine.phases if isinstance(machine, SalientPhaseMachine) else machine
+    return harmonic_gains(
+        harmonic_orders(currents, flux, phases.turns),
+        control.t_s,
+        min(kp / inductance for kp, inductance in loops),
+        design.i_max,
+        _top_speed(design),
+        neutral=TOPOLOGIES[design.inverter.topology].neutral,
+    )
 
 
 def _torque_limit(design: Design, control: PhaseControl) -> TorqueLimit:

@@ -55,7 +55,7 @@ class WholePeriods:
 
 def turns_at_rest(control: PhaseControl) -> bool:
     """Whether the step of the loop is the same at every angle."""
-    return control.frame in ("dq", "table")
+    return control.frame in ("dq", "table") and control.midpoint is None
 
 
 def whole_samples(control: PhaseControl, omega_e: float) -> WholePeriods:

@@ -182,11 +182,11 @@ def _judged(
     control: PhaseControl, drives: TriedDrives, omega_m: float, *, named: bool
 ) -> JudgedSpeed:
     omega_e = control.pole_pairs * omega_m
-    if not turns_at_rest(control) and omega_e != 0.0:
+    currents = _held_midpoint(replace(control, harmonics=None))
+    if not turns_at_rest(currents) and omega_e != 0.0:
         omega_e = whole_samples(control, omega_e).omega_e
     if omega_e == 0.0:  # At rest all orders are one integrator.
         control = replace(control, harmonics=None)
-    currents = _held_midpoint(replace(control, harmonics=None))
     state = loop_state(control, omega_e)
     found = radius(currents, drives.plants, omega_e)
     _require(drives.worst(found), control, omega_e, 1.0)

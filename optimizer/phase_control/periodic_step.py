@@ -9,14 +9,15 @@ of the currents, the midpoint of a split link, the voltage in flight (computed f
 acts from k to k + 1), the integrators, and two numbers per order of a harmonic integrator, turned
 along with its harmonic: s_m[k] = r_m[k-1] exp(j (m - 1) theta_k) in alpha and beta, with m in place
 of m - 1 on the 0 axis. Currents, voltages and s_m are seen from the rotor (d, q and 0 of theta_k),
-so that the rotor's saliency is a constant and, where the integrators live in dq0, the whole step:
-then its eigenvalues are those of the loop at any speed, and no period needs to be whole. The
-voltage stands still in the stator while the rotor turns on by omega T_s.
+so that the rotor's saliency is a constant and, where the integrators live in dq0 and no midpoint is
+balanced along the back-EMF, the whole step: then its eigenvalues are those of the loop at any
+speed, and no period needs to be whole. The voltage stands still in the stator while the rotor turns
+on by omega T_s.
 
     plant        L di/dt = u - R i - omega J L i per axis, exactly over a period; a split link
                  besides C dv_m/dt = 3 i_0, L_0 di_0/dt = u_0 - R i_0 - v_m, u_0 = v_0 + v_m[k-1]
     controller   u[k+1] = kp e + I[k] + harmonic integrators + coupling of measured currents,
-                 e = -i (on the 0 axis of a split link less balance times v_m)
+                 e = -i (of a split link less balance times v_m, at constant torque)
 
 The voltage limit, the fading of the references and what rests at large errors have no part in it.
 """
@@ -29,8 +30,8 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.topologies.topology import TOPOLOGIES
-from dqforge.machines.transforms import POWER_INVARIANT
-from dqforge.optimizer.phase_control.frame_motion import FrameMotion, frame_motion
+from dqforge.machines.transforms import POWER_INVARIANT, clarke_matrix
+from dqforge.optimizer.phase_control.frame_motion import FrameMotion, frame_motion, shape_at
 from dqforge.optimizer.phase_control.phase_controller import HarmonicGains, PhaseControl
 
 FADES_FROM = 0.8
@@ -38,6 +39,9 @@ FADES_FROM = 0.8
 
 SCALE = np.array([POWER_INVARIANT, POWER_INVARIANT, np.sqrt(3.0)])
 """Power-invariant over amplitude-invariant quantity on d, q and 0."""
+
+PLAIN = clarke_matrix()
+"""From phases to alpha, beta and 0, amplitude-invariant."""
 
 ADVANCE = 1.5
 """Sampling periods from the sample to the middle of what its voltage does."""
@@ -202,10 +206,7 @@ def controller_rows(
     step = omega_e * t_s
     here = frame_motion(control.frame, control.shape, theta)
     ahead = frame_motion(control.frame, control.shape, theta + ADVANCE * step)
-    error = np.zeros((axes, state.size))
-    error[:, state.currents] = -np.eye(axes)
-    if state.midpoint and control.midpoint is not None:
-        error[2, axes] = -control.midpoint.balance
+    error = _errors(control, state, theta)
     kp, ki = (
         np.array([[getattr(gain, name)] for gain in control.gains[:axes]]) for name in ("kp", "ki")
     )
@@ -220,22 +221,70 @@ def controller_rows(
         needed = omega_e * _coupling(control, ahead, axes) @ _out_of(ahead, axes) @ inward
         voltage[:, :, state.currents] += _turned(ADVANCE * step, axes) @ needed
     if state.midpoint:
-        # The duty cycles make up for the midpoint that is measured; the references' voltage has
-        # the resistance of the balancing current.
-        resistance = control.r_s if control.feedforward == "references" else 0.0
-        voltage[:, 2, axes] += 1.0 + resistance * error[2, axes]
+        voltage[:, 2, axes] += 1.0  # The duty cycles make up for the midpoint that is measured.
+        if control.feedforward == "references":
+            voltage[:, :, axes] += _balancing_voltage(control, omega_e, theta)
+    _add_harmonics(control, state, omega_e, error, (voltage, rows))
+    rows[:, :axes] = _turned(-step, axes) @ voltage
+    return rows
+
+
+def _errors(control: PhaseControl, state: LoopState, theta: FloatArray) -> FloatArray:
+    """Maps of the state to the errors of the currents, shape (K, axes, n)."""
+    error = np.zeros((theta.size, state.axes, state.size))
+    error[:, :, state.currents] = -np.eye(state.axes)
+    if state.midpoint:
+        error[:, :, state.axes] = _balancing_current(control, theta)
+    return error
+
+
+def _balancing_current(control: PhaseControl, theta: FloatArray) -> FloatArray:
+    """Reference in A per volt of the midpoint, in d, q and 0 of the angles, shape (K, 3).
+
+    A zero sequence against the deviation, and along the back-EMF in the plane what keeps the
+    torque.
+    """
+    assert control.midpoint is not None
+    alpha, beta, zero = PLAIN @ shape_at(control.shape, theta)[0]
+    scale = -2.0 * zero / (alpha**2 + beta**2)
+    cosine, sine = np.cos(theta), np.sin(theta)
+    along = scale * (alpha * cosine + beta * sine), scale * (beta * cosine - alpha * sine)
+    return -control.midpoint.balance * np.stack([*along, np.ones_like(zero)], axis=1)
+
+
+def _balancing_voltage(control: PhaseControl, omega_e: float, theta: FloatArray) -> FloatArray:
+    """Voltage in V per volt of the midpoint that is fed forward for its balance, shape (K, 3)."""
+    step = omega_e * control.t_s
+    found = np.zeros((theta.size, 3))
+    for ahead, sign in ((1.0, -1.0), (2.0, 1.0)):
+        current = _balancing_current(control, theta + ahead * step)
+        part = 0.5 * control.r_s + sign / control.t_s * np.array(control.inductances)
+        found += (current * part) @ _turned(ahead * step, 3).T
+    return found
+
+
+def _add_harmonics(
+    control: PhaseControl,
+    state: LoopState,
+    omega_e: float,
+    error: FloatArray,
+    into: tuple[FloatArray, FloatArray],
+) -> None:
+    """Adds the harmonic integrators' voltages, and their rows, into (voltage, rows)."""
+    voltage, rows = into
     for place, (order, weight) in enumerate(state.plane + state.zero):
-        plane = place < len(state.plane)
-        at, picked = state.harmonic(place), slice(0, 2) if plane else slice(2, 3)
-        seen = error[picked] if plane else np.vstack([error[picked], np.zeros(state.size)])
+        plane, at = place < len(state.plane), state.harmonic(place)
+        picked = slice(0, 2) if plane else slice(2, 3)
         assert control.harmonics is not None
         acts = _complex(weight * _inverse_plant(control, order, omega_e, plane=plane))
         voltage[:, picked, at] += acts if plane else acts[:1]
-        held = control.harmonics.rate * t_s * weight * seen
-        held[:, at] += np.eye(2)
-        rows[:, slice(at.start - own, at.stop - own)] = _turns((order - plane) * step) @ held
-    rows[:, :axes] = _turned(-step, axes) @ voltage
-    return rows
+        held = np.zeros((len(error), 2, state.size))
+        held[:, : 2 if plane else 1] = (
+            control.harmonics.rate * control.t_s * weight * error[:, picked]
+        )
+        held[:, :, at] += np.eye(2)
+        own = slice(at.start - state.plant, at.stop - state.plant)
+        rows[:, own] = _turns((order - plane) * omega_e * control.t_s) @ held
 
 
 def _into(motion: FrameMotion, axes: int) -> FloatArray:

@@ -40,7 +40,8 @@ def salient_torques(
     pairs = [
         (float(d), sign * float(q)) for sign in (1.0, -1.0) for d, q in zip(i_d, i_q, strict=True)
     ]
-    currents = np.stack([dq_waveform(i_d, i_q, machine.angles) for i_d, i_q in pairs])
+    turns = machine.phases.turns
+    currents = np.stack([dq_waveform(i_d, i_q, machine.angles, turns) for i_d, i_q in pairs])
     # Bounds are alike for all phases and both signs: what repeats needs no second look.
     part = machine.angles // {"sixth": 6, "third": 3, "none": 1}[machine.symmetry]
     low, high = voltage_bounds(topology, 1.0 - margin)

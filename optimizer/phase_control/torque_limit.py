@@ -112,7 +112,7 @@ def largest_torques(
         )
         found = np.minimum(found, _end(slope, start, high))
         found = np.minimum(found, _end(-slope, -start, -low))
-    return np.maximum(found, 0.0)
+    return np.asarray(np.maximum(found, 0.0))
 
 
 def link_region(
@@ -161,7 +161,7 @@ def _end(slope: FloatArray, start: FloatArray, bound: FloatArray) -> FloatArray:
     room = bound - start
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         torque = np.where(room >= 0.0, room / np.abs(slope), 0.0)
-    return np.min(np.where(np.isnan(torque), np.inf, torque), axis=1)
+    return np.asarray(np.min(np.where(np.isnan(torque), np.inf, torque), axis=1))
 
 
 Largest = Callable[[FloatArray, float], FloatArray]
@@ -294,7 +294,7 @@ def _lower_nodes(
         bounds=(0.0, None),
         method="highs",
     )
-    return np.maximum(found.x.reshape(speeds.size, links.size), 0.0) + 0.0
+    return np.asarray(np.maximum(found.x.reshape(speeds.size, links.size), 0.0) + 0.0)
 
 
 def _hats(nodes: FloatArray, fine: FloatArray) -> FloatArray:

@@ -5,6 +5,7 @@ plain data.
 from __future__ import annotations
 
 import math
+import textwrap
 from dataclasses import asdict
 
 from dqforge.optimizer.phase_control.design import PhaseLoops
@@ -12,6 +13,9 @@ from dqforge.optimizer.phase_control.judged_box import JudgedLoops, JudgedSpeed
 from dqforge.reports.plain_data import PlainData
 
 JUDGED_TITLE = "Currents over a period of the back-EMF"
+
+
+_LINE = 88
 
 
 _WORST = ("worst radius", "at")
@@ -96,6 +100,11 @@ def judged_sentence(judged: JudgedLoops) -> str:
         "Over a period of the back-EMF the currents keep at most "
         f"{value:.4f} of a disturbance per sample ({where})."
     )
+
+
+def judged_lines(judged: JudgedLoops) -> list[str]:
+    """The same as lines at the head of a header."""
+    return textwrap.wrap(judged_sentence(judged), _LINE)
 
 
 def _finite(value: float) -> float | None:

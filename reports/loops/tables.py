@@ -86,8 +86,8 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
     tables.append(Table("Parallel, series and velocity form", FORM_COLUMNS, form_rows(gains)))
     if gains.phases is not None and gains.phases.judged is not None:
         judged, notes = gains.phases.judged, judged_notes(gains.phases)
-        columns = judged_columns(judged)
-        tables.append(Table(JUDGED_TITLE, columns, judged_rows(judged), notes))
+        heads, found = judged_columns(judged), judged_rows(judged)
+        tables.append(Table(JUDGED_TITLE, heads, found, notes))
     if gains.robust is not None:
         rows_, notes = robust_rows(gains.robust), robust_notes(gains.robust)
         tables.append(Table("Worst within control.tolerances", ROBUST_COLUMNS, rows_, notes))

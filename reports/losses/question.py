@@ -22,8 +22,8 @@ from dqforge.machines.units.quantities import parse_quantity
 from dqforge.optimizer.losses.drive_comparison import (
     Alternatives,
 )
-from dqforge.optimizer.losses.loss_map import budget_options, solve_map
-from dqforge.optimizer.losses.mission_budget import MissionComparison, compare_mission
+from dqforge.optimizer.losses.loss_map import solve_map
+from dqforge.optimizer.losses.solve import mission_comparison
 from dqforge.reports.losses.map_tables import map_tables, mission_tables, plain_map, plain_mission
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.options import map_size
@@ -142,15 +142,7 @@ def _read(path: Path, omega_max: float | None) -> Mission:
 
 def _mission(design: Design, path: Path, alternatives: Alternatives, margin: float) -> Answer:
     mission = _read(path, design.machine.omega_m_max)
-    found: MissionComparison = compare_mission(
-        design.machine,
-        design.inverter,
-        mission,
-        alternatives,
-        i_max=design.i_max,
-        options=budget_options(design),
-        margin=margin,
-    )
+    found = mission_comparison(design, mission, alternatives, margin)
 
     def figure() -> Any:
         from dqforge.reports.losses.map_figures import plot_mission

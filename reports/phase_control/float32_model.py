@@ -25,6 +25,7 @@ from dqforge.reports.phase_control.float32_duties import (
     voltage_share,
 )
 from dqforge.reports.phase_control.float32_harmonics import Turning
+from dqforge.reports.phase_control.float32_limited import LimitedTable
 from dqforge.reports.phase_control.float32_parts import (
     Turn,
     balanced,
@@ -134,6 +135,8 @@ class PhaseControlModel:
         Electrical speeds in rad/s, voltages in V and torques in N m; None without a table.
     v_nominal:
         Link voltage in V at which those speeds are the drive's; None where they are at any.
+    limited:
+        Currents beyond those in proportion to the torque, None without.
     """
 
     structure: Structure
@@ -142,6 +145,7 @@ class PhaseControlModel:
     reference: FloatReference | None = None
     limit: tuple[SingleArray, SingleArray, SingleArray] | None = None
     v_nominal: np.float32 | None = None
+    limited: LimitedTable | None = None
 
     def _sample(self, measured: SingleArray) -> _Sample:
         columns = [np.ascontiguousarray(column) for column in measured.T]
@@ -194,6 +198,13 @@ class PhaseControlModel:
                 found = Stationary(
                     *(np.where(opened, a, b) for a, b in zip(other, found, strict=True))
                 )
+        if self.limited is not None:
+            at = self.limited.place(torque, sample.omega_e, sample.v_dc, state.open)
+            added = self.limited.deviation(at, place)
+            zero = added.zero if made.neutral else np.zeros_like(torque)
+            found = Stationary(
+                found.alpha + added.alpha, found.beta + added.beta, found.zero + zero
+            )
         if sample.v_m is None:
             return found
         balance = self.gains["balance"] * (sample.v_m - (_HALF * sample.v_dc))
@@ -354,6 +365,9 @@ class PhaseControlModel:
                 omega_e = equal_load(omega_e, v_dc, self.v_nominal, speeds[-1])
             permitted = largest_torque((speeds, voltages), table, omega_e, v_dc)
             most = np.where(permitted < most, permitted, most)
+        if self.limited is not None:
+            speed = self.gains["pole_pairs"] * measured[:, 4]
+            most = self.limited.largest_torque(torque, speed, measured[:, 5], most)
         low = np.where(torque < -most, -most, _ZERO)
         return np.where(torque > most, most, np.where(torque >= -most, torque, low))
 

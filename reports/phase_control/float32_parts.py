@@ -49,8 +49,8 @@ def shape_at(
     opened:
         Phase without current, 1 to 3, 0 for none; None where no phase can be open.
     """
-    k, share = _node(shape, place)
-    rows = _rows(shape, k)
+    k, share = node_of(shape.shape[1] - 1, place)
+    rows = rows_of(shape, k)
     return _seen([here + (share * (there - here)) for here, there in rows], opened)
 
 
@@ -61,9 +61,9 @@ def slope_at(
 
     ``turns`` are the electrical periods of the table.
     """
-    k, _ = _node(shape, place)
+    k, _ = node_of(shape.shape[1] - 1, place)
     steps = steps_per_rad(shape.shape[1] - 1, turns)
-    return _seen([steps * (there - here) for here, there in _rows(shape, k)], opened)
+    return _seen([steps * (there - here) for here, there in rows_of(shape, k)], opened)
 
 
 def turns_per_rad(turns: int) -> np.float32:
@@ -76,9 +76,10 @@ def steps_per_rad(nodes: int, turns: int) -> np.float32:
     return np.float32(nodes / (2.0 * np.pi * turns))
 
 
-def _node(shape: SingleArray, place: SingleArray) -> tuple[NDArray[np.int64], SingleArray]:
-    """Interval of a table, and the share of it that is passed."""
-    nodes = shape.shape[1] - 1
+def node_of(nodes: int, place: SingleArray) -> tuple[NDArray[np.int64], SingleArray]:
+    """Interval of a table of ``nodes`` intervals at places in lengths of it, shape (N,), and the
+    share of it that is passed.
+    """
     known = (place < _FAR) & (place > -_FAR)
     x = np.where(known, place, _ZERO)
     x = x - x.astype(np.int64).astype(np.float32)
@@ -87,14 +88,27 @@ def _node(shape: SingleArray, place: SingleArray) -> tuple[NDArray[np.int64], Si
     return k, x - k.astype(np.float32)
 
 
-def _rows(shape: SingleArray, k: NDArray[np.int64]) -> list[tuple[SingleArray, SingleArray]]:
-    """Both ends of an interval for the phases a, b, c."""
-    nodes, equal = shape.shape[1] - 1, shape.shape[0] == 1
+def rows_of(table: SingleArray, k: NDArray[np.int64]) -> list[tuple[SingleArray, SingleArray]]:
+    """Both ends of an interval for the phases a, b, c.
+
+    Parameters
+    ----------
+    table:
+        Shape (1 or 3, nodes + 1), or (1 or 3, N, nodes + 1) with a table for each place.
+    k:
+        Intervals, shape (N,).
+    """
+    nodes, equal = table.shape[-1] - 1, table.shape[0] == 1
     found = []
     for phase in range(3):
-        row = shape[0 if equal else phase]
+        row = table[0 if equal else phase]
         here = (k + (nodes - nodes * phase // 3)) % nodes if equal else k
-        found.append((row[here], row[here + 1]))
+        ends = (
+            (row[here], row[here + 1])
+            if row.ndim == 1
+            else (row[np.arange(k.size), here], row[np.arange(k.size), here + 1])
+        )
+        found.append(ends)
     return found
 
 
@@ -165,20 +179,21 @@ def balanced(
     balance:
         What the zero sequence is lowered by, in A.
     opened:
-        Phase without current, 1 to 3, 0 for none; the others share the balance.
+        Phase without current, 1 to 3, 0 for none; two phases take the balance where one is open.
     """
-    square = (f.alpha * f.alpha) + (f.beta * f.beta)
-    there = square > _LEAST_SQUARE
-    more = (np.float32(2.0) * (f.zero * balance)) / np.where(there, square, _ONE)
-    scale = np.where(there, more, _ZERO)
+    plane, triple = np.float32(1.5), np.float32(3.0)
+    square = (plane * ((f.alpha * f.alpha) + (f.beta * f.beta))) + (triple * (f.zero * f.zero))
     x = np.where(opened == 1, _ONE, np.float32(-0.5))
     y = np.where(opened == 2, np.float32(0.8660254), np.float32(-0.8660254))
     y = np.where(opened == 1, _ZERO, y)
-    whole = opened == 0
+    alpha, beta = (np.where(opened > 0, balance * part, _ZERO) for part in (x, y))
+    scale = (plane * ((f.alpha * alpha) + (f.beta * beta))) - (triple * (f.zero * balance))
+    there = square > _LEAST_SQUARE
+    scale = np.where(there, scale / np.where(there, square, _ONE), _ZERO)
     return Stationary(
-        i.alpha + np.where(whole, scale * f.alpha, balance * x),
-        i.beta + np.where(whole, scale * f.beta, balance * y),
-        i.zero - balance,
+        i.alpha + (alpha - (scale * f.alpha)),
+        i.beta + (beta - (scale * f.beta)),
+        i.zero - (balance + (scale * f.zero)),
     )
 
 
@@ -228,7 +243,7 @@ def equal_load(
     there = v_dc > _ZERO
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = omega_e * (v_nominal / np.where(there, v_dc, _ONE))
-    return np.where(there, scaled, last)
+    return np.asarray(np.where(there, scaled, last), dtype=np.float32)
 
 
 def to_frame(frame: str, f: Stationary, x: Stationary, psi_pm: Any) -> Stationary:

@@ -15,6 +15,7 @@ from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.c_code.title import title
 from dqforge.reports.control.header import speed_filter
+from dqforge.reports.loops.judged_text import judged_lines
 from dqforge.reports.pages.templating import render
 from dqforge.reports.phase_control.float32_parts import steps_per_rad, turns_per_rad
 from dqforge.reports.phase_control.plain import (
@@ -137,6 +138,7 @@ def header_context(plain: Mapping[str, Any]) -> dict[str, Any]:
         "nodes": len(plain["shape"][0]) - 1,
         "shape": plain["shape"],
         "torque_limit": plain["torque_limit"],
+        "limited": plain["limited"],
         "orders": bool(ascending),
         "plane": list(made.plane),
         "zero_orders": list(made.zero),
@@ -195,10 +197,18 @@ def phase_control_files(solution: Solution, control: PhaseControl) -> dict[str, 
     context = {
         **title(solution.design),
         **header_context(plain),
-        "preamble": preamble(plain),
+        "preamble": [*preamble(plain), *_judgement(solution, control)],
     }
     text = render("phase_control/phase_control.h.j2", context)
     return {f"{solution.design.export.prefix}_control.h": text.encode("ascii")}
+
+
+def _judgement(solution: Solution, control: PhaseControl) -> list[str]:
+    """How fast the currents forget, of the control that the design asks for."""
+    phases = None if solution.loops is None else solution.loops.phases
+    if phases is None or phases.control is not control or phases.judged is None:
+        return []
+    return judged_lines(phases.judged)
 
 
 def shape_bytes(plain: Mapping[str, Any]) -> int:

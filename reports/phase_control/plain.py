@@ -20,6 +20,7 @@ from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl, TorqueLimit
 from dqforge.reports.c_code.read_back import single_from
 from dqforge.reports.current_reference.plain import from_plain
+from dqforge.reports.phase_control.float32_limited import limited_from, plain_limited
 from dqforge.reports.phase_control.float32_model import PhaseControlModel
 from dqforge.reports.phase_control.structure import Structure
 from dqforge.reports.plain_data import PlainData, shortest
@@ -147,6 +148,11 @@ def _require(control: PhaseControl) -> None:
             f"nodes in multiples of 3 for one row; it has {nodes} nodes and {control.shape.turns} "
             "periods"
         )
+    if control.limited is not None and control.frame in ("dq", "dqx"):
+        raise InputError(
+            "control.current_loop.limited_waveforms: references of frame "
+            f"{control.frame} do not follow the back-EMF with its zero sequence; write table"
+        )
     if rule.midpoint != (control.midpoint is not None):
         raise InputError(f"{control.topology}: gains of the midpoint belong to split-capacitor")
 
@@ -185,6 +191,7 @@ def plain_phase_control(control: PhaseControl, around: Surroundings) -> PlainDat
         **gains,
         **_numbers(control, around),
         "torque_limit": _limit(control.torque_limit),
+        "limited": plain_limited(control.limited),
         "shape": [[_single(x) for x in row] for row in flux],
     }
 
@@ -255,6 +262,8 @@ def phase_control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -
         table = None if limit is None else _limit_from(limit)
         at = None if limit is None else limit["v_nominal"]
         nominal = None if at is None else single_from(at)
+        beyond = described.get("limited")
+        limited = None if beyond is None else limited_from(beyond, shape.shape)
         reference = None if structure.by_torque else from_plain(whole["header"]["reference"])
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise _FAULT from error
@@ -266,7 +275,7 @@ def phase_control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -
         raise _FAULT
     if nominal is not None and not nominal > 0.0:
         raise _FAULT
-    return PhaseControlModel(structure, gains, shape, reference, table, nominal)
+    return PhaseControlModel(structure, gains, shape, reference, table, nominal, limited)
 
 
 def _limit_from(limit: Mapping[str, Any]) -> tuple[SingleArray, SingleArray, SingleArray]:

@@ -27,7 +27,9 @@ from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
 from dqforge.reports.phase_control.emitted import emitted_control_files, phase_control_of
 from dqforge.reports.simulation.compiled_plant import (
+    PhaseRecord,
     Simulation,
+    Summary,
     require_compiler,
     simulate,
     simulator,
@@ -83,6 +85,24 @@ class ObservedFigures:
     sensorless_share: float
 
 
+@dataclass(frozen=True, slots=True)
+class PhaseFigures:
+    """What a phase machine did over the last tenth of a run.
+
+    ``torque`` is the mean in N m, ``ripple_means`` the peak to peak of its means over control
+    periods, ``ripple`` that of every instant, the pulses' included. ``neutral_rms`` in A;
+    ``copper`` in W of the phases a, b, c; ``midpoint`` is the largest distance of the midpoint from
+    half of the link in V, None where the link is not split.
+    """
+
+    torque: float
+    ripple_means: float
+    ripple: float
+    neutral_rms: float
+    copper: tuple[float, float, float]
+    midpoint: float | None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveSimulation:
     """A run with what is read off it.
@@ -91,7 +111,8 @@ class DriveSimulation:
     where the reference does not step; ``tracking`` the largest and the r.m.s. deviation from the
     reference over the run. ``copper`` is the mean copper loss in W; ``speed_largest`` in rad/s and
     ``torque_largest`` in N m are the largest magnitudes of the run; ``observed`` says how well
-    observers did, None where none ran. ``not_simulated`` are the fixed-point formats that the
+    observers did, None where none ran; ``phases`` are the figures of a phase machine, None for
+    others. ``not_simulated`` are the fixed-point formats that the
     design emits; what ran is float32.
     """
 
@@ -105,6 +126,7 @@ class DriveSimulation:
     torque_largest: float
     observed: ObservedFigures | None
     not_simulated: tuple[NumberFormat, ...] = ()
+    phases: PhaseFigures | None = None
 
     @property
     def angle_error(self) -> FloatArray:
@@ -250,6 +272,24 @@ def evaluate(design: Design, run: Simulation) -> DriveSimulation:
         speed_largest=float(np.max(np.abs(run.omega_m))),
         torque_largest=float(np.max(np.abs(run.torque))),
         observed=observed(run),
+        phases=None if run.phases is None else phase_figures(run.figures, run.phases),
+    )
+
+
+def phase_figures(figures: Summary, record: PhaseRecord) -> PhaseFigures:
+    """Figures of a phase machine of one run."""
+    split = bool(np.all(np.isfinite(record.v_midpoint)))
+    return PhaseFigures(
+        torque=float(figures.tail_torque[0]),
+        ripple_means=float(figures.tail_ripple_means[0]),
+        ripple=float(figures.tail_ripple[0]),
+        neutral_rms=float(figures.tail_neutral_rms[0]),
+        copper=(
+            float(figures.tail_copper_a[0]),
+            float(figures.tail_copper_b[0]),
+            float(figures.tail_copper_c[0]),
+        ),
+        midpoint=float(figures.tail_midpoint[0]) if split else None,
     )
 
 

@@ -19,14 +19,7 @@ from dqforge.machines.phase_machines.salient_phase_machine import (
 from dqforge.machines.plants.scenario import Scenario
 from dqforge.machines.topologies.topology import TOPOLOGIES
 
-_NEUTRALS: dict[Topology, float] = {
-    "three-wire": 0.0,
-    "six-leg-isolated": 0.0,
-    "four-leg": 1.0,
-    "diode-neutral": 2.0,
-    "split-capacitor": 3.0,
-    "six-leg": 4.0,
-}
+_FLOATING, _LEG, _DIODES, _MIDPOINT, _LINK = range(5)
 
 """Where the neutral ends, as the C code numbers it."""
 
@@ -124,7 +117,19 @@ def highest_order(phases: AnyPhaseMachine) -> float:
 
 def turns_of(phases: AnyPhaseMachine) -> int:
     """Electrical periods after which the waveforms repeat."""
-    return int(getattr(phases, "turns", 1))
+    return phases.turns
+
+
+def neutral_end(topology: Topology) -> int:
+    """Where the neutral ends, by the record of the topology."""
+    rule = TOPOLOGIES[topology]
+    if rule.diodes:
+        return _DIODES
+    if not rule.neutral:
+        return _FLOATING
+    if rule.midpoint:
+        return _MIDPOINT
+    return _LEG if "n" in rule.legs else _LINK
 
 
 def no_phase_parameters() -> dict[str, float]:
@@ -162,7 +167,7 @@ def phase_parameters(
         "l_q": own - mutual,
         "legs": float(len(legs)),
         "second": 1.0 if "a2" in legs else 0.0,
-        "neutral": _NEUTRALS[topology],
+        "neutral": float(neutral_end(topology)),
         "capacitance": inverter.midpoint_capacitance or 0.0,
         "l_own": own,
         "l_mutual": mutual,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
+from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.html_text import symbols
@@ -78,6 +79,26 @@ def _observer_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
     return tuple(rows)
 
 
+def _phase_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
+    """Figures of the last tenth of the run, nothing for machines with a sinusoidal back-EMF."""
+    seen = found.phases
+    if seen is None:
+        return ()
+    copper = ", ".join(_value(loss, "W", 3) for loss in seen.copper)
+    rows = [
+        ("last tenth: mean torque", _value(seen.torque, "N m")),
+        ("its means over control periods, peak to peak", _value(seen.ripple_means, "N m", 3)),
+        ("every instant of it, peak to peak", _value(seen.ripple, "N m", 3)),
+        ("copper loss of the phases", copper),
+    ]
+    rule = TOPOLOGIES[found.design.inverter.topology]
+    if rule.neutral or rule.diodes:
+        rows.append(("neutral current, r.m.s.", _value(seen.neutral_rms, "A", 3)))
+    if seen.midpoint is not None:
+        rows.append(("midpoint off half the link, at most", _value(seen.midpoint, "V", 3)))
+    return tuple(rows)
+
+
 def _notes(found: DriveSimulation) -> tuple[str, ...]:
     if found.run.figures.bounded[0]:
         return (
@@ -93,7 +114,7 @@ def _notes(found: DriveSimulation) -> tuple[str, ...]:
 
 def simulation_tables(found: DriveSimulation) -> list[Table]:
     """Figures of the run and of each step of its reference."""
-    rows = (*_figure_rows(found), *_observer_rows(found))
+    rows = (*_figure_rows(found), *_phase_rows(found), *_observer_rows(found))
     tables = [Table(f"{found.design.name}: simulation", ("", ""), rows, _notes(found))]
     if found.steps:
         tables.append(
@@ -104,7 +125,7 @@ def simulation_tables(found: DriveSimulation) -> list[Table]:
 
 def simulation_html(found: DriveSimulation) -> list[HtmlTable]:
     """The same for the report."""
-    lines = (*_figure_rows(found), *_observer_rows(found))
+    lines = (*_figure_rows(found), *_phase_rows(found), *_observer_rows(found))
     figures = tuple(Row((symbols(label), symbols(value))) for label, value in lines)
     tables = [HtmlTable("Figures of the run", ("", "value"), figures)]
     if found.steps:
@@ -124,10 +145,28 @@ def simulation_part(found: DriveSimulation) -> PlainData:
     }
 
 
+def _plain_phases(found: DriveSimulation) -> PlainData:
+    """The key of phase machines; nothing for others."""
+    seen = found.phases
+    if seen is None:
+        return {}
+    return {
+        "phases": {
+            "topology": found.design.inverter.topology,
+            "torque_mean_Nm": seen.torque,
+            "torque_ripple_means_Nm": seen.ripple_means,
+            "torque_ripple_Nm": seen.ripple,
+            "neutral_rms_A": seen.neutral_rms,
+            "copper_W": list(seen.copper),
+            "midpoint_off_V": seen.midpoint,
+        }
+    }
+
+
 def plain_simulation(found: DriveSimulation) -> PlainData:
     """Figures as plain data, in SI units; the samples are in the archive."""
     run, figures, seen = found.run, found.run.figures, found.observed
-    return {
+    return _plain_phases(found) | {
         "mode": run.scenario.mode,
         "inverter": run.scenario.inverter,
         "format": SIMULATED,

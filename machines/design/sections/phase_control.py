@@ -10,6 +10,7 @@ from dqforge.machines.design.sections.control import ControlSection
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.files.positioned_yaml import YamlDocument
+from dqforge.machines.losses.neutral_balance import neutral_balance
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.frame_choice import (
     FrameChoice,
@@ -19,7 +20,6 @@ from dqforge.machines.phase_machines.frame_choice import (
     uses_zero_sequence,
     zero_sequence_inductance,
 )
-from dqforge.machines.phase_machines.neutral_balance import neutral_balance
 from dqforge.machines.phase_machines.salient_phase_machine import (
     AnyPhaseMachine,
     SalientPhaseMachine,

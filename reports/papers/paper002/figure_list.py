@@ -41,7 +41,7 @@ class ThesisFigure:
     lacks: str = ""
 
 
-_CURVES = "the measured curve: it is printed as a picture without a scale in the text"
+_CURVES = "the measured curve"
 
 
 FIGURES = (

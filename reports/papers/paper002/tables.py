@@ -73,7 +73,7 @@ def _figures() -> Table:
         tuple(
             (entry.numbers, entry.shows, entry.rests_on, entry.lacks or "-") for entry in FIGURES
         ),
-        (INFERRED_NOTE,),
+        ("Measured curves are pictures, without a scale in the text.", INFERRED_NOTE),
     )
 
 

@@ -60,7 +60,11 @@ def plot_machine(curves: BenchCurves) -> Figure:
         )
         for values, colour, label in zip(1e3 * curves.flux, _COLOURS, "abc", strict=True):
             emf.plot(degrees, values, color=colour, label=label)
-        emf.set(title="Figure 6.2: back-EMF over speed", ylabel="mV s/rad", ylim=(-230.0, 320.0))
+        emf.set(
+            title="Figure 6.2: back-EMF over speed, inferred",
+            ylabel="mV s/rad",
+            ylim=(-230.0, 320.0),
+        )
         _bars(spectrum, curves.flux_harmonics[np.newaxis], (BLUE,), 1e3)
         spectrum.set(title="Figure 6.3: its harmonics", ylabel="mV s/rad")
         turned.plot(degrees, degrees, color=TEAL, label="θ_r")

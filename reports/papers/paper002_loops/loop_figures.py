@@ -100,13 +100,13 @@ def plot_step(runs: tuple[LoopRun, ...]) -> Figure:
         )
         for place, name in enumerate(_STEPS):
             run, row, column = by_name[name], place // 2, place % 2
-            axes = figure.add_axes((0.075 + 0.31 * column, 0.58 - 0.48 * row, 0.235, 0.33))
+            axes = figure.add_axes((0.08 + 0.305 * column, 0.58 - 0.48 * row, 0.235, 0.33))
             axes.plot(1e3 * run.curves.time, run.curves.torque, color=BLUE, linewidth=0.7)
             axes.set(xlim=(-10.0, 300.0), ylim=(-0.1, 1.6), xlabel="Time in ms")
             axes.set_title(_SHORT[name], fontsize=7.0)
             if column == 0:
-                axes.set_ylabel("6.17: torque in N m" if row == 0 else "Torque in N m")
-        speed = figure.add_axes((0.715, 0.1, 0.27, 0.81))
+                axes.set_ylabel("6.17: torque in N m")
+        speed = figure.add_axes((0.735, 0.1, 0.24, 0.81))
         for name, colour, dashes in zip(
             _STEPS, (ORANGE, BLUE, TEAL, MUTED), ("-", "-", "--", ":"), strict=True
         ):
@@ -119,9 +119,7 @@ def plot_step(runs: tuple[LoopRun, ...]) -> Figure:
                 linewidth=1.0,
                 label=_SHORT[name],
             )
-        speed.set(
-            title="Figure 6.18: speed in rpm, all alike", xlabel="Time in ms", xlim=(-10.0, 300.0),
-            ylim=(640.0, 790.0),
-        )  # fmt: skip
+        speed.set(title="Figure 6.18, all alike", ylabel="Speed in rpm", xlabel="Time in ms")
+        speed.set(xlim=(-10.0, 300.0), ylim=(640.0, 790.0))
         speed.legend(frameon=False, loc="upper right", fontsize=6.0)
     return figure

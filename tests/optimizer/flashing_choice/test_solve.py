@@ -119,6 +119,6 @@ def test_every_row_has_every_figure() -> None:
 def test_a_point_at_rest_is_refused() -> None:
     """Ripple over an electrical period needs one."""
     drive = _drive(paper_machine())
-    for still in ({"torque": 0.0}, {"omega_m": 0.0}):
+    for still in (replace(drive.waveform, torque=0.0), replace(drive.waveform, omega_m=0.0)):
         with pytest.raises(InputError, match="--flash"):
-            compare_flashing(replace(drive, waveform=replace(drive.waveform, **still)))
+            compare_flashing(replace(drive, waveform=still))

@@ -57,6 +57,10 @@ def _budget(
     return phase_budget(machine, fed, currents, np.array([OMEGA_M]), options=options)
 
 
+def _rule(topology: Topology) -> CurrentRule:
+    return "dqy" if topology in ZERO_SEQUENCE else "dqx"
+
+
 def _total(found: PhaseBudget) -> float:
     return float(found.budget.total[0, 0])
 
@@ -104,7 +108,7 @@ def _wanted(theta: FloatArray, torque: float, *, neutral: bool) -> FloatArray:
     shape = _flux(theta)
     if not neutral:
         shape = shape - np.mean(shape, axis=0)
-    return torque * shape / (2.0 * np.sum(shape**2, axis=0))
+    return np.asarray(torque * shape / (2.0 * np.sum(shape**2, axis=0)))
 
 
 def _own_duties(topology: Topology, v: FloatArray, v_dc: float) -> FloatArray:
@@ -192,9 +196,9 @@ def test_every_leg_loses_what_the_switched_waveforms_lose(
     """Conduction of all legs within 0.5 % and of each within 1 % of the largest, switching within
     1 %, the pulses' own neutral current and copper within 1 %, power of the link within 0.5 %.
     """
-    torque, rule = 3.0, "dqy" if topology in ZERO_SEQUENCE else "dqx"
+    torque, rule = 3.0, _rule(topology)
     inverter = replace(device, dead_time=0.0, topology=topology)
-    found = _budget(paper_machine(), inverter, topology, rule, torque)  # type: ignore[arg-type]
+    found = _budget(paper_machine(), inverter, topology, rule, torque)
     exact = switched_losses(topology, torque, inverter)
     budget = found.budget
     assert budget.conduction[0, 0] == pytest.approx(np.sum(exact.conduction), rel=5e-3)
@@ -266,14 +270,22 @@ def test_a_fourth_leg_costs_more_than_it_saves_with_igbts(
     # At its edges the neutral leg switches less than its mean current: 2 % of its loss.
     switched = _budget(machine, IGBT, "four-leg", "dqy", RATED)
     assert 0.97 * leg < switched.leg_loss[0, 0, 3] < leg
+    star_and_four: tuple[tuple[Topology, CurrentRule], ...] = (
+        ("three-wire", "dqx"),
+        ("four-leg", "dqy"),
+    )
     with_mosfets = [
         _total(_budget(machine, MOSFET, topology, rule, RATED, quiet))
-        for topology, rule in (("three-wire", "dqx"), ("four-leg", "dqy"))  # type: ignore[arg-type]
+        for topology, rule in star_and_four
     ]
     assert with_mosfets[0] - with_mosfets[1] == pytest.approx(gained, abs=0.015)
+    six_and_three: tuple[tuple[Topology, CurrentRule], ...] = (
+        ("six-leg", "dqy"),
+        ("three-wire", "dqx"),
+    )
     bridges = [
         float(np.sum(_budget(machine, IGBT, topology, rule, RATED).leg_loss))
-        for topology, rule in (("six-leg", "dqy"), ("three-wire", "dqx"))  # type: ignore[arg-type]
+        for topology, rule in six_and_three
     ]
     assert bridges == pytest.approx(list(six), abs=0.1)
 
@@ -310,7 +322,7 @@ def test_power_in_is_power_out_with_every_topology(
     """The link gives what shaft and losses take, to rounding, also with iron loss."""
     machine = trapezoid_machine(72)
     inverter = replace(IGBT, topology=topology, neutral_resistance=neutral_ohms)
-    rule: CurrentRule = "dqy" if topology in ZERO_SEQUENCE else "dqx"
+    rule = _rule(topology)
     currents = torque * unit_currents(machine, rule)[np.newaxis]
     options = BudgetOptions(MachineLoss(1e-6, 0.4, 1e-3, 1e-6), WindingHeat(1.0), 0.1)
     v_dc = replace(inverter, v_dc=400.0)

@@ -8,10 +8,12 @@ import pytest
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
-from dqforge.machines.errors import DqforgeError
+from dqforge.machines.errors import DqforgeError, NoSolutionError
 from dqforge.machines.names import Topology
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.phase_control.design import PhaseLoops
+from dqforge.optimizer.phase_control.harmonic_orders import harmonic_orders
+from dqforge.optimizer.phase_control.midpoint_balance import midpoint_gains
 
 P = "paper002-phase-waveforms"
 
@@ -118,3 +120,48 @@ def test_given_gains_scale_with_the_inductance() -> None:
     assert found is not None
     zero = found.control.gains[2]
     assert (zero.kp, zero.ki) == pytest.approx((10.0, 500.0))
+
+
+def test_pole_pairs_that_differ_get_a_table_over_the_mechanical_turn() -> None:
+    """The first order of the mechanical turn: the second pole pair is weaker than the first."""
+    found = loops(
+        "inverter.topology=six-leg",
+        "machine.back_emf.harmonics=[{order: 1, amplitude: 0.2 Wb}, {mechanical_order: 1, share: 2 %}]",
+    )
+    assert found.control.frame == "table"
+    assert found.control.shape.turns == 2
+    assert found.control.shape.flux.shape[0] == 3
+    assert found.shape.error <= 1e-3
+    assert found.control.torque_limit is not None
+
+
+def test_orders_follow_what_disturbs() -> None:
+    """Equal phases with even harmonics, and phases that differ, in words of the symmetry."""
+    theta = 2.0 * np.pi * np.arange(2880) / 2880
+    lag = theta - 2.0 * np.pi / 3.0 * np.arange(3)[:, np.newaxis]
+    plane, zero = harmonic_orders(-np.sin(lag), -np.sin(lag), 1)
+    assert (plane, zero) == ((-5, 7, -11, 13), (3, 9))
+    even = -np.sin(lag) - 0.2 * np.sin(2.0 * lag)
+    plane, zero = harmonic_orders(even, even, 1)
+    assert -2 in plane
+    assert all((order - 1) % 3 == 0 for order in plane)
+    assert all(order % 3 == 0 for order in zero)
+    weak = -np.sin(lag) * np.array([[1.0], [0.0], [1.0]])
+    plane, zero = harmonic_orders(weak, weak, 1)
+    assert {-1, 3, -3} <= set(plane)
+    assert 1 in zero
+    assert len(plane) <= 8
+    assert len(zero) <= 4
+
+
+def test_the_balance_of_a_split_link() -> None:
+    """omega_e_min = 2 I_n3/(3 C dv) for a neutral current of order 3 alone; bandwidth 3 k/C."""
+    theta = 2.0 * np.pi * np.arange(2880) / 2880
+    unit, torque, capacitance, v_dc = 0.3 * np.sin(3.0 * theta), 4.0, 4e-3, 220.0
+    found = midpoint_gains(unit, 1, torque, capacitance, v_dc)
+    peak = 3.0 * 0.3 * torque
+    expected = 2.0 * peak / (3.0 * capacitance * 0.05 * v_dc)
+    assert found.omega_e_min == pytest.approx(expected, rel=1e-4)
+    assert 9.0 < 3.0 * found.balance / capacitance < 43.0
+    with pytest.raises(NoSolutionError, match="does not carry; write dqx"):
+        midpoint_gains(unit + 0.1, 1, torque, capacitance, v_dc)

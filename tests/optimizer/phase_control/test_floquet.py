@@ -223,6 +223,7 @@ def test_a_split_link_oscillates_against_its_inductance_as_the_radius_says() -> 
             page_control(topology="split-capacitor"), midpoint=MidpointGains(balance, 10.0)
         )
         _compare(control, 40, 2000, capacitance)
+        _compare(replace(control, frame="dqy", feedforward="emf"), 24, 720, capacitance)
     slow = replace(page_control(topology="split-capacitor"), midpoint=MidpointGains(0.02, 10.0))
     decay = -np.log(radius(slow, plants_of(slow, 1.0, 4e-3), speed_of(40))[0]) / T_S
     assert decay == pytest.approx(3.0 * 0.02 / 4e-3, rel=0.02)

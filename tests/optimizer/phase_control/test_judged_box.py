@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from dqforge.optimizer.phase_control.periodic_step import PhasePlants
 BOX = Tolerances(r_s=0.3, l_d=(-0.5, 0.1), l_q=(-0.3, 0.2))
 
 
-def drive(tolerances: Tolerances | None = None, **loop: object) -> Design:
+def drive(tolerances: Tolerances | None = None, **loop: Any) -> Design:
     design = catalogue.load("paper002-phase-waveforms")
     settings: CurrentLoopSettings = replace(design.control.current_loop, **loop)
     control = replace(design.control, current_loop=settings, tolerances=tolerances)
@@ -27,8 +28,7 @@ def drive(tolerances: Tolerances | None = None, **loop: object) -> Design:
 
 
 def faster(design: Design, share: float) -> Design:
-    machine = design.machine
-    assert machine.omega_m_max is not None
+    machine: Any = design.machine
     return replace(design, machine=replace(machine, omega_m_max=share * machine.omega_m_max))
 
 
@@ -66,11 +66,12 @@ def test_the_worst_corner_is_that_of_the_radius_itself() -> None:
     named = dict(part.rsplit(" ", 2)[:2] for part in last.worst.at.split(", "))
     share = {name: 1.0 + float(value) / 100.0 for name, value in named.items()}
     control = gains.phases.control
-    size = [
+    resistance = np.array([control.r_s * share["r_s"]])
+    d, q, zero = [
         np.array([value * share[name]])
         for value, name in zip(control.inductances, ("l_d", "l_q", "l_0"), strict=True)
     ]
-    plant = PhasePlants(np.array([control.r_s * share["r_s"]]), *size, gain=np.ones(1))
+    plant = PhasePlants(resistance, d, q, zero, np.ones(1))
     again = radius(replace(control, harmonics=None), plant, 2.0 * last.omega_m)[0]
     assert again == pytest.approx(last.worst.value, rel=1e-9)
     assert last.worst.value > last.nominal

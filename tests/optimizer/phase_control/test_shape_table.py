@@ -15,7 +15,7 @@ SHARES = ((1, 1.0), (3, 0.12), (5, 0.03), (7, 0.01))
 
 
 def wave(theta: np.ndarray) -> np.ndarray:
-    return -0.2233 * sum(share * np.sin(order * theta) for order, share in SHARES)
+    return np.asarray(-0.2233 * sum(share * np.sin(order * theta) for order, share in SHARES))
 
 
 def harmonic(angles: int = 360) -> PhaseMachine:

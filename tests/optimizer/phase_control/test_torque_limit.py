@@ -51,14 +51,15 @@ def phase_voltages(
     def current(angle: np.ndarray) -> np.ndarray:
         f = flux(angle)
         f = f if neutral else f - np.mean(f, axis=0)
-        return torque * f / (control.pole_pairs * np.sum(f**2, axis=0))
+        return np.asarray(torque * f / (control.pole_pairs * np.sum(f**2, axis=0)))
 
     step = omega * control.t_s
     first, second = current(theta + step), current(theta + 2.0 * step)
     change = (second - first) / control.t_s
     mutual = (control.inductances[2] - control.inductances[0]) / 3.0
     drop = control.inductances[0] * change + mutual * np.sum(change, axis=0)
-    return 0.5 * control.r_s * (first + second) + drop + omega * flux(theta + 1.5 * step)
+    emf = omega * flux(theta + 1.5 * step)
+    return np.asarray(0.5 * control.r_s * (first + second) + drop + emf)
 
 
 @pytest.mark.parametrize(

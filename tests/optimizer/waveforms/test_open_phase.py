@@ -60,7 +60,7 @@ def test_the_programmes_find_the_same(machine: PhaseMachine) -> None:
 def test_without_a_neutral_there_is_no_constant_torque() -> None:
     """Star and isolated links; and a machine whose open phase was the only one somewhere."""
     for topology in ("three-wire", "six-leg-isolated", "diode-neutral"):
-        assert open_phase_price(paper_machine(), topology, "b", 1.0) is None  # type: ignore[arg-type]
+        assert open_phase_price(paper_machine(), topology, "b", 1.0) is None
     flux = paper_machine().flux.copy()
     flux[0] = flux[2] = 0.0
     lone = replace(paper_machine(), flux=flux + 1e-3 * paper_machine().flux * (flux != 0.0))
@@ -75,8 +75,8 @@ def test_the_answer_of_dqy_says_it() -> None:
     notes = waveform_tables(design, found)[0].notes
     assert any("copper 1.61 times" in note and "2.7 times" in note for note in notes)
     assert any("50 % of the torque" in note and "79 %" in note for note in notes)
-    plain = plain_waveforms(found)["without_phase"]  # type: ignore[call-overload, index]
+    plain = plain_waveforms(found)["without_phase"]
     assert plain["torque_at_copper"] == pytest.approx(0.79, abs=0.005)
     healthy = compare_waveforms(design)
-    assert plain_waveforms(healthy)["without_phase"] is None  # type: ignore[call-overload, index]
+    assert plain_waveforms(healthy)["without_phase"] is None
     assert not any("open" in note for note in waveform_tables(design, healthy)[0].notes)

@@ -146,7 +146,7 @@ def test_without_the_flag_the_answer_ends_with_its_name(drive: Design) -> None:
     """One line, and nothing of it in the document."""
     answer = answer_dqy(drive, WaveformRequest(None, None, None, None))
     assert answer.notes == (FLASH_HINT,)
-    assert "flashing" not in answer.plain  # type: ignore[operator]
+    assert "flashing" not in answer.plain
 
 
 @pytest.mark.slow
@@ -154,7 +154,7 @@ def test_without_the_flag_the_answer_ends_with_its_name(drive: Design) -> None:
 def test_the_whole_question_is_answered(drive: Design) -> None:
     """Fifteen rows from the emitted C; with harmonic integrators every topology keeps 2 %."""
     answer = answer_dqy(drive, WaveformRequest(None, None, None, None, flash=True))
-    flashing = answer.plain["flashing"]  # type: ignore[index, call-overload]
+    flashing = answer.plain["flashing"]
     assert flashing["unsimulated"] == ""
     for row in flashing["rows"]:
         assert row["ripple_simulated"]["plain"] < (0.02 if row["frame"] == "table" else 0.05)

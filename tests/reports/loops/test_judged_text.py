@@ -10,7 +10,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import Tolerances
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.reports.loops.html import judged_tables
-from dqforge.reports.loops.judged_text import judged_sentence, judged_words
+from dqforge.reports.loops.judged_text import judged_lines, judged_sentence, judged_words
 from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.loops.tables import gains_tables
 
@@ -52,6 +52,7 @@ def test_report_and_summary_say_the_same(gains: GainSet) -> None:
     value = f"{judged.slowest.worst.value:.4f}"
     assert value in judged_words(judged)
     assert value in judged_sentence(judged)
+    assert " ".join(judged_lines(judged)) == judged_sentence(judged)
 
 
 def test_json_has_every_figure(gains: GainSet) -> None:
@@ -59,7 +60,7 @@ def test_json_has_every_figure(gains: GainSet) -> None:
     assert plain["i_0"]["kp"] == pytest.approx(gains.i_q.kp * 5.0 / 8.0)
     found = plain["currents"]
     assert found["radius"] == max(speed["worst"]["value"] for speed in found["speeds"])
-    assert (found["frame"], found["corners"], found["inside"]) == ("table", 2, 400)
+    assert (found["frame"], found["corners"], found["inside"]) == ("table", 2, 0)
     assert found["midpoint_time_s"] == pytest.approx(0.05, rel=0.05)
     still, *_, last = found["speeds"]
     assert still["samples_per_period"] is None

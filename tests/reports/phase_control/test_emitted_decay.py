@@ -135,8 +135,9 @@ def random_drive(seed: int) -> RandomDrive:
     """Any shape, three phases alike or not, any topology and frame; gains raised to their limit."""
     rng = np.random.default_rng(seed)
     topology = list(get_args(Topology))[seed % 6]
-    frames = ["dq", "table", "dqx", *(["dqy"] if TOPOLOGIES[topology].neutral else [])]
-    frame: CurrentFrame = frames[int(rng.integers(len(frames)))]
+    frames: tuple[CurrentFrame, ...] = ("dq", "table", "dqx", "dqy")
+    frames = frames if TOPOLOGIES[topology].neutral else frames[:3]
+    frame = frames[int(rng.integers(len(frames)))]
     feedforward: Feedforward = ("references", "emf", "none", "measured")[int(rng.integers(4))]
     orders = np.array([1, 2, 3, 5, 7, 9])
     sizes = 0.2 * np.array([1.0, 0.04, 0.2, 0.08, 0.04, 0.03]) * rng.uniform(0.3, 1.0, 6)

@@ -12,7 +12,13 @@ from matplotlib.figure import Figure
 
 from dqforge.machines.plants.scenario import constant
 from dqforge.reports.papers.paper002_definitions.bench_currents import bench_curves, bench_machine
-from dqforge.reports.papers.paper002_loops.closed_loops import RPM, STEADY, LoopRun, run_loops
+from dqforge.reports.papers.paper002_loops.closed_loops import (
+    RPM,
+    STEADY,
+    LoopRun,
+    run_case,
+    run_loops,
+)
 from dqforge.reports.papers.paper002_loops.diode_path import diode_path
 from dqforge.reports.papers.paper002_loops.loop_cases import CASES
 from dqforge.reports.papers.paper002_loops.loop_figures import plot_loops, plot_step
@@ -49,6 +55,20 @@ def test_a_path_is_found_where_there_is_one() -> None:
     shaped = type(machine)(2, 1.0, 7e-3, -1e-3, 0.2 * third + 0.02 * machine.flux, 6.0)
     assert diode_path(shaped, -0.001, 750.0 * RPM).share > 0.3
     assert diode_path(shaped, 0.001, 750.0 * RPM).share == 0.0
+
+
+def test_the_loop_of_the_bench_carries_no_neutral_current() -> None:
+    """Figure 4.2 on Figure 5.4: the first case, which every run of the tests closes."""
+    run = run_case(CASES[0])
+    assert (run.case.plant, run.case.frame, run.case.feedforward) == (
+        "diode-neutral",
+        "dqy",
+        "none",
+    )
+    assert run.torque == pytest.approx(1.0, abs=5e-3)
+    assert run.ripple_means == pytest.approx(0.22, abs=0.02)
+    assert run.neutral_rms < 0.03
+    assert run.asked[1] > run.asked[0] + 3.0
 
 
 @pytest.fixture(scope="module")

@@ -94,8 +94,9 @@ def test_a_capture_that_is_averaged_says_what_its_pole_pairs_differ_by(tmp_path:
             "{file: turns.csv, span: mechanical}",
             PAIRS,
             (
-                r"waves.yaml:9:37: machine.back_emf.span: turns.csv does not cover a mechanical turn: "
-                r"it shows 4.5 electrical periods of 5; capture a whole turn, or write span: electrical"
+                r"waves.yaml:9:37: machine.back_emf.span: turns.csv does not cover a mechanical "
+                r"turn: it shows 4.5 electrical periods of 5; capture a whole turn, or write "
+                r"span: electrical"
             ),
         ),
         (
@@ -118,7 +119,7 @@ def test_a_capture_that_is_averaged_says_what_its_pole_pairs_differ_by(tmp_path:
         ),
         (
             20.0,
-            "{harmonics: [{order: 1, amplitude: 0.2 Wb}, {order: 2, mechanical_order: 3, share: 1 %}]}",
+            "{harmonics: [{order: 1, amplitude: 1 Wb}, {order: 2, mechanical_order: 3}]}",
             PAIRS,
             "write either order or mechanical_order of each harmonic",
         ),
