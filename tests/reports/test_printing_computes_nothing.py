@@ -22,6 +22,8 @@ ROOMS_THAT_ASK = {
 
 ORCHESTRATORS = {
     "comparison.sources": "solves a design that is to be compared",
+    "flashing_choice.counted_cycles": "compiles and counts what a row would flash",
+    "flashing_choice.simulated_rows": "compiles and simulates what a row would flash",
     "flashing_choice.row_files": "solves the currents of a salient machine on the row's topology",
     "flashing_choice.question": "answers a question: what to flash, with all that can be run here",
     "losses.question": "answers a question: losses over a map or a mission",
