@@ -14,6 +14,7 @@ from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Reach
 from dqforge.optimizer.fixed_control.design import DC_HEADROOM
+from dqforge.optimizer.fixed_control.transforms import sine_error
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedAxis,
     FixedHarmonic,
@@ -38,12 +39,13 @@ class FixedPhaseFit:
     """Integers with their evidence.
 
     ``reaches`` are the proven ranges of every product and sum; ``shape_error`` is the largest error
-    of a node of the shape over its largest value.
+    of a node of the shape over its largest value, ``sine_error`` that of sine and cosine in codes.
     """
 
     control: FixedPhaseControl
     reaches: tuple[Reach, ...]
     shape_error: float
+    sine_error: float
 
     @property
     def fullest(self) -> Reach:
@@ -87,7 +89,7 @@ def fit_phase_control(design: Design, control: PhaseControl, width: int = 16) ->
     made = _integers(design, control, scales, width)
     codes = np.array(made.shape)[:, :-1] * (flux_base / 2 ** (width - 1))
     error = np.max(np.abs(codes - control.shape.flux)) / np.max(np.abs(control.shape.flux))
-    return FixedPhaseFit(made, phase_ranges(made), float(error))
+    return FixedPhaseFit(made, phase_ranges(made), float(error), sine_error(width))
 
 
 def _three_rows(flux: FloatArray) -> FloatArray:
