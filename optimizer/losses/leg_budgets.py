@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -66,9 +67,7 @@ def joined_phase_budgets(found: Sequence[PhaseBudget], axis: int = 0) -> PhaseBu
     return _combined(found, lambda rows: np.concatenate(rows, axis=axis))
 
 
-def _combined(
-    found: Sequence[PhaseBudget], join: Callable[[list[FloatArray]], FloatArray]
-) -> PhaseBudget:
+def _combined(found: Sequence[PhaseBudget], join: Callable[[list[Any]], Any]) -> PhaseBudget:
     budget = DriveBudget(
         **{
             part.name: join([getattr(one.budget, part.name) for one in found])
