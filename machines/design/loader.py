@@ -134,9 +134,17 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     check_waveform(file.waveform, file.machine, file.inverter, document)
     used_by = "export.control" * bool(file.export.control) or "simulation" * simulated
     check_topology(file.inverter, file.operation, file.modulation_choice, used_by, document)
-    check_phase_control(file.control, found.phases, file.inverter.topology, document)
+    check_phase_control(file.control, found.phases, file.inverter.topology, file.export, document)
     rated_speed = si_of(file.machine.rated.speed)
-    control = read_control(file.control, machine, inverter, i_max, rated_speed, reading)
+    control = read_control(
+        file.control,
+        machine,
+        inverter,
+        i_max,
+        rated_speed,
+        reading,
+        any_back_emf=found.phases is not None,
+    )
     needed = bool(file.export.control) or simulated
     named = "control" in file.model_fields_set
     control = replace(control, gains=read_gain_wish(file.control, named, needed, document))

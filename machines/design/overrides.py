@@ -73,7 +73,7 @@ def read_override(text: str) -> Override:
         raise InputError(
             f"{OPTION}: {shown(key)} is no key of a design, which has at most six parts; {_EXAMPLE}"
         )
-    option = f"{OPTION} {shown(key)[1:-1]}"
+    option = f"{OPTION} {shown(key, _LONGEST_KEY)[1:-1]}"
     if len(value) > _LONGEST_VALUE:
         raise InputError(
             f"the value has {len(value)} characters; write at most {_LONGEST_VALUE}", source=option

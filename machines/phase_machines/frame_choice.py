@@ -125,6 +125,27 @@ def _weakest(machine: AnyPhaseMachine, *, zero: bool) -> tuple[float, float]:
     return share, float(np.degrees(phases.theta[where]))
 
 
+def tables_obstacle(machine: AnyPhaseMachine | None) -> str:
+    """Why a machine has no frame tables, and what to write instead; empty where it has.
+
+    Parameters
+    ----------
+    machine:
+        The machine, None where its back-EMF is sinusoidal.
+    """
+    if machine is None:
+        return (
+            "with a sinusoidal back-EMF dqx and dqy are dq; leave the key out, or write "
+            "machine.model: waveform with its back_emf"
+        )
+    if isinstance(machine, SalientPhaseMachine):
+        return (
+            "the decoupling terms of paper 002 hold for machines without saliency; leave out "
+            "frame_tables, or machine.inductance_harmonics"
+        )
+    return ""
+
+
 def frame_obstacle(frame: CurrentFrame, machine: AnyPhaseMachine, topology: Topology) -> str:
     """Why a machine on a topology cannot be controlled in a frame, with what to write instead.
 

@@ -38,6 +38,25 @@ VOLTAGE_ROWS = np.array(
 """Rows on the three phase voltages: each of them, and the differences between them."""
 
 
+def largest_phase_voltage(topology: Topology, v_dc: float) -> float:
+    """Largest voltage of a phase in V that a voltage vector of the topology makes.
+
+    Two thirds of the largest difference where the neutral is not driven; a split link is taken
+    with its midpoint anywhere, as far as three legs without it reach.
+
+    Parameters
+    ----------
+    topology:
+        The topology.
+    v_dc:
+        DC-link voltage in V.
+    """
+    rule = TOPOLOGIES[topology]
+    if rule.neutral and not rule.midpoint:
+        return v_dc
+    return 2.0 / 3.0 * (rule.between or 1.0) * v_dc
+
+
 def voltage_bounds(
     topology: Topology, v_dc: ArrayLike = 1.0, v_m: ArrayLike | None = None
 ) -> tuple[FloatArray, FloatArray]:

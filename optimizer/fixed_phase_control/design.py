@@ -10,7 +10,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.topologies.regions import largest_phase_voltage
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Reach
 from dqforge.optimizer.fixed_control.design import DC_HEADROOM
@@ -120,11 +120,7 @@ def _require_bases(design: Design, control: PhaseControl) -> None:
             f"but the largest speed is {speed * rpm:.5g} rpm; write speed: "
             f"{speed * rpm * 1.25:.4g} rpm"
         )
-    rule = TOPOLOGIES[control.topology]
-    # Two thirds of the largest difference, or the largest phase voltage.
-    share = 1.0 if rule.neutral else 2.0 / 3.0 * (rule.between or 1.0)
-    share = 2.0 / 3.0 if rule.midpoint else share
-    needed = share * design.inverter.v_dc
+    needed = largest_phase_voltage(control.topology, design.inverter.v_dc)
     if bases.voltage < needed * (1.0 - 1e-9):
         raise InputError(
             f"control.per_unit.voltage: {bases.voltage:.4g} V is full scale in fixed point, but "

@@ -11,6 +11,7 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.phase_machines.frame_choice import tables_obstacle
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, grid
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.curves.single_precision import (
@@ -202,14 +203,6 @@ def solve_frame_tables(design: Design) -> FrameTables | None:
     if not design.export.frame_tables:
         return None
     machine = design.phase_machine
-    if machine is None:
-        raise InputError(
-            "export.frame_tables: with a sinusoidal back-EMF dqx and dqy are dq; leave the key "
-            "out, or write machine.model: waveform with its back_emf"
-        )
-    if isinstance(machine, SalientPhaseMachine):
-        raise InputError(
-            "export.frame_tables: the decoupling terms of paper 002 hold for machines without "
-            "saliency; leave out frame_tables, or machine.inductance_harmonics"
-        )
+    if machine is None or isinstance(machine, SalientPhaseMachine):
+        raise InputError(f"export.frame_tables: {tables_obstacle(machine)}")
     return fit_frames(machine, design.waveform.error)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from dqforge.machines.design.settings import ControlSettings, CurrentLoopSettings
 from dqforge.machines.errors import NoSolutionError
+from dqforge.optimizer.loops.analysis import analyse_current_loop
 from dqforge.optimizer.loops.gains import tune_current_loop
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.phase_control.phase_controller import AxisGains
@@ -41,10 +44,25 @@ def zero_loop(
     settings = control.current_loop
     if settings.axis_gains == "one":
         _require_stable(q_axis, control.t_s, l_q, l_0)
-        settings = _given(settings, q_axis.kp, q_axis.ki)
-    elif settings.method == "given":
+        return _one_gain(control.t_s, settings, q_axis, r_s, l_0)
+    if settings.method == "given":
         settings = _given(settings, q_axis.kp * l_0 / l_q, q_axis.ki * l_0 / l_q)
     return tune_current_loop(r_s, l_0, control.t_s, settings, "i_0")
+
+
+def _one_gain(
+    t_s: float, settings: CurrentLoopSettings, q_axis: LoopGains, r_s: float, l_0: float
+) -> LoopGains:
+    """The zero sequence with the gains of the q axis, refused without the margin of a loop."""
+    found = analyse_current_loop(r_s, l_0, t_s, q_axis.kp, q_axis.ki, loop="i_0")
+    margin, required = np.degrees([abs(found.phase_margin), settings.phase_margin_min])
+    if found.stable and margin >= required:
+        return found
+    reached = f"a phase margin of {margin:.1f} deg" if found.stable else "no stable loop"
+    raise NoSolutionError(
+        f"{KEY}: one set of gains leaves the zero sequence {reached}, required are "
+        f"{required:.1f} deg; write own, or lower the gains"
+    )
 
 
 def axis_gains(loop: LoopGains | None) -> AxisGains:

@@ -21,6 +21,7 @@ from dqforge.reports.pages.figures_style import (
     thinned,
 )
 from dqforge.reports.simulation.design_run import DriveSimulation
+from dqforge.reports.simulation.recorded_run import Simulation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 
 _RPM = 30.0 / math.pi
+_PHASES = (("a", BLUE), ("b", ORANGE), ("c", TEAL))
 
 
 def _line(
@@ -55,6 +57,37 @@ def _angle(axes: Axes, time: FloatArray, found: DriveSimulation) -> None:
     axes.set_ylabel("angle error in deg")
 
 
+def _currents(axes: Axes, time: FloatArray, run: Simulation) -> None:
+    """Currents in d and q with their references; of phase machines those of phases and neutral."""
+    axes.set_ylabel("currents in A")
+    if run.phases is not None:
+        for k, (phase, colour) in enumerate(_PHASES):
+            _line(axes, time, run.phases.i_phases[:, k], colour, phase, 0.9)
+        if np.any(run.phases.i_neutral):
+            _line(axes, time, run.phases.i_neutral, MUTED, "neutral", 0.9)
+        return
+    for axis, value, wanted in (
+        ("d", run.i_d, run.i_d_reference),
+        ("q", run.i_q, run.i_q_reference),
+    ):
+        _line(axes, time, value, AXIS_COLOURS[axis], f"$i_{axis}$")
+        _reference(axes, time, wanted, f"reference of $i_{axis}$" if axis == "q" else "_")
+
+
+def _duties(axes: Axes, time: FloatArray, run: Simulation) -> None:
+    """Duty cycles of the three legs, and of a fourth one where the neutral has it."""
+    for k, (phase, colour) in enumerate(_PHASES):
+        _line(axes, time, run.duty[:, k], colour, phase, 0.7)
+    if run.phases is not None and run.phases.duty_legs.shape[1] == len(_PHASES) + 1:
+        _line(axes, time, run.phases.duty_legs[:, 3], MUTED, "neutral", 0.7)
+    axes.set(ylabel="duty cycles", ylim=(-0.02, 1.02))
+
+
+def _midpoint(axes: Axes, time: FloatArray, voltage: FloatArray) -> None:
+    _line(axes, time, voltage, BLUE, "midpoint of the link", 0.9)
+    axes.set_ylabel("voltage in V")
+
+
 def plot_simulation(found: DriveSimulation) -> Figure:
     """Speed, torque, currents and duty cycles, with their references where they have some."""
     run = found.run
@@ -63,16 +96,19 @@ def plot_simulation(found: DriveSimulation) -> Figure:
     with style():
         seen = found.observed
         angle = seen is not None and seen.angle_rms is not None
-        ratios = (1.3, 1.0, 1.3, 0.8, 0.9) if angle else (1.3, 1.0, 1.3, 0.9)
+        split = run.phases is not None and bool(np.isfinite(run.phases.v_midpoint).all())
+        ratios = (1.3, 1.0, 1.3, *(0.8,) * (angle + split), 0.9)
         figure = new_figure(
             "simulation",
-            7.9 if angle else 6.6,
+            6.6 + 1.3 * (angle + split),
             "Speed, torque, currents and duty cycles of the simulated drive",
         )
         axes = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
         speed, torque, currents, duty = axes[0], axes[1], axes[2], axes[-1]
         if angle:
             _angle(axes[3], time, found)
+        if split and run.phases is not None:
+            _midpoint(axes[-2], time, run.phases.v_midpoint)
         _line(speed, time, run.omega_m * _RPM, TEAL, "speed")
         if seen is not None:
             _line(speed, time, run.omega_m_observed * _RPM, ORANGE, "observed", 0.7)
@@ -82,26 +118,14 @@ def plot_simulation(found: DriveSimulation) -> Figure:
         _line(torque, time, run.torque, ORANGE, "torque")
         _line(torque, time, run.torque_load, MUTED, "load", 0.9)
         torque.set_ylabel("torque in N m")
-        for axis, value, wanted in (
-            ("d", run.i_d, run.i_d_reference),
-            ("q", run.i_q, run.i_q_reference),
-        ):
-            _line(currents, time, value, AXIS_COLOURS[axis], f"$i_{axis}$")
-            _reference(currents, time, wanted, f"reference of $i_{axis}$" if axis == "q" else "_")
-        currents.set_ylabel("currents in A")
-        for k, (phase, colour) in enumerate(zip("abc", (BLUE, ORANGE, TEAL), strict=True)):
-            _line(duty, time, run.duty[:, k], colour, phase, 0.7)
-        duty.set(
-            ylabel="duty cycles",
-            ylim=(-0.02, 1.02),
-            xlabel=f"time in {unit}",
-            xlim=(0.0, float(time[-1])),
-        )
+        _currents(currents, time, run)
+        _duties(duty, time, run)
+        duty.set(xlabel=f"time in {unit}", xlim=(0.0, float(time[-1])))
         wanted_of = {"speed": (speed, run.reference * _RPM), "torque": (torque, run.reference)}
         if run.scenario.mode in wanted_of:
             _reference(wanted_of[run.scenario.mode][0], time, wanted_of[run.scenario.mode][1])
         for panel in axes:
-            panel.legend(frameon=False, loc="upper right", ncols=4, fontsize=7.0)
+            panel.legend(frameon=False, loc="upper right", ncols=5, fontsize=7.0)
             low, high = panel.get_ylim()
             if panel is not duty and np.isfinite(high - low):
                 panel.set_ylim(low, high + 0.18 * (high - low))  # room for the legend

@@ -391,11 +391,14 @@ def read_control(
     i_max: float,
     rated_speed: float | None,
     reading: Reading,
+    *,
+    any_back_emf: bool,
 ) -> ControlSettings:
     """Controllers in SI units, with the bases that the file leaves open.
 
     ``i_max`` in A (peak) is the current limit of the drive, ``rated_speed`` in rad/s (mechanical)
-    that of the machine, if known. Gains are taken as required, see `read_gain_wish`.
+    that of the machine, if known; ``any_back_emf`` as of `read_bases`. Gains are taken as required,
+    see `read_gain_wish`.
     """
     f_s = si_of(section.sampling_frequency)
     if f_s is None:
@@ -412,7 +415,15 @@ def read_control(
         current_loop=settings_from(CurrentLoopSettings, section.current_loop),
         speed_loop=None if speed_loop is None else settings_from(SpeedLoopSettings, speed_loop),
         observer=None if observer is None else settings_from(ObserverSettings, observer),
-        bases=read_bases(section.per_unit, machine, inverter, i_max, rated_speed, reading),
+        bases=read_bases(
+            section.per_unit,
+            machine,
+            inverter,
+            i_max,
+            rated_speed,
+            reading,
+            any_back_emf=any_back_emf,
+        ),
         tolerances=read_tolerances(
             section.tolerances, speed_loop is not None, machine, inverter, i_max, reading
         ),

@@ -11,6 +11,7 @@ from dqforge.machines.design.settings import PerUnitBases
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.kinds import PhaseCurrent, Section, Speed, Torque, Voltage
+from dqforge.machines.topologies.regions import largest_phase_voltage
 from dqforge.machines.units.quantities import format_quantity
 
 
@@ -21,7 +22,9 @@ class PerUnitSection(Section):
         default=None, description="base current (A); default the current limit"
     )
     voltage: Voltage | None = Field(
-        default=None, description="base voltage (V, peak of phase); default v_dc/sqrt(3)"
+        default=None,
+        description="base voltage (V, peak of phase); default v_dc/sqrt(3); "
+        "machines of model: waveform: the largest voltage of a phase",
     )
     speed: Speed | None = Field(
         default=None,
@@ -39,18 +42,25 @@ def read_bases(
     i_max: float,
     rated_speed: float | None,
     reading: Reading,
+    *,
+    any_back_emf: bool,
 ) -> PerUnitBases:
     """Bases of the per-unit gains; what the file leaves open is stated among the assumptions.
 
     ``i_max`` in A (peak) is the current limit of the drive, ``rated_speed`` in rad/s (mechanical)
-    that of the machine, if known.
+    that of the machine, if known. ``any_back_emf`` says whether the machine is one of model:
+    waveform, whose controller makes voltages of any shape.
     """
     current = (
         i_max
         if section.current is None
         else reading.peak(section.current, "control.per_unit.current")
     )
-    voltage = inverter.v_dc / math.sqrt(3.0) if section.voltage is None else section.voltage.si
+    voltage, voltage_from = (
+        _base_voltage(inverter, any_back_emf)
+        if section.voltage is None
+        else (section.voltage.si, "")
+    )
     speed, speed_from = (
         _base_speed(machine, inverter, rated_speed, reading)
         if section.speed is None
@@ -66,7 +76,7 @@ def read_bases(
     )
     for name, value, unit, source, entry in (
         ("current", current, "A", "the current limit", section.current),
-        ("voltage", voltage, "V", "v_dc/sqrt(3)", section.voltage),
+        ("voltage", voltage, "V", voltage_from, section.voltage),
         ("speed", speed, "rpm", speed_from, section.speed),
         ("torque", torque, "N m", torque_from, section.torque),
     ):
@@ -75,6 +85,14 @@ def read_bases(
                 f"control.per_unit.{name} is {format_quantity(value, unit)}: {source}"
             )
     return PerUnitBases(current=current, voltage=voltage, speed=speed, torque=torque)
+
+
+def _base_voltage(inverter: Inverter, any_back_emf: bool) -> tuple[float, str]:
+    """Base voltage in V that the file leaves open, and where it comes from."""
+    if any_back_emf:
+        needed = largest_phase_voltage(inverter.topology, inverter.v_dc)
+        return needed, f"the largest voltage of a phase, {inverter.topology}"
+    return inverter.v_dc / math.sqrt(3.0), "v_dc/sqrt(3)"
 
 
 def _base_speed(

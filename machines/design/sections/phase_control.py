@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 
 from dqforge.machines.design.sections.control import ControlSection
+from dqforge.machines.design.sections.export import ExportSection
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.files.positioned_yaml import YamlDocument
@@ -17,6 +18,7 @@ from dqforge.machines.phase_machines.frame_choice import (
     choose_frame,
     controlled_frame,
     frame_obstacle,
+    tables_obstacle,
     uses_zero_sequence,
     zero_sequence_inductance,
 )
@@ -47,18 +49,24 @@ def check_phase_control(
     section: ControlSection,
     machine: AnyPhaseMachine | None,
     topology: Topology,
+    export: ExportSection,
     document: YamlDocument,
 ) -> None:
     """Check the keys that are for machines with any back-EMF.
 
-    ``machine`` is None for all others. Raises `InputError` with a position.
+    ``machine`` is None for all others, ``export`` what is emitted.
+    Raises `InputError` with a position.
     """
     loop, path = section.current_loop, ("control", "current_loop")
+    obstacle = tables_obstacle(machine)
+    if export.frame_tables and obstacle:
+        message = f"export.frame_tables: {obstacle}"
+        raise document.error(message, ("export", "frame_tables"), key=True)
     if machine is None:
         for key in PHASE_KEYS:
             if key in loop.model_fields_set:
                 raise document.error(
-                    f"control.current_loop.{key} serves machines of model: waveform; remove it",
+                    f"control.current_loop.{key}: it serves machines of model: waveform; remove it",
                     (*path, key),
                     key=True,
                 )
@@ -68,6 +76,12 @@ def check_phase_control(
         if obstacle:
             message = f"control.current_loop.frame: {obstacle}"
             raise document.error(message, (*path, "frame"))
+    if loop.feedforward == "measured" and not set(export.control) <= {"float32"}:
+        message = (
+            "control.current_loop.feedforward: measured is not there in fixed point; write "
+            "references, or export.control: float32"
+        )
+        raise document.error(message, (*path, "feedforward"))
     frame = controlled_frame(loop.frame, machine, topology)
     if loop.limited_waveforms and frame != "table":
         raise document.error(

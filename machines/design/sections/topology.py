@@ -45,6 +45,14 @@ def _check_neutral(inverter: InverterSection, used_by: str, document: YamlDocume
     rule, name = TOPOLOGIES[inverter.topology], inverter.topology
     if inverter.neutral_inductance is not None and "n" not in rule.legs:
         raise _misplaced("neutral_inductance", "neutral on a leg of its own", name, document)
+    conducting = "n" in rule.legs or rule.midpoint or rule.diodes
+    if inverter.neutral_resistance is not None and not conducting:
+        raise document.error(
+            f"inverter.neutral_resistance: {name} has no conductor from the star point; remove the "
+            "key",
+            ("inverter", "neutral_resistance"),
+            key=True,
+        )
     if inverter.midpoint_capacitance is not None and not rule.midpoint:
         raise _misplaced("midpoint_capacitance", "link in two halves", name, document)
     if rule.midpoint and used_by and inverter.midpoint_capacitance is None:

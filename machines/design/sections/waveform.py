@@ -84,6 +84,15 @@ def check_waveform(
             "write three-wire",
             ("inverter", "topology"),
         )
+    for key in (
+        () if is_waveform else ("neutral_inductance", "neutral_resistance", "midpoint_capacitance")
+    ):
+        if getattr(inverter, key) is not None:
+            raise document.error(
+                f"inverter.{key}: it serves machines of model: waveform; remove it",
+                ("inverter", key),
+                key=True,
+            )
 
 
 def _check_saliency(
