@@ -154,10 +154,9 @@ class SampledDrive:
     def balance(self, theta: float) -> Real:
         """References that bring the midpoint back without torque: sum of f i is zero."""
         assert self.control.midpoint is not None
-        flux = to_axes(self.shape(theta)[0])
-        zero = -self.control.midpoint.balance * self.midpoint
-        plane = -2.0 * flux[2] * zero / (flux[0] ** 2 + flux[1] ** 2) * flux[:2]
-        return np.array([*plane, zero])
+        flux = self.shape(theta)[0]
+        wanted = np.full(3, -self.control.midpoint.balance * self.midpoint)
+        return to_axes(wanted - flux * (np.sum(flux * wanted) / np.sum(flux**2)))
 
     def gained(self, gains: Real, error: Real) -> Real:
         """Errors times gains, those of d and q in the rotor's axes."""

@@ -32,20 +32,18 @@ PHASES: dict[Topology, tuple[str, str, str]] = {
 }
 """Phase voltages over the link voltage, against half the link on the split one."""
 
-LINK = 6000.0
-"""V: so much that no voltage is shortened while currents are small, even at high speed."""
-
 SOURCE = """
 #include <math.h>
 #include <stdio.h>
 #include "@_control.h"
 
 typedef struct {
-    double samples, settle, factor, step, theta, turn, v_dc, free;
+    double samples, settle, factor, step, theta, turn, v_dc, free, level, own;
     double plane[2][4], zero[2][3], current[3];
 } job_t;
 
 static @_control_t state;
+static @_shape_t shape;
 static double current[3], acting[3], midpoint;
 
 static double size(void)
@@ -123,6 +121,13 @@ int main(void)
         double logs = 0.0, start = 0.0, largest = 0.0;
         unsigned long k;
 
+        if (job.own > 0.5) {
+            if (fread(&gains, sizeof gains, 1, stdin) != 1
+                || fread(&shape, sizeof shape, 1, stdin) != 1) {
+                return 3;
+            }
+            gains.shape = &shape;
+        }
         gains.d.kp *= (float)job.factor;
         gains.q.kp *= (float)job.factor;
         gains.zero.kp *= (float)job.factor;
@@ -150,8 +155,8 @@ int main(void)
             if (k % 20 == 19) {
                 const double found = size();
 
-                logs += log(found / 0.3);
-                scale(0.3 / found);
+                logs += log(found / job.level);
+                scale(job.level / found);
             }
         }
         largest = job.free > 0.5 ? largest : (logs + log(size()) - start) / job.samples;
@@ -166,10 +171,18 @@ int main(void)
 
 @dataclass(frozen=True)
 class EmittedLoop:
-    """A compiled controller, and what it was emitted from."""
+    """A compiled controller, and what it was emitted from.
+
+    ``data`` are the bytes of its gains and of its back-EMF, empty for those in the header; the
+    control is what they hold. Currents stay around ``level`` in A, on a link of ``v_dc`` in V that
+    shortens no voltage while they are that small.
+    """
 
     program: Path
     control: PhaseControl
+    data: bytes = b""
+    level: float = 0.3
+    v_dc: float = 6000.0
 
     def decay(
         self, omega: float, plant: tuple[float, ...], factor: float, settle: int, samples: int,
@@ -199,13 +212,14 @@ class EmittedLoop:
         common[1, 0] = 3.0 / plant[4] if split else 0.0
         neutral = TOPOLOGIES[self.control.topology].neutral
         zero = expm(common * t_s)[:2] if neutral else np.zeros((2, 3))
-        first = (0.01 if free else 0.3) * np.array([0.6, -0.7, 0.4 * neutral])
+        first = (0.01 if free else self.level) * np.array([0.6, -0.7, 0.4 * neutral])
         turn = 2.0 * np.pi * self.control.shape.turns
-        head = [samples, settle, factor, omega * t_s, theta, turn, LINK, float(free)]
+        head = [samples, settle, factor, omega * t_s, theta, turn, self.v_dc, float(free)]
+        head += [self.level, float(len(self.data) > 0)]
         job = np.concatenate([head, expm(flow * t_s)[:2].ravel(), zero.ravel(), first])
         done = subprocess.run(
-            [self.program], input=job.astype(np.float64).tobytes(), capture_output=True, check=True,
-            timeout=60,
+            [self.program], input=job.astype(np.float64).tobytes() + self.data, capture_output=True,
+            check=True, timeout=60,
         )  # fmt: skip
         return float(np.frombuffer(done.stdout, dtype=np.float64)[0])
 

@@ -27,12 +27,6 @@ WEAKEST = 0.05
 torque grows as the inverse."""
 
 
-RELUCTANCE = 0.03
-
-"""Torque of the saliency over that of the magnets up to which a table, whose currents make none of
-it, is the better choice."""
-
-
 _NO_NEUTRAL = {
     "three-wire": "its star point is not connected",
     "six-leg-isolated": "no current returns from one link to the other",
@@ -208,10 +202,6 @@ def choose_frame(machine: AnyPhaseMachine, topology: Topology) -> FrameChoice:
     topology:
         How its phases are fed.
     """
-    gain = reluctance_gain(machine)
-    if gain > RELUCTANCE:
-        worth = f"{100.0 * gain:.2g} % of torque beside that of the magnets"
-        return FrameChoice("dq", f"the saliency makes {worth}, which a table leaves")
     distance = distance_from_sine(machine, topology)
     away = f"the back-EMF is up to {100.0 * distance:.2g} % of its peak off a sine"
     if distance <= SINUSOIDAL:
@@ -220,25 +210,6 @@ def choose_frame(machine: AnyPhaseMachine, topology: Topology) -> FrameChoice:
     if obstacle:
         return FrameChoice("dq", obstacle.split(";")[0])
     return FrameChoice("table", f"{away}, references over the angle keep the torque constant")
-
-
-def reluctance_gain(machine: AnyPhaseMachine) -> float:
-    """Torque that the saliency adds at the current limit, over that of the magnets alone.
-
-    Constant dq currents of the length i_max at the best angle, with the mean inductances of both
-    axes.
-
-    Parameters
-    ----------
-    machine:
-        The machine in phase quantities; without saliency it is 0.
-    """
-    if not isinstance(machine, SalientPhaseMachine):
-        return 0.0
-    l_d, l_q = machine.dq_inductances
-    turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 1801)
-    share = (l_d - l_q) * machine.phases.i_max / machine.psi_pm
-    return float(np.max(np.cos(turn) * (1.0 + share * np.sin(turn)))) - 1.0
 
 
 def controlled_frame(

@@ -14,6 +14,7 @@ from dqforge.machines.topologies.regions import largest_phase_voltage
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Reach
 from dqforge.optimizer.fixed_control.design import DC_HEADROOM
+from dqforge.optimizer.fixed_control.transforms import sine_error
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedAxis,
     FixedHarmonic,
@@ -38,12 +39,13 @@ class FixedPhaseFit:
     """Integers with their evidence.
 
     ``reaches`` are the proven ranges of every product and sum; ``shape_error`` is the largest error
-    of a node of the shape over its largest value.
+    of a node of the shape over its largest value, ``sine_error`` that of sine and cosine in codes.
     """
 
     control: FixedPhaseControl
     reaches: tuple[Reach, ...]
     shape_error: float
+    sine_error: float
 
     @property
     def fullest(self) -> Reach:
@@ -75,6 +77,11 @@ def fit_phase_control(design: Design, control: PhaseControl, width: int = 16) ->
             "control.current_loop.feedforward: measured is not there in fixed point; write "
             "references, or export.control: float32"
         )
+    if control.inductances[0] != control.inductances[1]:
+        raise InputError(
+            "export.control: machines with inductance_harmonics are controlled in float32 alone; "
+            "write float32"
+        )
     _require_bases(design, control)
     bases = design.control.bases
     flux_base = _flux_base(control.shape.flux)
@@ -82,7 +89,7 @@ def fit_phase_control(design: Design, control: PhaseControl, width: int = 16) ->
     made = _integers(design, control, scales, width)
     codes = np.array(made.shape)[:, :-1] * (flux_base / 2 ** (width - 1))
     error = np.max(np.abs(codes - control.shape.flux)) / np.max(np.abs(control.shape.flux))
-    return FixedPhaseFit(made, phase_ranges(made), float(error))
+    return FixedPhaseFit(made, phase_ranges(made), float(error), sine_error(width))
 
 
 def _three_rows(flux: FloatArray) -> FloatArray:

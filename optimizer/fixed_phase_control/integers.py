@@ -11,7 +11,11 @@ from typing import Generic, NamedTuple
 
 from dqforge.machines.names import CurrentFrame, Feedforward, NumberFormat, Topology
 from dqforge.machines.transforms import N
-from dqforge.optimizer.fixed_control.transforms import full_scale
+from dqforge.optimizer.fixed_control.transforms import (
+    SineSteps,
+    full_scale,
+    sine_steps,
+)
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
 
@@ -146,6 +150,11 @@ class FixedPhaseControl:
     def top(self) -> int:
         """The largest code."""
         return full_scale(self.width)
+
+    @property
+    def sine(self) -> SineSteps:
+        """Integers of the sine."""
+        return sine_steps(self.width)
 
     @property
     def nodes(self) -> int:

@@ -47,12 +47,13 @@ class Advice:
     """What to flash.
 
     ``row`` is None where nothing can be run at the point. ``dq_ripple`` is what plain dq would
-    leave on the same topology, over the torque.
+    leave on the same topology, over the torque, and ``dq_saved`` the W that it would lose less.
     """
 
     row: FlashRow | None
     dq_ripple: float
     trades: tuple[Trade, ...]
+    dq_saved: float = 0.0
 
 
 def advise(found: FlashComparison) -> Advice:
@@ -78,7 +79,8 @@ def advise(found: FlashComparison) -> Advice:
     dq_ripple, ripple = _ripple(plain), _ripple(best)
     trades = tuple(_trade(row, best) for row in tables if row.topology != best.topology)
     enough = not plain.obstacle and dq_ripple <= ripple + SMOOTH
-    return Advice(plain if enough else best, dq_ripple, trades)
+    saved = best.losses - plain.losses
+    return Advice(plain if enough else best, dq_ripple, trades, saved)
 
 
 def _candidate(found: FlashComparison, topology: Topology) -> FlashRow:

@@ -24,14 +24,14 @@ from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.flashing_choice.choices import COMPARED, FlashRow, compared_frames
 from dqforge.optimizer.flashing_choice.ripple_forms import ripple_figures
 from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.losses.leg_budgets import PhaseBudget
 from dqforge.optimizer.losses.loss_map import budget_options
-from dqforge.optimizer.losses.phase_budget import PhaseBudget, phase_budget
+from dqforge.optimizer.losses.phase_budget import phase_budget
 from dqforge.optimizer.phase_control.design import phase_control
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 from dqforge.optimizer.waveforms.comparison import operating_point, require_phases
 from dqforge.optimizer.waveforms.open_phase import OpenPhasePrice, open_phase_price
 from dqforge.optimizer.waveforms.phase_currents import dq_waveform, unit_currents
-from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
 
 _KEY = "control.current_loop.frame: "
 
@@ -180,10 +180,9 @@ def reference_currents(
             i_q = torque / design.machine.torque_per_ampere
             return dq_waveform(0.0, i_q, machine.angles, machine.turns)
         return np.asarray(pointwise_dq(design, torque, machine))
-    if isinstance(machine, PhaseMachine):
-        return np.asarray(torque * unit_currents(machine, "dqy" if zero else "dqx"))
-    way: Topology = "six-leg" if zero else "three-wire"
-    return np.asarray(pointwise_currents(machine, np.array([torque]), way)[0])
+    # The table of a salient machine makes no use of its saliency.
+    phases = machine if isinstance(machine, PhaseMachine) else machine.phases
+    return np.asarray(torque * unit_currents(phases, "dqy" if zero else "dqx"))
 
 
 def pointwise_dq(design: Design, torque: float, machine: AnyPhaseMachine) -> FloatArray:

@@ -30,13 +30,12 @@ from dqforge.optimizer.losses.drive_comparison import (
     least,
     strategy_currents,
 )
-from dqforge.optimizer.losses.phase_budget import (
-    CENTRED,
+from dqforge.optimizer.losses.leg_budgets import (
     PhaseBudget,
     joined_phase_budgets,
-    phase_budget,
     stacked_phase_budgets,
 )
+from dqforge.optimizer.losses.phase_budget import CENTRED, phase_budget
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
 from dqforge.optimizer.waveforms.phase_currents import dq_waveform, unit_currents
 from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents

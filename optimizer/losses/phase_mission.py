@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dqforge.machines.arrays import FloatArray
+from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.design.settings import AnyStrategy
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.losses.bridge_heat import at_temperature
@@ -180,11 +179,9 @@ def _run(
         bridge,
         histories,
         (strategy, name, frequency),
-        powers,
-        budget.shaft_power[0],
-        put_in,
-        mission.lines[~(kept & budget.linear[0])],
+        (powers, budget.shaft_power[0], put_in),
         warm,
+        ~(kept & budget.linear[0]),
         within=bool(np.all(budget.within_tables[0])),
     )
 
@@ -194,17 +191,19 @@ def _record(
     bridge: _Bridge,
     histories: list[JunctionHistory],
     label: tuple[AnyStrategy, ModulationName, float],
-    powers: dict[str, FloatArray],
-    shaft: FloatArray,
-    put_in: FloatArray,
-    missed: NDArray[np.intp],
+    flows: tuple[dict[str, FloatArray], FloatArray, FloatArray],
     warm: float,
+    missed: BoolArray,
     *,
     within: bool,
 ) -> MissionRun:
-    """What a run comes to: energies over the intervals, junctions of the hottest leg."""
+    """What a run comes to: energies over the intervals, junctions of the hottest leg.
+
+    ``flows`` are the losses by kind, the power at the shaft and from the link, in W at each
+    interval.
+    """
     mission, tables = bridge.mission, bridge.tables
-    length = mission.length
+    length, (powers, shaft, put_in) = mission.length, flows
     both = np.stack(
         [np.stack([one.start, one.end], axis=-1) for one in histories]
     )  # (legs, 2, J, N, 2)
@@ -223,7 +222,7 @@ def _record(
         junction_max=peak if known else np.nan,
         swing=float(np.max(swing)) if known else np.nan,
         winding_temperature=float(warm),
-        missed=missed,
+        missed=mission.lines[missed],
         steady=all(one.steady for one in histories),
         cool_enough=bool(peak <= tables.max_junction_temperature),
         within_tables=within and reached,

@@ -22,7 +22,7 @@ from dqforge.machines.names import ModulationName
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget
 from dqforge.optimizer.losses.drive_comparison import Alternatives, compare_drives, least
-from dqforge.optimizer.losses.phase_budget import PhaseBudget
+from dqforge.optimizer.losses.leg_budgets import PhaseBudget
 from dqforge.optimizer.losses.phase_comparison import PhaseDrive, compare_phases
 
 LossScope = Literal["drive", "without-bridge"]

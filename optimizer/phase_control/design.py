@@ -10,6 +10,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.names import CurrentFrame, Topology
 from dqforge.machines.phase_machines.frame_choice import (
     controlled_frame,
     frame_obstacle,
@@ -32,12 +33,16 @@ from dqforge.optimizer.phase_control.phase_controller import (
     PhaseControl,
     TorqueLimit,
 )
-from dqforge.optimizer.phase_control.salient_limit import salient_torques, table_torques
+from dqforge.optimizer.phase_control.salient_limit import (
+    Ladder,
+    dq_currents,
+    salient_torques,
+    table_currents,
+)
 from dqforge.optimizer.phase_control.shape_table import ShapeFit, fit_shape
 from dqforge.optimizer.phase_control.shape_vectors import (
     PHASES,
     flux_at,
-    reference_currents,
     unit_currents,
 )
 from dqforge.optimizer.phase_control.torque_limit import (
@@ -46,6 +51,7 @@ from dqforge.optimizer.phase_control.torque_limit import (
     no_load_speed,
     torque_limit,
 )
+from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
 
 _ANGLES = 2880
 
@@ -120,11 +126,12 @@ def phase_control(
     sine = machine.psi_pm * np.stack([-np.sin(angle), np.cos(angle), 0.0 * angle])
     used = sine if frame == "dq" else flux
     unit = unit_currents(used, phases.pole_pairs, zero=uses_zero)
-    torque_max = (
-        _choice(design).largest_torque()
-        if frame == "dq"
-        else design.i_max / float(np.max(np.abs(PHASES @ unit)))
-    )
+    if isinstance(machine, SalientPhaseMachine):
+        torque_max = float(_ladder(design, machine, frame).torques[-1])
+    elif frame == "dq":
+        torque_max = _choice(design).largest_torque()
+    else:
+        torque_max = design.i_max / float(np.max(np.abs(PHASES @ unit)))
     midpoint = None
     if TOPOLOGIES[topology].midpoint and inverter.midpoint_capacitance is not None:
         midpoint = midpoint_gains(
@@ -194,14 +201,21 @@ def _torque_limit(design: Design, control: PhaseControl) -> TorqueLimit:
     if control.midpoint is not None:
         margin += SWING * min(1.0, control.midpoint.omega_e_min / last)
         last = no_load_speed(control, v_dc, margin)
-    if isinstance(machine, SalientPhaseMachine) and control.frame == "dq":
-        largest = salient_torques(machine, _choice(design), control.topology, margin)
-    elif isinstance(machine, SalientPhaseMachine):
-        unit = PHASES @ reference_currents(control, machine.phases.theta, np.zeros(1))
-        largest = table_torques(machine, unit, control.torque_max, control.topology, margin)
+    if isinstance(machine, SalientPhaseMachine):
+        ladder = _ladder(design, machine, control.frame)
+        largest = salient_torques(machine, ladder, control.topology, margin)
     else:
         largest = partial(largest_torques, control, margin=margin)
     return torque_limit(v_dc, last, largest)
+
+
+def _ladder(design: Design, machine: SalientPhaseMachine, frame: CurrentFrame) -> Ladder:
+    """Torques of a salient machine with the currents that the firmware gives them."""
+    if frame == "dq":
+        return dq_currents(machine, _choice(design))
+    inverter = design.inverter
+    topology: Topology = "three-wire" if TOPOLOGIES[inverter.topology].diodes else inverter.topology
+    return table_currents(machine, WaveformLimits(inverter.v_dc, topology, design.i_max))
 
 
 def _limited(design: Design, machine: PhaseMachine, control: PhaseControl) -> LimitedFit | None:

@@ -241,15 +241,17 @@ def _errors(control: PhaseControl, state: LoopState, theta: FloatArray) -> Float
 def _balancing_current(control: PhaseControl, theta: FloatArray) -> FloatArray:
     """Reference in A per volt of the midpoint, in d, q and 0 of the angles, shape (K, 3).
 
-    A zero sequence against the deviation, and along the back-EMF in the plane what keeps the
+    A zero sequence against the deviation, less its part along the back-EMF, which would make
     torque.
     """
     assert control.midpoint is not None
     alpha, beta, zero = PLAIN @ shape_at(control.shape, theta)[0]
-    scale = -2.0 * zero / (alpha**2 + beta**2)
+    scale = 3.0 * zero / (1.5 * (alpha**2 + beta**2) + 3.0 * zero**2)
     cosine, sine = np.cos(theta), np.sin(theta)
-    along = scale * (alpha * cosine + beta * sine), scale * (beta * cosine - alpha * sine)
-    return -control.midpoint.balance * np.stack([*along, np.ones_like(zero)], axis=1)
+    d, q = alpha * cosine + beta * sine, beta * cosine - alpha * sine
+    return -control.midpoint.balance * np.stack(
+        [-scale * d, -scale * q, 1.0 - scale * zero], axis=1
+    )
 
 
 def _balancing_voltage(control: PhaseControl, omega_e: float, theta: FloatArray) -> FloatArray:

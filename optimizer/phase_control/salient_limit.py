@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
@@ -10,15 +12,68 @@ from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMa
 from dqforge.machines.topologies.regions import VOLTAGE_ROWS, voltage_bounds
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.phase_control.torque_limit import Largest
+from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
 from dqforge.optimizer.waveforms.phase_currents import dq_waveform
+from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
+from dqforge.optimizer.waveforms.salient_reference import largest_torque
 
 _TORQUES = 65
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Ladder:
+    """Torques from 0 to the largest in N m, shape (T,), and the phase currents in A that make them
+    and their negatives, shape (2 T, 3, N).
+    """
+
+    torques: FloatArray
+    currents: FloatArray
+
+
+def dq_currents(machine: SalientPhaseMachine, choice: CurrentChoice) -> Ladder:
+    """Constant dq currents of torques of both signs up to the current limit.
+
+    Parameters
+    ----------
+    machine:
+        The machine in phase quantities.
+    choice:
+        The dq currents of a torque.
+    """
+    torques = np.linspace(0.0, choice.largest_torque(), _TORQUES)
+    i_d, i_q = choice.currents(torques)
+    pairs = [
+        (float(d), sign * float(q)) for sign in (1.0, -1.0) for d, q in zip(i_d, i_q, strict=True)
+    ]
+    turns = machine.phases.turns
+    currents = np.stack([dq_waveform(i_d, i_q, machine.angles, turns) for i_d, i_q in pairs])
+    return Ladder(torques, currents)
+
+
+def table_currents(machine: SalientPhaseMachine, limits: WaveformLimits) -> Ladder:
+    """Currents of constant torque at least copper loss, of both signs up to the current limit.
+
+    Parameters
+    ----------
+    machine:
+        The machine in phase quantities.
+    limits:
+        With the topology and the current limit.
+
+    Raises
+    ------
+    NoSolutionError
+        Constant torque cannot be made at some angle.
+    """
+    torques = np.linspace(0.0, largest_torque(machine, limits), _TORQUES)
+    both = np.concatenate([torques, -torques])
+    return Ladder(torques, pointwise_currents(machine, both, limits.topology))
+
+
 def salient_torques(
-    machine: SalientPhaseMachine, choice: CurrentChoice, topology: Topology, margin: float
+    machine: SalientPhaseMachine, ladder: Ladder, topology: Topology, margin: float
 ) -> Largest:
-    """Largest torques that the link permits, of constant dq currents.
+    """Largest torques that the link permits.
 
     The reluctance torque makes the currents no multiple of the torque: a ladder of torques is
     judged, and the last one counts that is permitted with all below it.
@@ -27,26 +82,19 @@ def salient_torques(
     ----------
     machine:
         The machine in phase quantities.
-    choice:
-        The dq currents of a torque.
+    ladder:
+        Torques and their currents.
     topology:
         How the phases are fed.
     margin:
         Share of the region that is left free, of 0 to 1.
     """
-    torque_max = choice.largest_torque()
-    torques = np.linspace(0.0, torque_max, _TORQUES)
-    i_d, i_q = choice.currents(torques)
-    pairs = [
-        (float(d), sign * float(q)) for sign in (1.0, -1.0) for d, q in zip(i_d, i_q, strict=True)
-    ]
-    turns = machine.phases.turns
-    currents = np.stack([dq_waveform(i_d, i_q, machine.angles, turns) for i_d, i_q in pairs])
+    torques, currents = ladder.torques, ladder.currents
     low, high, rows = _region(topology, margin)
     part = _part(machine)
     # Voltages are straight in the speed: one set at rest and one per speed tell all.
-    at_rest = machine.voltage(currents, np.zeros(len(pairs)))
-    per_speed = machine.voltage(currents, np.ones(len(pairs))) - at_rest
+    at_rest = machine.voltage(currents, np.zeros(len(currents)))
+    per_speed = machine.voltage(currents, np.ones(len(currents))) - at_rest
     still, moving = (np.einsum("rk,jkn->jrn", rows, v[..., :part]) for v in (at_rest, per_speed))
     low, high = low[:, np.newaxis], high[:, np.newaxis]
 
@@ -61,53 +109,6 @@ def salient_torques(
             count = _TORQUES if both.all() else int(np.argmin(both))
             found[place] = torques[max(count - 1, 0)]
         return found
-
-    return largest
-
-
-def table_torques(
-    machine: SalientPhaseMachine,
-    unit: FloatArray,
-    torque_max: float,
-    topology: Topology,
-    margin: float,
-) -> Largest:
-    """Largest torques that the link permits, of currents in proportion to the torque.
-
-    Voltages are straight in the torque at every angle, as without saliency, but with the machine's
-    own inductances.
-
-    Parameters
-    ----------
-    machine:
-        The machine in phase quantities.
-    unit:
-        Currents of the phases per torque in A/(N m) at its angles, shape (3, N).
-    torque_max:
-        Largest torque of the current limit in N m.
-    topology:
-        How the phases are fed.
-    margin:
-        Share of the region that is left free, of 0 to 1.
-    """
-    low, high, rows = _region(topology, margin)
-    none = np.zeros_like(unit)
-    emf, at_rest = machine.voltage(none, np.array(1.0)), machine.voltage(unit, np.array(0.0))
-    per_speed = machine.voltage(unit, np.array(1.0)) - at_rest - emf
-    start, still, moving = ((rows @ v)[:, : _part(machine)] for v in (emf, at_rest, per_speed))
-
-    def largest(omega_e: FloatArray, v_dc: float) -> FloatArray:
-        found = np.full(omega_e.size, torque_max)
-        if v_dc <= 0.0:
-            return np.zeros_like(omega_e)
-        for sense in (1.0, -1.0):
-            omega = sense * omega_e[:, np.newaxis, np.newaxis]
-            slope = np.maximum(np.abs(still + omega * moving), 1e-12)
-            above = high[:, np.newaxis] * v_dc - omega * start
-            below = omega * start - low[:, np.newaxis] * v_dc
-            ends = np.minimum(above, below) / slope
-            found = np.minimum(found, np.min(ends, axis=(1, 2)))
-        return np.asarray(np.maximum(found, 0.0))
 
     return largest
 

@@ -49,10 +49,10 @@ def advice_lines(advice: Advice) -> list[str]:
     row = advice.row
     if row is None:
         return ["flash none of these here: no row keeps the voltage and the current of the design"]
-    return [_first(row, advice.dq_ripple), *(_traded(trade) for trade in advice.trades)]
+    return [_first(row, advice), *(_traded(trade) for trade in advice.trades)]
 
 
-def _first(row: FlashRow, dq_ripple: float) -> str:
+def _first(row: FlashRow, advice: Advice) -> str:
     known = row.ripple_known
     ripple = math.nan if known is None else known.plain
     bridge = "" if math.isnan(row.bridge) else f" and {watts(row.bridge)} in the inverter"
@@ -63,7 +63,9 @@ def _first(row: FlashRow, dq_ripple: float) -> str:
     )
     kept = f"torque ripple {percent(ripple)}"
     if row.frame != "dq":
-        kept += f", {percent(dq_ripple)} with dq"
+        kept += f", {percent(advice.dq_ripple)} with dq"
+        if advice.dq_saved > WORTH * row.losses:
+            kept += f", which loses {watts(advice.dq_saved)} less"
     lost = f"{watts(row.copper)} of copper{bridge}"
     return f"flash {TOPOLOGY_TEXT[row.topology]}, {control}: {lost}, {kept}"
 

@@ -15,9 +15,8 @@ from dqforge.optimizer.flashing_choice.choices import FlashRow
 from dqforge.optimizer.flashing_choice.solve import FlashComparison
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.numbers import float_literal
-from dqforge.reports.main_header.header import header_files
+from dqforge.reports.flashing_choice.row_files import files_with_control
 from dqforge.reports.pages.templating import render
-from dqforge.reports.phase_control.header import phase_control_files
 from dqforge.reports.verification.measured_cost import cost_on_target
 
 _SAMPLES = 40
@@ -63,7 +62,7 @@ def _cycles(solution: Solution, found: FlashComparison, row: FlashRow) -> tuple[
             "midpoint": TOPOLOGIES[row.topology].midpoint,
         },
     )
-    files = header_files(solution) | phase_control_files(solution, row.control)
+    files = files_with_control(solution, row.control)
     sources = files | {"control_sample.h": sample.encode("ascii")}
     torques = np.full(_SAMPLES, found.torque, dtype=np.float32)
     core = solution.design.fit.core

@@ -28,8 +28,7 @@ from dqforge.optimizer.flashing_choice.choices import (
 )
 from dqforge.optimizer.flashing_choice.solve import FlashComparison
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.main_header.header import header_files
-from dqforge.reports.phase_control.header import phase_control_files
+from dqforge.reports.flashing_choice.row_files import files_with_control
 from dqforge.reports.simulation.compiled_plant import simulate_many, simulator
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import Summary
@@ -93,7 +92,7 @@ def _row(solution: Solution, found: FlashComparison, row: FlashRow) -> RippleFig
         design.inverter, topology=row.topology, midpoint_capacitance=found.capacitance
     )
     drive = Drive(design.machine, inverter, design.control.t_s, 10, design.phase_machine)
-    files = header_files(solution) | phase_control_files(solution, control)
+    files = files_with_control(solution, control)
     runs = [
         (drive, scenario, b"") for scenario in _scenarios(found, row, design.machine.pole_pairs)
     ]

@@ -81,8 +81,10 @@ def flash_tables(design: Design, found: FlashComparison, advice: Advice) -> list
     notes = [
         *advice_lines(advice),
         *_fault(found),
-        f"torque ripple, peak to peak of the means over a PWM period, {by}, with a dead time of "
-        f"{1e6 * design.inverter.dead_time:.3g} us; table: with harmonic integrators",
+        (
+            f"torque ripple, peak to peak of the means over a PWM period, {by}, with a dead time "
+            f"of {1e6 * design.inverter.dead_time:.3g} us; table: with harmonic integrators"
+        ),
     ]
     if found.uncounted:
         notes.append(f"no cycles: {found.uncounted}")
@@ -116,9 +118,11 @@ def _fault(found: FlashComparison) -> list[str]:
     if price is None:
         return []
     return [
-        "with a phase open a star's torque vanishes twice a period; with a neutral it stays "
-        f"constant for {price.copper:.3g} times the copper, and the neutral's leg carries "
-        f"{price.neutral:.2g} times the phase peak"
+        (
+            "with a phase open a star's torque vanishes twice a period; with a neutral it stays "
+            f"constant for {price.copper:.3g} times the copper, and the neutral's leg carries "
+            f"{price.neutral:.2g} times the phase peak"
+        )
     ]
 
 
@@ -165,6 +169,7 @@ def plain_flash(found: FlashComparison, advice: Advice) -> PlainData:
         "rows": rows,
         "flash": None if chosen is None else {"topology": chosen.topology, "frame": chosen.frame},
         "dq_ripple": advice.dq_ripple,
+        "dq_saved_W": advice.dq_saved,
         "trades": trades,
         "words": [*advice_lines(advice), *_fault(found)],
         "unsimulated": found.unsimulated,

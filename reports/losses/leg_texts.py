@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dqforge.optimizer.losses.phase_budget import PhaseBudget
+from dqforge.optimizer.losses.leg_budgets import PhaseBudget
 from dqforge.optimizer.losses.point_comparison import LossComparison
 from dqforge.reports.pages.labels import three_decimals
 from dqforge.reports.plain_data import PlainData

@@ -26,10 +26,10 @@ from dqforge.reports.pages.table import Table
 from dqforge.reports.phase_control.fixed_phase_header import (
     phase_fixed_files,
     phase_fixed_programme,
-    phase_integers_from,
     plain_phase_evidence,
     plain_phase_integers,
 )
+from dqforge.reports.phase_control.fixed_phase_reading import phase_integers_from
 from dqforge.reports.phase_control.fixed_phase_tables import phase_fixed_html, phase_fixed_tables
 from dqforge.reports.plain_data import PlainData
 

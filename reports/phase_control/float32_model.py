@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dqforge.machines.transforms import Pair, Triple, clarke, park, park_inverse
 from dqforge.optimizer.current_reference.forms import FloatReference
 from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.waveforms.firmware_form import PhaseReference
 from dqforge.reports.c_code.float32_functions import SINGLE, rotation, wrap
 from dqforge.reports.control.float32_model import speed_loop, three_leg_duties
 from dqforge.reports.phase_control.float32_duties import (
@@ -137,6 +138,8 @@ class PhaseControlModel:
         Link voltage in V at which those speeds are the drive's; None where they are at any.
     limited:
         Currents beyond those in proportion to the torque, None without.
+    waveform:
+        Currents over torque and angle, None where they are in proportion to the torque.
     """
 
     structure: Structure
@@ -146,6 +149,7 @@ class PhaseControlModel:
     limit: tuple[SingleArray, SingleArray, SingleArray] | None = None
     v_nominal: np.float32 | None = None
     limited: LimitedTable | None = None
+    waveform: PhaseReference | None = None
 
     def _sample(self, measured: SingleArray) -> _Sample:
         columns = [np.ascontiguousarray(column) for column in measured.T]
@@ -181,7 +185,9 @@ class PhaseControlModel:
         """Currents in A that belong to an angle."""
         made, opened = self.structure, state.open != 0
         one = np.ones_like(torque)
-        if made.by_torque:
+        if self.waveform is not None:
+            found = self._waveform(state, sample, place, turn, reference, torque)
+        elif made.by_torque:
             fade = self.gains["fade_end"] - (self.gains["fade"] * np.abs(sample.omega_e))
             fade = np.where(fade > _ONE, _ONE, np.where(fade > _ZERO, fade, _ZERO))
             fade = np.where(opened, _ONE, fade) if made.neutral else fade
@@ -209,6 +215,29 @@ class PhaseControlModel:
             return found
         balance = self.gains["balance"] * (sample.v_m - (_HALF * sample.v_dc))
         return balanced(found, self._shape(state, place), balance, state.open)
+
+    def _waveform(
+        self,
+        state: PhaseControlState,
+        sample: _Sample,
+        place: SingleArray,
+        turn: Turn,
+        reference: Singles,
+        torque: SingleArray,
+    ) -> Stationary:
+        """Currents in A of the header of phase currents; of the shape where a phase is open."""
+        assert self.waveform is not None
+        phase = Triple(*self.waveform.currents(torque, (turn[1], turn[0])))
+        plane, d = clarke(SINGLE, phase), reference[0]
+        zero = self._zero_share(state, sample) * mean_of_phases(phase)
+        found = Stationary(plane.x + (d * turn[0]), plane.y + (d * turn[1]), zero)
+        if not self.structure.neutral:
+            return found
+        none, one = np.zeros_like(torque), np.ones_like(torque)
+        shape = self._shape(state, place)
+        other = reference_at(self.gains, shape, turn, torque, none, one, one)
+        opened = state.open != 0
+        return Stationary(*(np.where(opened, a, b) for a, b in zip(other, found, strict=True)))
 
     def _zero_share(self, state: PhaseControlState, sample: _Sample) -> SingleArray:
         """Share of the shape's zero sequence in the references."""

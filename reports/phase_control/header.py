@@ -9,6 +9,7 @@ import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl
 from dqforge.optimizer.solution import Solution
@@ -85,7 +86,10 @@ def plain_solution_control(solution: Solution, control: PhaseControl) -> PlainDa
             "export.control: float32 control needs current references in float32; write "
             f"fit.format: float32, or export.control: {solution.fit.reference.format}"
         )
-    return plain_phase_control(control, surroundings(solution))
+    by_waveform = control.frame == "table" and isinstance(
+        solution.design.phase_machine, SalientPhaseMachine
+    )
+    return plain_phase_control(control, surroundings(solution), by_waveform=by_waveform)
 
 
 def _gain_lines(plain: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -129,6 +133,8 @@ def header_context(plain: Mapping[str, Any]) -> dict[str, Any]:
         "shaped": acts or made.by_torque or made.neutral,
         "turning": not made.follows or bool(ascending) or made.feedforward == "references",
         "salient": made.salient,
+        "by_waveform": made.by_waveform,
+        "proportional": made.proportional,
         "modulator": MODULATORS[made.modulation],
         "turns": made.turns,
         "per_rad": shortest(turns_per_rad(made.turns)),

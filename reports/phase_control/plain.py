@@ -24,6 +24,7 @@ from dqforge.reports.phase_control.float32_limited import limited_from, plain_li
 from dqforge.reports.phase_control.float32_model import PhaseControlModel
 from dqforge.reports.phase_control.structure import Structure
 from dqforge.reports.plain_data import PlainData, shortest
+from dqforge.reports.waveforms.float32_model import phase_reference_from
 
 PIS = ("d", "q", "zero", "speed")
 
@@ -157,8 +158,12 @@ def _require(control: PhaseControl) -> None:
         raise InputError(f"{control.topology}: gains of the midpoint belong to split-capacitor")
 
 
-def plain_phase_control(control: PhaseControl, around: Surroundings) -> PlainData:
+def plain_phase_control(
+    control: PhaseControl, around: Surroundings, *, by_waveform: bool = False
+) -> PlainData:
     """The emitted control as plain data; every number is a float32 value.
+
+    ``by_waveform`` says that the references are those of the header of phase currents.
 
     Raises
     ------
@@ -185,6 +190,7 @@ def plain_phase_control(control: PhaseControl, around: Surroundings) -> PlainDat
         "topology": control.topology,
         "modulation": around.modulation,
         "turns": control.shape.turns,
+        "by_waveform": by_waveform,
         "ratio": around.ratio,
         "plane": [] if harmonics is None else list(harmonics.plane),
         "zero_orders": list(harmonics.zero) if harmonics is not None and neutral else [],
@@ -229,6 +235,7 @@ def structure_of(plain: Mapping[str, Any]) -> Structure:
         whole["turns"], whole["ratio"], orders["plane"], orders["zero_orders"],
         plain["torque_limit"] is not None,
         plain["l_d"] != plain["l_q"],
+        bool(plain.get("by_waveform", False)),
     )  # fmt: skip
     if (found.zero or found.frame == "dqy") and not found.neutral:
         raise ValueError
@@ -265,6 +272,7 @@ def phase_control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -
         beyond = described.get("limited")
         limited = None if beyond is None else limited_from(beyond, shape.shape)
         reference = None if structure.by_torque else from_plain(whole["header"]["reference"])
+        waveform = phase_reference_from(whole["waveform_header"]) if structure.by_waveform else None
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise _FAULT from error
     rows, columns = shape.shape if shape.ndim == 2 else (0, 0)
@@ -275,7 +283,7 @@ def phase_control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -
         raise _FAULT
     if nominal is not None and not nominal > 0.0:
         raise _FAULT
-    return PhaseControlModel(structure, gains, shape, reference, table, nominal, limited)
+    return PhaseControlModel(structure, gains, shape, reference, table, nominal, limited, waveform)
 
 
 def _limit_from(limit: Mapping[str, Any]) -> tuple[SingleArray, SingleArray, SingleArray]:

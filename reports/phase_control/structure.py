@@ -26,6 +26,8 @@ class Structure:
         Whether the torque is limited by a table.
     salient:
         Whether the inductances of d and q differ.
+    by_waveform:
+        Whether the references are those of the header of phase currents, over torque and angle.
     """
 
     frame: CurrentFrame
@@ -38,6 +40,7 @@ class Structure:
     zero: tuple[int, ...] = ()
     torque_limit: bool = False
     salient: bool = False
+    by_waveform: bool = False
 
     @property
     def neutral(self) -> bool:
@@ -63,6 +66,11 @@ class Structure:
     def by_torque(self) -> bool:
         """Whether the references follow the back-EMF."""
         return self.frame != "dq"
+
+    @property
+    def proportional(self) -> bool:
+        """Whether the references are the back-EMF times what makes the torque."""
+        return self.by_torque and not self.by_waveform
 
     @property
     def follows(self) -> bool:

@@ -30,6 +30,7 @@ from dqforge.reports.simulation.compiled_plant import require_compiler, simulate
 from dqforge.reports.simulation.number_format import SIMULATED, not_simulated
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import PhaseRecord, Simulation, Summary
+from dqforge.reports.waveforms.header import waveform_files
 
 SETTLED = 0.02
 
@@ -148,6 +149,8 @@ def controller_files(solution: Solution) -> dict[str, bytes]:
         The current references are in fixed point.
     """
     files = header_files(solution) | emitted_control_files(solution) | observers_of(solution)[0]
+    if solution.phases is not None:
+        files |= waveform_files(solution.design, solution.phases)
     return (
         files
         if solution.weakening is None

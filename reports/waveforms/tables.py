@@ -187,13 +187,17 @@ def _open_phase_notes(comparison: WaveformComparison) -> list[str]:
     if found is None:
         return []
     return [
-        f"phase {found.phase} open, constant torque: copper {found.copper:.3g} times and phase "
-        f"peak {found.peak:.3g} times those of dqy with all three; neutral "
-        f"{found.neutral_rms:.3g} A r.m.s., {found.neutral_peak:.3g} A peak, "
-        f"{found.neutral:.2g} times the phase peak before",
-        f"phase {found.phase} open: {100.0 * found.torque_at_peak:.0f} % of the torque is left "
-        f"with the same phase peak, {100.0 * found.torque_at_copper:.0f} % with the same copper "
-        "loss",
+        (
+            f"phase {found.phase} open, constant torque: copper {found.copper:.3g} times and phase "
+            f"peak {found.peak:.3g} times those of dqy with all three; neutral "
+            f"{found.neutral_rms:.3g} A r.m.s., {found.neutral_peak:.3g} A peak, "
+            f"{found.neutral:.2g} times the phase peak before"
+        ),
+        (
+            f"phase {found.phase} open: {100.0 * found.torque_at_peak:.0f} % of the torque is left "
+            f"with the same phase peak, {100.0 * found.torque_at_copper:.0f} % with the same "
+            "copper loss"
+        ),
     ]
 
 

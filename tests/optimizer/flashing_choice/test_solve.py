@@ -124,12 +124,19 @@ def test_a_point_at_rest_is_refused() -> None:
             compare_flashing(replace(drive, waveform=still))
 
 
-def test_a_salient_machine_has_dq_alone() -> None:
-    """Its other frames are refused with the reason; dq is flashed where the link permits it."""
+def test_a_salient_machine_has_dq_and_the_table() -> None:
+    """Its other frames are refused with the reason. The table makes no use of the saliency: it is
+    smoother than dq, whose MTPA loses less, and that is said.
+    """
     drive = catalogue.load("salient-phase-waveforms")
     drive = replace(drive, inverter=replace(drive.inverter, v_dc=250.0, topology="four-leg"))
     found = compare_flashing(drive)
     advice = advise(found)
-    assert "inductances that do not vary" in found.row("three-wire", "table").obstacle
-    assert advice.row is not None
-    assert (advice.row.topology, advice.row.frame) == ("three-wire", "dq")
+    assert "inductances that do not vary" in found.row("three-wire", "dqx").obstacle
+    plain, table = (found.row("three-wire", frame) for frame in ("dq", "table"))
+    assert advice.row is table
+    assert table.losses > plain.losses
+    assert advice.dq_saved == pytest.approx(table.losses - plain.losses)
+    assert plain.ripple is not None
+    assert table.ripple is not None
+    assert table.ripple.plain < plain.ripple.plain

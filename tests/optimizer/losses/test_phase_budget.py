@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from phase_shapes import FUNDAMENTAL_P, paper_machine, trapezoid_machine
 
-from dqforge.machines.arrays import FloatArray
+from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.devices.switch import SwitchDevice
@@ -24,7 +24,8 @@ from dqforge.machines.names import ModulationName, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions, drive_budget
-from dqforge.optimizer.losses.phase_budget import PhaseBudget, phase_budget
+from dqforge.optimizer.losses.leg_budgets import PhaseBudget
+from dqforge.optimizer.losses.phase_budget import phase_budget
 from dqforge.optimizer.waveforms.phase_currents import CurrentRule, dq_waveform, unit_currents
 
 OMEGA_M = 750.0 * np.pi / 30.0
@@ -192,7 +193,7 @@ def switched_losses(topology: Topology, torque: float, inverter: Inverter) -> Sw
     )
 
 
-def _capacitor_square(topology: Topology, high: FloatArray, current: FloatArray) -> float:
+def _capacitor_square(topology: Topology, high: BoolArray, current: FloatArray) -> float:
     """Of two isolated links both together; of two halves in series half of each."""
     if topology == "six-leg-isolated":
         links = [np.sum((high * current)[part], axis=0) for part in (slice(0, 3), slice(3, 6))]

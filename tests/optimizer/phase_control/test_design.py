@@ -10,14 +10,13 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.errors import DqforgeError, NoSolutionError
 from dqforge.machines.names import Topology
-from dqforge.machines.phase_machines.frame_choice import reluctance_gain
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.phase_control.design import PhaseLoops
 from dqforge.optimizer.phase_control.harmonic_orders import harmonic_orders
 from dqforge.optimizer.phase_control.midpoint_balance import midpoint_gains
 from dqforge.optimizer.phase_control.torque_limit import limit_at
-from dqforge.optimizer.waveforms.phase_currents import dq_waveform
+from dqforge.optimizer.waveforms.pointwise_currents import pointwise_currents
 
 P = "paper002-phase-waveforms"
 
@@ -100,21 +99,20 @@ def test_saliency_keeps_both_inductances(frame: str) -> None:
     assert at[1] < 0.7 * found.torque_max
 
 
-def test_a_table_makes_constant_torque_on_a_salient_machine() -> None:
-    """Currents along the back-EMF make next to no reluctance torque; constant dq currents 4 %."""
-    machine = design(drive="salient-phase-waveforms").phase_machine
+def test_the_table_of_a_salient_machine_goes_to_the_current_limit_at_least_loss() -> None:
+    """Currents of least loss make reluctance torque, those along the back-EMF next to none."""
+    made = design(drive="salient-phase-waveforms")
+    machine, i_max = made.phase_machine, made.i_max
     assert isinstance(machine, SalientPhaseMachine)
-    currents = 3.0 * machine.flux / (2.0 * np.sum(machine.flux**2, axis=0))
+    along = machine.flux / (2.0 * np.sum(machine.flux**2, axis=0))
+    found = loops("control.current_loop.frame=table", drive="salient-phase-waveforms").control
+    currents = pointwise_currents(machine, np.array([found.torque_max]), "four-leg")
+    assert np.max(np.abs(currents)) == pytest.approx(i_max, rel=1e-3)
     torque = machine.torque(currents)
-    assert np.mean(torque) == pytest.approx(3.0, rel=1e-9)
-    assert np.ptp(torque) < 1e-3 * 3.0
-    constant = machine.torque(dq_waveform(0.0, 5.0, machine.angles))
-    assert np.ptp(constant) > 0.03 * np.mean(constant)
-    # Torque of the saliency at the limit: the best of all angles of a current of that length.
-    i_max, psi, l_d, l_q = machine.phases.i_max, 0.2, 5.3e-3, 10.7e-3
-    turn = np.linspace(0.0, 1.5, 100_000)
-    best = np.max(psi * np.cos(turn) + (l_q - l_d) * i_max * np.sin(turn) * np.cos(turn))
-    assert reluctance_gain(machine) == pytest.approx(best / psi - 1.0, abs=1e-5)
+    assert np.mean(torque) == pytest.approx(found.torque_max, rel=1e-9)
+    assert np.ptp(torque) < 1e-6 * found.torque_max
+    copper = [machine.copper_loss(x) for x in (currents[0], found.torque_max * along)]
+    assert copper[0] < 0.99 * copper[1]
 
 
 def test_one_gain_is_refused_from_the_ratio_of_the_page_on() -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from decaying_currents import SampledDrive, decay_per_sample
-from phase_drives import T_S
+from phase_drives import T_S, plain_control
 from phase_loops import (
     HARMONICS,
     INDUCTANCES,
@@ -21,6 +21,7 @@ from phase_loops import (
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.loops.plants import current_loop
 from dqforge.optimizer.phase_control.floquet import OFF_NODES, STARTS, radius, whole_samples
 from dqforge.optimizer.phase_control.periodic_step import PhasePlants, loop_state
@@ -227,6 +228,24 @@ def test_a_split_link_oscillates_against_its_inductance_as_the_radius_says() -> 
     slow = replace(page_control(topology="split-capacitor"), midpoint=MidpointGains(0.02, 10.0))
     decay = -np.log(radius(slow, plants_of(slow, 1.0, 4e-3), speed_of(40))[0]) / T_S
     assert decay == pytest.approx(3.0 * 0.02 / 4e-3, rel=0.02)
+
+
+def test_the_balance_of_a_split_link_leaves_out_what_would_make_torque() -> None:
+    """With a third harmonic of 60 % that is a quarter of it: the midpoint returns slower by it."""
+    machine = PhaseMachine.from_harmonics(
+        [1, 3], [0.2, 0.12], [0.0, 0.0], pole_pairs=2, r_s=1.0, l_s=7e-3, m_s=-1e-3, i_max=6.0,
+        angles=360,
+    )  # fmt: skip
+    control = plain_control(
+        machine, "split-capacitor", midpoint=MidpointGains(0.02, 10.0), harmonics=None
+    )
+    _compare(replace(control, midpoint=MidpointGains(0.5, 10.0)), 24, 1200, 2e-4)
+    angle = 2.0 * np.pi * np.arange(3600) / 3600
+    zero = (0.12 * np.sin(3.0 * angle)) ** 2
+    kept = np.mean(1.0 - 3.0 * zero / (1.5 * 0.2**2 + 3.0 * zero))
+    assert kept == pytest.approx(0.76, abs=0.01)
+    decay = -np.log(radius(control, plants_of(control, 1.0, 4e-3), speed_of(40))[0]) / T_S
+    assert decay == pytest.approx(kept * 3.0 * 0.02 / 4e-3, rel=0.02)
 
 
 @pytest.mark.thinned

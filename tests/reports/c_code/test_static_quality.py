@@ -26,15 +26,18 @@ from dqforge.machines.design.settings import (
     WeakeningSettings,
 )
 from dqforge.machines.names import ModulationName, WaveformForm
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.field_weakening.solve import solve_weakening
 from dqforge.optimizer.fixed_control.design import fit_control
+from dqforge.optimizer.frame_tables.fit import fit_frames
 from dqforge.optimizer.modulation_choice.rule import Leaf, Question, Rule, SimplifiedChoice
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.optimizer.waveforms.solve import solve_phases
 from dqforge.reports.control.fixed_header import control_fixed_files
 from dqforge.reports.control.header import control_files
 from dqforge.reports.field_weakening.header import weakening_files
+from dqforge.reports.frame_tables.header import frame_files
 from dqforge.reports.loops.header import gains_files
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.modulation_choice.header import rule_header
@@ -93,6 +96,8 @@ def headers() -> dict[str, dict[str, bytes]]:
     for form in forms:
         shaped = replace(design, waveform=WaveformSettings(form=form))
         found[f"waveform {form}"] = waveform_files(shaped, solve_phases(shaped))
+    assert isinstance(design.phase_machine, PhaseMachine)
+    found["frames"] = frame_files(design, fit_frames(design.phase_machine, 5e-3))
     salient = catalogue.load("salient-phase-waveforms")
     for name, open_phase in (("equal phases", None), ("open phase", "a")):
         settings = WaveformSettings(open_phase=open_phase)  # type: ignore[arg-type]
@@ -174,6 +179,18 @@ def fixed_headers(solution: Solution) -> dict[str, dict[str, bytes]]:
     return found
 
 
+FRAMES_MAIN = """#include "drive_frames.h"
+int main(void)
+{
+    const drive_frames_t frames = drive_frames(0.25F);
+    float v_d;
+    float v_q;
+    float v_0;
+
+    drive_decoupling(&frames, 100.0F, 0.0F, 1.0F, 0.0F, &v_d, &v_q, &v_0);
+    return (v_q > 0.0F) ? 0 : 1;
+}
+"""
 CONTROL_MAIN = """#include "drive_control.h"
 int main(void)
 {
@@ -213,7 +230,8 @@ def written(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
         f'#include "{part}_vectors.h"\nint main(void)\n{{\n    return ({call}() == 0U) ? 0 : 1;\n'
         "}\n"
     )
-    (tmp_path / "main.c").write_text(CONTROL_MAIN if kind == "control" else main, encoding="ascii")
+    main = {"control": CONTROL_MAIN, "frames": FRAMES_MAIN}.get(kind, main)
+    (tmp_path / "main.c").write_text(main, encoding="ascii")
     return tmp_path, name
 
 

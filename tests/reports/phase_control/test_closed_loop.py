@@ -85,7 +85,7 @@ def settled(
 
 
 def percent(values: FloatArray, points: Sequence[tuple[float, float]]) -> FloatArray:
-    return 100.0 * values / np.array([torque for _, torque in points])
+    return np.asarray(100.0 * values / np.array([torque for _, torque in points]))
 
 
 @pytest.mark.parametrize("topology", ["four-leg", "six-leg", "split-capacitor", "three-wire"])

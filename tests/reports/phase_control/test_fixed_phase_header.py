@@ -21,9 +21,9 @@ from dqforge.reports.main_header.header import header_files
 from dqforge.reports.phase_control.fixed_phase_header import (
     phase_fixed_files,
     phase_fixed_programme,
-    phase_integers_from,
     plain_phase_integers,
 )
+from dqforge.reports.phase_control.fixed_phase_reading import phase_integers_from
 from dqforge.reports.verification.host import verify_files
 
 P, Z = near_sinusoidal(96), trapezoidal(96)

@@ -18,6 +18,7 @@ from dqforge.optimizer.solution import solve
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.phase_control.header import phase_control_files
 from dqforge.reports.simulation.compiled_plant import simulate_many, simulator
+from dqforge.reports.simulation.design_run import controller_files
 from dqforge.reports.simulation.plant_input import Drive
 
 P = "paper002-phase-waveforms"
@@ -91,8 +92,9 @@ def test_a_salient_machine_runs_on_the_table() -> None:
         drive = Drive(
             design.machine, design.inverter, design.control.t_s, phases=design.phase_machine
         )
-        files = header_files(solution) | phase_control_files(solution, loops.control)
-        with simulator(files, design.export.prefix, topology="four-leg") as program:
+        with simulator(
+            controller_files(solution), design.export.prefix, topology="four-leg"
+        ) as program:
             found[frame] = simulate_many(program, [(drive, scenario, b"")], tail=0.3)
         assert found[frame].tail_torque[0] == pytest.approx(3.0, rel=3e-3)
     assert found["table"].tail_ripple_means[0] < 0.012

@@ -74,13 +74,13 @@ def test_frames_of_differing_pole_pairs(
 
 
 @pytest.mark.slow
-def test_a_salient_machine_runs_on_constant_dq_currents() -> None:
-    """The library drive: 1 and 3 N m with the ripple of its harmonics, 3 N m of it by reluctance
-    too.
+def test_a_salient_machine_runs_on_a_table_over_the_angle() -> None:
+    """The library drive at 1 and 3 N m, of which reluctance makes a part; constant dq currents
+    ripple by 4 %.
     """
     run = simulate_design(catalogue.load("salient-phase-waveforms")).run
     turn = 60.0 / 750.0
-    for end, torque, ripple in ((0.3, 1.0, 0.039), (0.6, 3.0, 0.041)):
+    for end, torque, ripple in ((0.3, 1.0, 0.008), (0.6, 3.0, 0.004)):
         made = run.torque[(run.t > end - 2.0 * turn) & (run.t < end)]
         assert np.mean(made) == pytest.approx(torque, rel=2e-3)
-        assert np.ptp(made) / torque == pytest.approx(ripple, abs=0.005)
+        assert np.ptp(made) / torque < ripple

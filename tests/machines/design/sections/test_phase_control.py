@@ -91,7 +91,7 @@ def test_the_frame_and_its_reason_are_said() -> None:
     # L_q - L_d of 12 mH instead of 5.4 mH.
     strong = "machine.inductance_harmonics=[{order: 2, amplitude: -4 mH}]"
     wide = "machine.self_inductance=14 mH"
-    assert "frame is dq: the saliency makes" in remarks(strong, wide, drive=SALIENT)
+    assert "frame is table: the back-EMF" in remarks(strong, wide, drive=SALIENT)
     assert "frame is dq: the back-EMF's alpha-beta vector falls to" in remarks(
         FIFTH, "inverter.topology=three-wire"
     )
