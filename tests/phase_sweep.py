@@ -97,7 +97,9 @@ def swept(drawn: RandomMachine, topology: Topology) -> SweptDrive | Refusal:
     design, drive = random_design(drawn, topology), None
     machine, control = design.machine, design.control
     try:
-        i_q = tune_current_loop(machine.r_s, machine.l_q, control.t_s, control.current_loop, "i_q")
+        i_q = tune_current_loop(
+            machine.r_s, machine.l_q, control.t_s, control.current_loop, "i_q"
+        )
         found = phase_control(design, replace(i_q, loop="i_d"), i_q)
         drive = _at_its_point(drawn, design, found)
         nominal = (machine.l_d, machine.l_q)

@@ -119,7 +119,9 @@ def random_machine(seed: int) -> RandomMachine:
     )
 
 
-def _harmonics(rng: np.random.Generator, winding: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _harmonics(
+    rng: np.random.Generator, winding: str
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Orders, amplitudes over the fundamental's and phases of a back-EMF."""
     step = 1 if winding == "even" else 2
     top = int(rng.integers(3, 14))
