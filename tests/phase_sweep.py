@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,12 @@ import numpy as np
 from emitted_decay import EmittedLoop, compiled_loop
 from random_phase_drives import RandomMachine, random_design
 
-from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import DqforgeError
 from dqforge.machines.names import Topology
 from dqforge.machines.plants.scenario import InverterModel, Scenario, constant
 from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.loops.gains import tune_current_loop
 from dqforge.optimizer.loops.tolerance_box import drive_box
 from dqforge.optimizer.phase_control.design import (
@@ -28,9 +29,11 @@ from dqforge.optimizer.phase_control.design import (
     voltage_margin,
 )
 from dqforge.optimizer.phase_control.floquet import radius
-from dqforge.optimizer.phase_control.periodic_step import PhasePlants
+from dqforge.optimizer.phase_control.judged_box import SHARES
+from dqforge.optimizer.phase_control.periodic_step import PhasePlants, weight_of
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl, PhaseShape
 from dqforge.optimizer.phase_control.shape_table import resampled
+from dqforge.optimizer.phase_control.shape_vectors import reference_currents, torque_of
 from dqforge.optimizer.phase_control.torque_limit import largest_torques
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.main_header.header import header_files
@@ -42,7 +45,7 @@ from dqforge.reports.phase_control.plain import (
     PIS,
     structure_of,
 )
-from dqforge.reports.simulation.compiled_plant import Summary, simulate_many, simulator
+from dqforge.reports.simulation.compiled_plant import Simulator, Summary, simulate_many, simulator
 from dqforge.reports.simulation.plant_input import Drive
 
 NODES = (720, 1536)
@@ -56,16 +59,28 @@ ORDERS = {
 those of their design; of the others, who have any of some forty, as many as a design has at most.
 """
 
-TAIL = 0.75
-"""Share of a run after which its figures count."""
+KINDS = {
+    "torque": "beyond what the link permits",
+    "unstable": "the currents are unstable at",
+    "neutral mean": "have a mean in the neutral",
+    "frame": "the current for constant torque would grow without bound",
+    "zero loop": "i_0 loop",
+    "table": "no table of up to",
+}
+"""Reasons of refusals in short, and words of their messages."""
+
+PART = 0.06
+"""Least length in s of the last part of a run, of which its figures are; whole periods."""
+
+FADED = 0.01
+"""Weight of a harmonic integrator below which it moves nothing that a radius could show."""
 
 
 @dataclass(frozen=True, eq=False)
 class SweptDrive:
     """A design that was accepted, its control as it is emitted, and its point.
 
-    ``torque`` in N m; ``periods`` electrical periods of ``samples`` samples in all, at the
-    electrical speed ``omega_e`` in rad/s, are the last part of a run.
+    ``torque`` in N m; ``samples`` make whole periods at the electrical speed ``omega_e`` in rad/s.
     """
 
     drawn: RandomMachine
@@ -86,10 +101,15 @@ class SweptDrive:
 
 @dataclass(frozen=True, eq=False)
 class Refusal:
-    """Why a drive was refused, and the control that was, None where none was found."""
+    """Why a drive was refused, and what was: None where no control was found."""
 
     reason: str
     drive: SweptDrive | None
+
+    @property
+    def kind(self) -> str:
+        """The reason in short."""
+        return next(kind for kind, words in KINDS.items() if words in self.reason)
 
 
 def swept(drawn: RandomMachine, topology: Topology) -> SweptDrive | Refusal:
@@ -97,9 +117,7 @@ def swept(drawn: RandomMachine, topology: Topology) -> SweptDrive | Refusal:
     design, drive = random_design(drawn, topology), None
     machine, control = design.machine, design.control
     try:
-        i_q = tune_current_loop(
-            machine.r_s, machine.l_q, control.t_s, control.current_loop, "i_q"
-        )
+        i_q = tune_current_loop(machine.r_s, machine.l_q, control.t_s, control.current_loop, "i_q")
         found = phase_control(design, replace(i_q, loop="i_d"), i_q)
         drive = _at_its_point(drawn, design, found)
         nominal = (machine.l_d, machine.l_q)
@@ -111,9 +129,10 @@ def swept(drawn: RandomMachine, topology: Topology) -> SweptDrive | Refusal:
     return drive
 
 
-def permitted(drive: SweptDrive) -> float:
-    """Largest torque in N m at the drive's speed and link."""
-    omega, margin = np.array([abs(drive.omega_e)]), voltage_margin(drive.design)
+def permitted(drive: SweptDrive, margin: float | None = None) -> float:
+    """Largest torque in N m at the drive's speed and link, with the margin of its design."""
+    omega = np.array([abs(drive.omega_e)])
+    margin = voltage_margin(drive.design) if margin is None else margin
     return float(largest_torques(drive.control, omega, drive.design.inverter.v_dc, margin)[0])
 
 
@@ -130,11 +149,27 @@ def _at_its_point(drawn: RandomMachine, design: Design, found: PhaseLoops) -> Sw
         control, shape=PhaseShape(resampled(rows, size)), harmonics=harmonics, torque_limit=None
     )
     turn = 2.0 * math.pi / (abs(drawn.omega_e) * drawn.t_s)
-    periods = math.ceil(0.08 / (turn * drawn.t_s))
+    periods = math.ceil(PART / (turn * drawn.t_s))
     samples = round(periods * turn)
     omega_e = math.copysign(2.0 * math.pi * periods / (samples * drawn.t_s), drawn.omega_e)
     torque = drawn.share * control.torque_max
     return SweptDrive(drawn, design, control, torque, omega_e, samples)
+
+
+def sampled_torque(drive: SweptDrive) -> float:
+    """Mean torque in N m of currents that meet their references at the samples.
+
+    Between them they run along chords, which leaves sinc^2 of every order: of the fundamental
+    0.5 % less with 25 samples per period.
+    """
+    control, omega = drive.control, np.array(drive.omega_e)
+    turns = np.arange(NODES[0]) / NODES[0]
+    wanted = drive.torque * reference_currents(control, 2.0 * math.pi * turns, omega)
+    orders = np.fft.fftfreq(NODES[0], 1.0 / NODES[0])
+    left = np.sinc(orders * drive.omega_e * drive.drawn.t_s / (2.0 * math.pi)) ** 2
+    made = np.fft.ifft(left * np.fft.fft(wanted, axis=1), axis=1).real
+    flux = clarke_matrix() @ resampled(drive.drawn.machine.flux, NODES[0])
+    return float(np.mean(torque_of(flux, made, control.pole_pairs)))
 
 
 def gain_bytes(solution: Solution, control: PhaseControl) -> bytes:
@@ -169,48 +204,86 @@ def _run(drive: SweptDrive, inverter: InverterModel, lengths: int) -> tuple[Driv
         shaft=constant(omega_m),
         omega_m=omega_m,
         inverter=inverter,
-        dead_time=drawn.dead_time if inverter == "switched" else 0.0,
+        dead_time=0.0,
     )
     return Drive(design.machine, design.inverter, drawn.t_s, 1, drawn.machine), scenario
 
 
+@contextmanager
+def program(solution: Solution, drive: SweptDrive) -> Iterator[Simulator]:
+    """The compiled plant around the control of a drive, and of all that have its key."""
+    files = header_files(solution) | phase_control_files(solution, drive.control)
+    with simulator(files, solution.design.export.prefix, (), drive.control.topology) as compiled:
+        yield compiled
+
+
 def run(
     solution: Solution,
+    compiled: Simulator,
     drives: Sequence[SweptDrive],
     inverter: InverterModel = "averaged",
     lengths: int = 4,
 ) -> Summary:
-    """Figures of drives that have the same program; their last one of ``lengths`` parts counts."""
-    export, topology = solution.design.export, drives[0].control.topology
-    files = header_files(solution) | phase_control_files(solution, drives[0].control)
+    """Figures of drives; those of the last one of ``lengths`` parts count."""
     runs = [
         (*_run(drive, inverter, lengths), gain_bytes(solution, drive.control)) for drive in drives
     ]
     shapes = [shape_bytes(drive.control) for drive in drives]
-    with simulator(files, export.prefix, (), topology) as program:
-        return simulate_many(program, runs, tail=1.0 - 1.0 / lengths, shapes=shapes)
+    return simulate_many(compiled, runs, tail=1.0 - 1.0 / lengths, shapes=shapes)
+
+
+@dataclass(frozen=True, eq=False)
+class Decay:
+    """What is left of a disturbance per sample: as the loop is judged, and in time."""
+
+    radius: float
+    in_time: float
+
+
+def slowest_speed(drive: SweptDrive) -> float:
+    """Electrical speed in rad/s, of those that are judged, where the radius is the largest."""
+    top = drive.drawn.omega_e_max
+    speeds = [share * top for share in SHARES[1:]]
+    return max(speeds, key=lambda speed: expected_radius(drive, whole(drive, speed)[1]))
+
+
+def whole(drive: SweptDrive, omega_e: float) -> tuple[int, float]:
+    """Whole number of samples per period next to a speed in rad/s, and the speed that has it."""
+    t_s = drive.drawn.t_s
+    samples = min(max(10, round(2.0 * math.pi / (abs(omega_e) * t_s))), 2000)
+    return samples, 2.0 * math.pi / (samples * t_s)
+
+
+def expected_radius(drive: SweptDrive, omega_e: float) -> float:
+    """Radius per sample without orders that have all but faded."""
+    control, capacitance = drive.control, drive.design.inverter.midpoint_capacitance
+    harmonics = control.harmonics
+    if harmonics is not None:
+        plane, zero = (
+            tuple(m for m in part if weight_of(harmonics, m * omega_e / (2.0 * math.pi)) > FADED)
+            for part in (harmonics.plane, harmonics.zero)
+        )
+        control = replace(control, harmonics=replace(harmonics, plane=plane, zero=zero))
+    held = None if capacitance is None else np.array([capacitance])
+    r_s, l_d, l_q, l_0 = (np.array([size]) for size in (control.r_s, *control.inductances))
+    return float(radius(control, PhasePlants(r_s, l_d, l_q, l_0, np.ones(1), held), omega_e)[0])
 
 
 def decays(
-    folder: Path, solution: Solution, drives: Sequence[SweptDrive]
-) -> tuple[FloatArray, FloatArray]:
-    """Radius per sample, and what is left of a disturbance in time, of drives that have the same
-    program.
-    """
+    folder: Path, solution: Solution, drives: Sequence[SweptDrive], *, slowest: bool = False
+) -> list[Decay]:
+    """Decays of drives that have the same program, at their points or where they are slowest."""
     program = compiled_loop(folder, solution, drives[0].control)
-    found = [_decay(solution, program, drive) for drive in drives]
-    return np.array([pair[0] for pair in found]), np.array([pair[1] for pair in found])
+    speeds = [slowest_speed(drive) if slowest else drive.omega_e for drive in drives]
+    return [
+        _decay(solution, program, drive, speed) for drive, speed in zip(drives, speeds, strict=True)
+    ]
 
 
-def _decay(solution: Solution, program: EmittedLoop, drive: SweptDrive) -> tuple[float, float]:
-    """Both at the whole number of samples per period that is next to the drive's speed."""
+def _decay(solution: Solution, program: EmittedLoop, drive: SweptDrive, speed: float) -> Decay:
+    """Both at the whole number of samples per period that is next to a speed in rad/s."""
     control, t_s = drive.control, drive.drawn.t_s
-    samples = max(12, round(2.0 * math.pi / (abs(drive.omega_e) * t_s)))
-    omega = 2.0 * math.pi / (samples * t_s)
-    capacitance = drive.design.inverter.midpoint_capacitance or 1.0
-    held = np.array([capacitance]) if control.midpoint is not None else None
-    sizes = tuple(np.array([size]) for size in (control.r_s, *control.inductances))
-    expected = float(radius(control, PhasePlants(*sizes, np.ones(1), held), omega)[0])
+    samples, omega = whole(drive, speed)
     level = 0.05 * drive.design.i_max
     voltage = omega * control.psi_pm * 3.0 + 10.0 * level * max(g.kp for g in control.gains)
     loop = replace(
@@ -221,11 +294,12 @@ def _decay(solution: Solution, program: EmittedLoop, drive: SweptDrive) -> tuple
         v_dc=20.0 * voltage,
     )
     length = samples * max(1, round(12000 / samples))
-    few = samples < 40 and control.frame in ("dqx", "dqy")
-    starts = (0.382, 1.382, 2.382) if few else (0.382,)
-    plant = (control.r_s, *control.inductances, capacitance)
-    left = (
-        loop.decay(omega, plant, 1.0, 4000, length, start / len(starts) * omega * t_s)
-        for start in starts
-    )
-    return expected, max(left)
+    starts = 3 if samples < 40 and control.frame in ("dqx", "dqy") else 1
+    plant = (
+        control.r_s, *control.inductances, drive.design.inverter.midpoint_capacitance or 1.0
+    )  # fmt: skip
+    left = [
+        loop.decay(omega, plant, 1.0, 4000, length, (0.382 + start) / starts * omega * t_s)
+        for start in range(starts)
+    ]
+    return Decay(expected_radius(drive, omega), max(left))

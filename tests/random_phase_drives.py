@@ -43,6 +43,8 @@ class RandomMachine:
 
     Parameters
     ----------
+    seed:
+        The number that it was drawn by.
     machine:
         In phase quantities.
     winding:
@@ -60,11 +62,12 @@ class RandomMachine:
     swing:
         Peak to peak of a split link's midpoint at the point over the link voltage, as a rule.
     dead_time:
-        In s.
+        In s, which the design leaves room for.
     wish:
         Frame and feedforward.
     """
 
+    seed: int
     machine: PhaseMachine
     winding: str
     t_s: float
@@ -91,8 +94,8 @@ def random_machine(seed: int) -> RandomMachine:
     samples = min(least * _log(rng, 1.0, 30.0), 800.0)
     omega_e_max = 2.0 * math.pi / (least * t_s)
     psi, i_max = _log(rng, 0.003, 0.5), _log(rng, 2.0, 200.0)
-    # The zero sequence's inductance over that of the plane: from no coupling of the phases to nearly
-    # all of it; not so little that pulses alone would drive the current limit through a neutral.
+    # The zero sequence's inductance over that of the plane: from no coupling of phases to nearly
+    # all of it; not so little that pulses alone would make the current limit in a neutral.
     ratio = _log(rng, max(0.03, 2.5 / least), 1.0)
     mutual = (ratio - 1.0) / (ratio + 2.0)
     plane = _log(rng, 3.5 / (least * ratio), max(4.0 / (least * ratio), 0.6)) * psi / i_max
@@ -105,6 +108,7 @@ def random_machine(seed: int) -> RandomMachine:
     )  # fmt: skip
     beyond = rng.uniform() < 0.08
     return RandomMachine(
+        seed=seed,
         machine=machine,
         winding=winding,
         t_s=t_s,
@@ -119,9 +123,7 @@ def random_machine(seed: int) -> RandomMachine:
     )
 
 
-def _harmonics(
-    rng: np.random.Generator, winding: str
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _harmonics(rng: np.random.Generator, winding: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Orders, amplitudes over the fundamental's and phases of a back-EMF."""
     step = 1 if winding == "even" else 2
     top = int(rng.integers(3, 14))
@@ -134,8 +136,12 @@ def _harmonics(
     if winding != "unlike":
         return orders, sizes, lags
     unlike = 1.0 + 0.25 * rng.uniform(-1.0, 1.0, (3, orders.size))
-    turn = 2.0 * math.pi / 3.0 * np.arange(3)[:, np.newaxis] * orders
-    return orders, sizes * unlike, lags + turn + 0.1 * rng.standard_normal((3, orders.size))
+    thirds = 2.0 * math.pi / 3.0 * np.arange(3)[:, np.newaxis]
+    lags = lags + thirds * orders + 0.1 * rng.standard_normal((3, orders.size))
+    sizes = sizes * unlike
+    # The d axis lies where the positive sequence of the fundamental has it.
+    angle = np.angle(np.sum(sizes[:, 0] * np.exp(1j * (lags[:, 0] - thirds[:, 0]))))
+    return orders, sizes, lags - orders * angle
 
 
 @lru_cache(maxsize=1)
