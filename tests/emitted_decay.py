@@ -32,6 +32,9 @@ PHASES: dict[Topology, tuple[str, str, str]] = {
 }
 """Phase voltages over the link voltage, against half the link on the split one."""
 
+LINK = 6000.0
+"""V: so much that no voltage is shortened while currents are small, even at high speed."""
+
 SOURCE = """
 #include <math.h>
 #include <stdio.h>
@@ -182,7 +185,7 @@ class EmittedLoop:
     control: PhaseControl
     data: bytes = b""
     level: float = 0.3
-    v_dc: float = 6000.0
+    v_dc: float = LINK
 
     def decay(
         self, omega: float, plant: tuple[float, ...], factor: float, settle: int, samples: int,

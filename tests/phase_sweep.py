@@ -73,8 +73,8 @@ KINDS = {
 PART = 0.06
 """Least length in s of the last part of a run, of which its figures are; whole periods."""
 
-FADED = 0.01
-"""Weight of a harmonic integrator below which it moves nothing that a radius could show."""
+FADING = 0.3
+"""Weight of a harmonic integrator below which it learns so slowly that it may hide in time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,10 +235,18 @@ def run(
 
 @dataclass(frozen=True, eq=False)
 class Decay:
-    """What is left of a disturbance per sample: as the loop is judged, and in time."""
+    """What is left of a disturbance per sample: as the loop is judged, with and without the orders
+    that fade, which may hide, and in time.
+    """
 
     radius: float
+    unfaded: float
     in_time: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether time and judgement are the same within 1e-3."""
+        return self.unfaded - 1e-3 < self.in_time < self.radius + 1e-3
 
 
 def slowest_speed(drive: SweptDrive) -> float:
@@ -255,13 +263,13 @@ def whole(drive: SweptDrive, omega_e: float) -> tuple[int, float]:
     return samples, 2.0 * math.pi / (samples * t_s)
 
 
-def expected_radius(drive: SweptDrive, omega_e: float) -> float:
-    """Radius per sample without orders that have all but faded."""
+def expected_radius(drive: SweptDrive, omega_e: float, least: float = 0.0) -> float:
+    """Radius per sample with the orders that run with more than a weight."""
     control, capacitance = drive.control, drive.design.inverter.midpoint_capacitance
     harmonics = control.harmonics
     if harmonics is not None:
         plane, zero = (
-            tuple(m for m in part if weight_of(harmonics, m * omega_e / (2.0 * math.pi)) > FADED)
+            tuple(m for m in part if weight_of(harmonics, m * omega_e / (2.0 * math.pi)) > least)
             for part in (harmonics.plane, harmonics.zero)
         )
         control = replace(control, harmonics=replace(harmonics, plane=plane, zero=zero))
@@ -303,4 +311,5 @@ def _decay(solution: Solution, program: EmittedLoop, drive: SweptDrive, speed: f
         loop.decay(omega, plant, 1.0, 4000, length, (0.382 + start) / starts * omega * t_s)
         for start in range(starts)
     ]
-    return Decay(expected_radius(drive, omega), max(left))
+    unfaded = expected_radius(drive, omega, FADING)
+    return Decay(expected_radius(drive, omega), unfaded, max(left))
