@@ -6,13 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.names import CurrentFrame, Feedforward
 from dqforge.machines.plants.scenario import Scenario, constant
-from dqforge.reports.pages.figures_style import save
+from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, TEAL, new_figure, save, style
 from dqforge.reports.simulation.design_run import simulate_design
 
 _WAYS: tuple[tuple[str, CurrentFrame, Feedforward, bool], ...] = (
@@ -21,6 +20,8 @@ _WAYS: tuple[tuple[str, CurrentFrame, Feedforward, bool], ...] = (
     ("dqy, back-EMF fed forward", "dqy", "emf", False),
     ("table, references fed forward, harmonic integrators", "table", "references", True),
 )
+
+_COLOURS = (MUTED, ORANGE, TEAL, BLUE)
 
 
 def controlled(design: Design, frame: CurrentFrame, fed: Feedforward, *, harmonics: bool) -> Design:
@@ -40,18 +41,22 @@ def torque_over_angle(path: Path) -> None:
     scenario = Scenario(
         0.6, "torque", constant(1.0), shaft=constant(speed), omega_m=speed, inverter="switched"
     )
-    figure = Figure(figsize=(7.0, 3.6), layout="constrained")
-    axes = figure.add_subplot()
-    for label, frame, fed, harmonics in _WAYS:
-        made = controlled(design, frame, fed, harmonics=harmonics)
-        run = simulate_design(replace(made, simulation=scenario)).run
-        assert run.phases is not None
-        last = slice(run.t.size - 400, run.t.size)  # one electrical period
-        order = np.argsort(run.theta_e[last])
-        axes.plot(
-            np.degrees(run.theta_e[last])[order], run.phases.torque_mean[last][order], label=label
-        )
-    axes.set(xlabel="Electrical angle in deg", ylabel="Torque in N m", xlim=(-180.0, 180.0))
-    axes.set_xticks(range(-180, 181, 60))
-    axes.legend(frameon=False, loc="upper center", ncols=2, bbox_to_anchor=(0.5, 1.22))
+    with style():
+        figure = new_figure("phase-control", 3.6, "Torque with four current controllers")
+        axes = figure.add_axes((0.1, 0.13, 0.86, 0.68))
+        for (label, frame, fed, harmonics), colour in zip(_WAYS, _COLOURS, strict=True):
+            made = controlled(design, frame, fed, harmonics=harmonics)
+            run = simulate_design(replace(made, simulation=scenario)).run
+            assert run.phases is not None
+            last = slice(run.t.size - 400, run.t.size)  # one electrical period
+            order = np.argsort(run.theta_e[last])
+            axes.plot(
+                np.degrees(run.theta_e[last])[order],
+                run.phases.torque_mean[last][order],
+                color=colour,
+                label=label,
+            )
+        axes.set(xlabel="Electrical angle in deg", ylabel="Torque in N m", xlim=(-180.0, 180.0))
+        axes.set_xticks(range(-180, 181, 60))
+        axes.legend(frameon=False, loc="upper center", ncols=2, bbox_to_anchor=(0.5, 1.22))
     save(figure, path)

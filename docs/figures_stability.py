@@ -14,7 +14,7 @@ from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.phase_control.floquet import radius
 from dqforge.optimizer.phase_control.periodic_step import PhasePlants
 from dqforge.optimizer.phase_control.phase_controller import AxisGains, PhaseControl
-from dqforge.reports.pages.figures_style import save
+from dqforge.reports.pages.figures_style import BLUE, ORANGE, new_figure, save, style
 
 _LOOPS: tuple[tuple[str, CurrentFrame, Feedforward, float], ...] = (
     ("table, references", "table", "references", 1.0),
@@ -51,8 +51,14 @@ def _radius(control: PhaseControl, share: float, omega_e: float) -> float:
 def periodic_stability(path: Path) -> None:
     """Radius over samples per period, and of one gain for all axes over the inductance ratio."""
     base = _control()
-    figure = Figure(figsize=(7.6, 3.4), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    with style():
+        figure = _drawn(base)
+    save(figure, path)
+
+
+def _drawn(base: PhaseControl) -> Figure:
+    figure = new_figure("periodic-stability", 3.4, "Radius of the current loops")
+    left, right = (figure.add_axes((x, 0.14, 0.41, 0.8)) for x in (0.08, 0.57))
     samples = np.unique(np.round(np.geomspace(10, 400, 70)))
     speeds = 2.0 * np.pi / (samples * base.t_s)
     for number, (label, frame, feedforward, share) in enumerate(_LOOPS):
@@ -60,7 +66,7 @@ def periodic_stability(path: Path) -> None:
         control = replace(tuned, frame=frame, feedforward=feedforward)
         found = [_radius(control, share, speed) for speed in speeds]
         line = "-" if share == 1.0 else "--"
-        left.semilogx(samples, found, line, color=f"C{number // 2}", label=label)
+        left.semilogx(samples, found, line, color=(BLUE, ORANGE)[number // 2], label=label)
     left.set_xticks([10, 20, 50, 100, 200, 400], ["10", "20", "50", "100", "200", "400"])
     left.minorticks_off()
     left.set(xlabel="Samples per electrical period", ylabel="Radius per sample", ylim=(0.95, 1.2))
@@ -71,10 +77,10 @@ def periodic_stability(path: Path) -> None:
             own = _tuned(base, bandwidth, base.inductances[1] / float(ratio), one=True)
             found.append(_radius(replace(own, frame="dqy"), 1.0, 2.0 * np.pi / (200 * base.t_s)))
         limit = 1.0 / (2.0 * np.pi * bandwidth * base.t_s)
-        right.plot(ratios, found, color=f"C{number}", label=f"{bandwidth:.0f} Hz")
-        right.axvline(limit, color=f"C{number}", linewidth=0.8, linestyle=":")
+        right.plot(ratios, found, color=(BLUE, ORANGE)[number], label=f"{bandwidth:.0f} Hz")
+        right.axvline(limit, color=(BLUE, ORANGE)[number], linewidth=0.8, linestyle=":")
     right.set(xlabel="Inductance, plane over zero sequence (one gain)", ylim=(0.95, 1.2))
     for axes in (left, right):
         axes.axhline(1.0, color="0.4", linewidth=0.8)
-        axes.legend(frameon=False, loc="upper right", fontsize=8)
-    save(figure, path)
+        axes.legend(frameon=False, loc="upper right")
+    return figure
