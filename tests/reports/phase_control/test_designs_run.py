@@ -230,7 +230,7 @@ def test_a_design_without_any_base_or_gain_written_runs(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("topology", get_args(Topology))
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_what_check_accepts_runs_and_verifies(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, topology: str, seed: int
 ) -> None:
@@ -239,7 +239,7 @@ def test_what_check_accepts_runs_and_verifies(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("topology", get_args(Topology))
-@pytest.mark.parametrize("number", ["float32", "q15", "q31"])
+@pytest.mark.parametrize("number", ["float32", "q15"])
 def test_every_topology_runs_and_verifies_in_every_number(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, topology: str, number: str
 ) -> None:

@@ -55,7 +55,8 @@ def _cases() -> list[Any]:
             quick = (topology, frame) in (("four-leg", "dqy"), ("split-capacitor", "table"))
             marks = () if quick else (pytest.mark.slow,)
             found.append(pytest.param(topology, frame, "references", 16, marks=marks))
-            found.append(pytest.param(topology, frame, "emf", 32, marks=pytest.mark.slow))
+            if frame == "table":
+                found.append(pytest.param(topology, frame, "emf", 32, marks=pytest.mark.slow))
     found.append(pytest.param("six-leg", "table", "none", 16, marks=pytest.mark.slow))
     return found
 
