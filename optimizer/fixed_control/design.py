@@ -118,8 +118,8 @@ def fit_control(
         modulation=_modulation(design),
         dc_scale=_dc_scale(design),
         dc_least=round(0.5 * design.inverter.v_dc / _dc_base(design) * 2 ** (width - 1)),
-        limit=_precise("voltage limit", _limit(design), width, 2 ** (width - 1)),
-        advance=_precise("angle advance", _advance(design), width, 2 ** (width - 1)),
+        limit=precise_gain("voltage limit", _limit(design), width, 2 ** (width - 1)),
+        advance=precise_gain("angle advance", _advance(design), width, 2 ** (width - 1)),
         i_d=forms["i_d"],
         i_q=forms["i_q"],
         speed=forms.get("speed"),
@@ -153,7 +153,14 @@ def _bases(design: Design) -> tuple[float, float, float, float]:
     return bases.current, bases.voltage, bases.speed, bases.torque
 
 
-def _require_bases(design: Design) -> None:
+def require_scales(design: Design) -> None:
+    """Refuse bases of current and speed that do not hold the largest ones.
+
+    Raises
+    ------
+    InputError
+        With the base, what it must hold, and what to write.
+    """
     bases, speed = design.control.bases, design.machine.omega_m_max
     if design.i_max > bases.current * (1.0 + 1e-9):
         raise InputError(
@@ -167,6 +174,11 @@ def _require_bases(design: Design) -> None:
             f"but the largest speed is {speed * rpm:.5g} rpm; write speed: "
             f"{speed * rpm * 1.25:.4g} rpm"
         )
+
+
+def _require_bases(design: Design) -> None:
+    require_scales(design)
+    bases = design.control.bases
     if design.inverter.v_dc * DC_HEADROOM > bases.voltage * 2**_MOST_DC_SCALE:
         raise InputError(
             f"control.per_unit.voltage: {bases.voltage:.4g} V is too small a base for a dc link of"
@@ -212,8 +224,25 @@ def _advance(design: Design) -> float:
     return 2.0 * turns
 
 
-def _precise(name: str, value: float, width: int, argument: int) -> FixedGain:
-    """A gain in the best format, refused where even that is coarse."""
+def precise_gain(name: str, value: float, width: int, argument: int) -> FixedGain:
+    """A gain in the best format, refused where even that is coarse.
+
+    Parameters
+    ----------
+    name:
+        What it is, for the message.
+    value:
+        The gain between codes.
+    width:
+        Bits of a code.
+    argument:
+        Largest magnitude of what it is multiplied with.
+
+    Raises
+    ------
+    NoSolutionError
+        No format holds it within 2 %.
+    """
     try:
         gain = quantise(value, width, argument)
     except NoSolutionError as error:
@@ -252,7 +281,7 @@ def _automatic(name: str, values: tuple[float, float, float], width: int, form: 
     """Mantissas that use the word, and the most fractional bits of the state."""
     kp, ki_ts, tracking = values
     error, top = 2**width - 1, 2 ** (width - 1)
-    proportional = _precise(f"kp of {name}", kp, width, error)
+    proportional = precise_gain(f"kp of {name}", kp, width, error)
     found = None
     for fraction in range(width - 2, -1, -1):
         scale = 2.0**fraction
@@ -327,9 +356,13 @@ def _decoupling(design: Design, width: int) -> FixedDecoupling:
     omega_e, found = design.machine.pole_pairs * speed, decoupling(design.machine)
     argument = 2 ** (width - 1)
     return FixedDecoupling(
-        x_d=_precise("decoupling l_d", omega_e * found.l_d * current / voltage, width, argument),
-        x_q=_precise("decoupling l_q", omega_e * found.l_q * current / voltage, width, argument),
-        back_emf=_precise("decoupling psi", omega_e * found.psi_pm / voltage, width, argument),
+        x_d=precise_gain(
+            "decoupling l_d", omega_e * found.l_d * current / voltage, width, argument
+        ),
+        x_q=precise_gain(
+            "decoupling l_q", omega_e * found.l_q * current / voltage, width, argument
+        ),
+        back_emf=precise_gain("decoupling psi", omega_e * found.psi_pm / voltage, width, argument),
     )
 
 
@@ -345,10 +378,16 @@ def _observer(design: Design, observer: ReducedOrderObserver, width: int) -> Fix
         scale = 2.0**fraction
         try:
             found = FixedObserver(
-                decay=_precise("observer 1 - a", (1.0 - observer.a) * scale, width, reach * code),
-                b_u=_precise("observer b_u", observer.b_u * voltage / speed * scale, width, error),
-                b_i=_precise("observer b_i", observer.b_i * current / speed * scale, width, code),
-                c=_precise("observer c", c, width, code),
+                decay=precise_gain(
+                    "observer 1 - a", (1.0 - observer.a) * scale, width, reach * code
+                ),
+                b_u=precise_gain(
+                    "observer b_u", observer.b_u * voltage / speed * scale, width, error
+                ),
+                b_i=precise_gain(
+                    "observer b_i", observer.b_i * current / speed * scale, width, code
+                ),
+                c=precise_gain("observer c", c, width, code),
                 x_d=x_d,
                 fraction=fraction,
                 reach=reach,

@@ -13,7 +13,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.topologies.regions import largest_phase_voltage
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Reach
-from dqforge.optimizer.fixed_control.design import DC_HEADROOM
+from dqforge.optimizer.fixed_control.design import DC_HEADROOM, precise_gain, require_scales
 from dqforge.optimizer.fixed_control.transforms import sine_error
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedAxis,
@@ -22,16 +22,13 @@ from dqforge.optimizer.fixed_phase_control.integers import (
     FixedPhaseControl,
 )
 from dqforge.optimizer.fixed_phase_control.phase_ranges import phase_ranges
-from dqforge.optimizer.loops.integer_gains import FixedGain, quantise
+from dqforge.optimizer.loops.integer_gains import FixedGain
 from dqforge.optimizer.phase_control.phase_controller import AxisGains, PhaseControl
 
 _FLUX_ROOM = 1.05  # of the full scale of the flux over the largest value of any axis
 
 
 _MOST_FRACTION = 14
-
-
-_LARGEST_ERROR = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,19 +104,8 @@ def _flux_base(flux: FloatArray) -> float:
 
 
 def _require_bases(design: Design, control: PhaseControl) -> None:
-    bases, speed = design.control.bases, design.machine.omega_m_max
-    if design.i_max > bases.current * (1.0 + 1e-9):
-        raise InputError(
-            f"control.per_unit.current: {bases.current:.4g} A is full scale in fixed point, but "
-            f"the current limit is {design.i_max:.4g} A; write current: {design.i_max * 1.25:.3g} A"
-        )
-    if speed is not None and speed > bases.speed * (1.0 + 1e-9):
-        rpm = 30.0 / math.pi
-        raise InputError(
-            f"control.per_unit.speed: {bases.speed * rpm:.5g} rpm is full scale in fixed point, "
-            f"but the largest speed is {speed * rpm:.5g} rpm; write speed: "
-            f"{speed * rpm * 1.25:.4g} rpm"
-        )
+    require_scales(design)
+    bases = design.control.bases
     needed = largest_phase_voltage(control.topology, design.inverter.v_dc)
     if bases.voltage < needed * (1.0 - 1e-9):
         raise InputError(
@@ -128,25 +114,11 @@ def _require_bases(design: Design, control: PhaseControl) -> None:
         )
 
 
-def _gain(name: str, value: float, width: int, argument: int) -> FixedGain:
-    """A gain that uses its word, refused where it is coarse."""
-    try:
-        gain = quantise(value, width, argument)
-    except NoSolutionError as error:
-        raise NoSolutionError(f"fixed point: {name}: {error}") from None
-    if abs(gain.error) > _LARGEST_ERROR:
-        raise NoSolutionError(
-            f"fixed point: {name} {value:.4g} is rounded by {gain.error:+.1%} in {width} bits; use "
-            "other bases"
-        )
-    return gain
-
-
 def _finest(name: str, value: float, width: int, argument: int) -> tuple[FixedGain, int]:
     """A gain to a state with the most further bits, and how many."""
     for fraction in range(min(_MOST_FRACTION, width - 2), -1, -1):
         try:
-            return _gain(name, value * 2.0**fraction, width, argument), fraction
+            return precise_gain(name, value * 2.0**fraction, width, argument), fraction
         except NoSolutionError:
             continue
     raise NoSolutionError(
@@ -167,12 +139,12 @@ def _axis(
     ohm, error, code = current / voltage, 2**width - 1, 2 ** (width - 1)
     ki, fraction = _finest(f"ki t_s of {name}", gains.ki * control.t_s * ohm, width, code)
     return FixedAxis(
-        kp=_gain(f"kp of {name}", gains.kp * ohm, width, error),
+        kp=precise_gain(f"kp of {name}", gains.kp * ohm, width, error),
         ki=ki,
         fraction=fraction,
-        resistance=_gain(f"resistance of {name}", control.r_s * ohm, width, code),
-        inductance=_gain(f"L / t_s of {name}", inductance / control.t_s * ohm, width, error),
-        reactance=_gain(f"reactance of {name}", omega_e * inductance * ohm, width, code),
+        resistance=precise_gain(f"resistance of {name}", control.r_s * ohm, width, code),
+        inductance=precise_gain(f"L / t_s of {name}", inductance / control.t_s * ohm, width, error),
+        reactance=precise_gain(f"reactance of {name}", omega_e * inductance * ohm, width, code),
     )
 
 
@@ -195,8 +167,8 @@ def _harmonics(
                 FixedHarmonic(
                     order=order,
                     zero=zero,
-                    reactance=_gain(f"reactance of order {order}", reactance, width, code),
-                    fade=_gain(f"fade of order {order}", 5.0 / end, width, code),
+                    reactance=precise_gain(f"reactance of order {order}", reactance, width, code),
+                    fade=precise_gain(f"fade of order {order}", 5.0 / end, width, code),
                     end=round(min(end, 2.0) * code),
                 )
             )
@@ -212,10 +184,10 @@ def _midpoint(
     code = 2 ** (width - 1)
     fade = 0.0 if control.midpoint.omega_e_min <= 0.0 else omega_e / control.midpoint.omega_e_min
     return FixedMidpoint(
-        balance=_gain("midpoint", control.midpoint.balance * dc_base / current, width, code),
+        balance=precise_gain("midpoint", control.midpoint.balance * dc_base / current, width, code),
         fade=FixedGain(code - 1, 0, float(code - 1))
         if fade <= 0.0 or fade > 2.0 ** (width - 2)
-        else _gain("midpoint's fade", fade, width, code),
+        else precise_gain("midpoint's fade", fade, width, code),
     )
 
 
@@ -270,13 +242,13 @@ def _integers(
         fundamental=round(control.psi_pm / flux * code),
         fade=FixedGain(code - 1, 0, code - 1.0)
         if begin >= 1.0
-        else _gain("fade", min(1.0 / (end - begin), 2.0 ** (width - 4)), width, code),
+        else precise_gain("fade", min(1.0 / (end - begin), 2.0 ** (width - 4)), width, code),
         fade_end=2 * code if begin >= 1.0 else round(end * code),
-        unit=_gain("current per torque", unit / 2.0**unit_bits, width, code),
+        unit=precise_gain("current per torque", unit / 2.0**unit_bits, width, code),
         unit_bits=unit_bits,
         least_square=max(1, round(least * code)),
-        sample=_gain("turn in a sample", 2.0 / samples / control.shape.turns, width, code),
-        electrical=_gain("back-EMF", omega_e * flux / voltage, width, code),
+        sample=precise_gain("turn in a sample", 2.0 / samples / control.shape.turns, width, code),
+        electrical=precise_gain("back-EMF", omega_e * flux / voltage, width, code),
         d=_axis("d", control, control.gains[0], control.inductances[0], scales, width),
         q=_axis("q", control, control.gains[1], control.inductances[1], scales, width),
         zero=None

@@ -183,14 +183,13 @@ class PhaseControlModel:
         torque: SingleArray,
     ) -> Stationary:
         """Currents in A that belong to an angle."""
-        made, opened = self.structure, state.open != 0
-        one = np.ones_like(torque)
+        made = self.structure
         if self.waveform is not None:
             found = self._waveform(state, sample, place, turn, reference, torque)
         elif made.by_torque:
             fade = self.gains["fade_end"] - (self.gains["fade"] * np.abs(sample.omega_e))
             fade = np.where(fade > _ONE, _ONE, np.where(fade > _ZERO, fade, _ZERO))
-            fade = np.where(opened, _ONE, fade) if made.neutral else fade
+            fade = np.where(state.open != 0, _ONE, fade) if made.neutral else fade
             found = reference_at(
                 self.gains, self._shape(state, place), turn, torque, reference[0], fade,
                 self._zero_share(state, sample),
@@ -198,12 +197,7 @@ class PhaseControlModel:
         else:
             plane = park_inverse(SINGLE, (reference[0], reference[1]), turn)
             found = Stationary(plane.x, plane.y, np.zeros_like(torque))
-            if made.neutral:
-                none, shape = np.zeros_like(torque), self._shape(state, place)
-                other = reference_at(self.gains, shape, turn, torque, none, one, one)
-                found = Stationary(
-                    *(np.where(opened, a, b) for a, b in zip(other, found, strict=True))
-                )
+            found = self._unless_open(state, place, turn, torque, found)
         if self.limited is not None:
             at = self.limited.place(torque, sample.omega_e, sample.v_dc, state.open)
             added = self.limited.deviation(at, place)
@@ -231,13 +225,23 @@ class PhaseControlModel:
         plane, d = clarke(SINGLE, phase), reference[0]
         zero = self._zero_share(state, sample) * mean_of_phases(phase)
         found = Stationary(plane.x + (d * turn[0]), plane.y + (d * turn[1]), zero)
+        return self._unless_open(state, place, turn, torque, found)
+
+    def _unless_open(
+        self,
+        state: PhaseControlState,
+        place: SingleArray,
+        turn: Turn,
+        torque: SingleArray,
+        currents: Stationary,
+    ) -> Stationary:
+        """Currents in A, but where a phase is open those of the shape of the others."""
         if not self.structure.neutral:
-            return found
+            return currents
         none, one = np.zeros_like(torque), np.ones_like(torque)
-        shape = self._shape(state, place)
+        shape, opened = self._shape(state, place), state.open != 0
         other = reference_at(self.gains, shape, turn, torque, none, one, one)
-        opened = state.open != 0
-        return Stationary(*(np.where(opened, a, b) for a, b in zip(other, found, strict=True)))
+        return Stationary(*(np.where(opened, a, b) for a, b in zip(other, currents, strict=True)))
 
     def _zero_share(self, state: PhaseControlState, sample: _Sample) -> SingleArray:
         """Share of the shape's zero sequence in the references."""
