@@ -73,7 +73,7 @@ def periodic_stability(path: Path) -> None:
         limit = 1.0 / (2.0 * np.pi * bandwidth * base.t_s)
         right.plot(ratios, found, color=f"C{number}", label=f"{bandwidth:.0f} Hz")
         right.axvline(limit, color=f"C{number}", linewidth=0.8, linestyle=":")
-    right.set(xlabel="$L_{ab}/L_0$, one gain for all axes", ylim=(0.95, 1.2))
+    right.set(xlabel="Inductance, plane over zero sequence (one gain)", ylim=(0.95, 1.2))
     for axes in (left, right):
         axes.axhline(1.0, color="0.4", linewidth=0.8)
         axes.legend(frameon=False, loc="upper right", fontsize=8)

@@ -45,8 +45,9 @@ from dqforge.reports.phase_control.plain import (
     PIS,
     structure_of,
 )
-from dqforge.reports.simulation.compiled_plant import Simulator, Summary, simulate_many, simulator
+from dqforge.reports.simulation.compiled_plant import Simulator, simulate_many, simulator
 from dqforge.reports.simulation.plant_input import Drive
+from dqforge.reports.simulation.recorded_run import Summary
 
 NODES = (720, 1536)
 """Sizes of the table that programs are made for: the next one above what the design chose."""

@@ -92,6 +92,7 @@ SUFFIXES = tuple(
         "_modulation",
         "_gains",
         "_weakening",
+        "_frames",
     )
     for kind in ("", "_vectors")
 )

@@ -160,10 +160,15 @@ def test_shapes_without_a_steady_direction_are_refused(one: PhaseMachine, messag
     ],
 )
 def test_machines_without_such_frames_are_refused_with_their_place(name: str, message: str) -> None:
-    text = catalogue.read_text(name).replace(b"\nexport:", b"\nexport:\n  frame_tables: true")
-    design = load_text(text, "drive.yaml")
-    with pytest.raises(InputError, match=rf"drive.yaml:\d+:\d+: export.frame_tables: .*{message}"):
-        solve_frame_tables(design)
+    """While reading, and of a design that a program changed."""
+    plain = catalogue.read_text(name)
+    text = plain.replace(b"\nexport:", b"\nexport:\n  frame_tables: true")
+    refused = rf"drive.yaml:\d+:\d+: export.frame_tables: .*{message}"
+    with pytest.raises(InputError, match=refused):
+        load_text(text, "drive.yaml")
+    design = load_text(plain, "drive.yaml")
+    with pytest.raises(InputError, match=refused):
+        solve_frame_tables(replace(design, export=replace(design.export, frame_tables=True)))
 
 
 def test_a_design_that_asks_for_none_has_none() -> None:

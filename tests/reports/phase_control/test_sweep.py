@@ -29,7 +29,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.names import Topology
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.simulation.compiled_plant import Summary
+from dqforge.reports.simulation.recorded_run import Summary
 
 MACHINES = 500
 

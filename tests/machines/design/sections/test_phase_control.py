@@ -47,6 +47,12 @@ def written(line: str) -> bytes:
         (SALIENT, ["frame=dqy"], r"inductance_harmonics; write table or dq"),
         (SALIENT, ["frame=table", "limited_waveforms=true"], r"do not vary.*; remove it"),
         (P, ["frame=dqx", "limited_waveforms=true"], r"the frame is dqx; write frame: table"),
+        (P, ["feedforward=measured", "export.control=q15"], r"fixed point; write references"),
+        (BENCH, ["inverter.neutral_inductance=1 mH"], r"model: waveform; remove it"),
+        (BENCH, ["inverter.midpoint_capacitance=1 mF"], r"model: waveform; remove it"),
+        (P, ["inverter.topology=six-leg", "inverter.neutral_resistance=1 mOhm"], r"no conductor"),
+        (P, ["inverter.topology=4-leg"], r"did you mean 'four-leg'"),
+        (P, ["inverter.topology=3 wire"], r"did you mean 'three-wire'"),
         (BENCH, ["frame=dq"], "serves machines of model: waveform; remove it"),
         (BENCH, ["feedforward=emf"], "serves machines of model: waveform; remove it"),
         (BENCH, ["axis_gains=one"], "serves machines of model: waveform; remove it"),
@@ -116,3 +122,13 @@ def test_the_pulses_of_a_split_link_are_weighed_in_watts() -> None:
     assert "the midpoint of the link is taken as held" in remarks(
         "inverter.topology=split-capacitor"
     )
+
+
+@pytest.mark.parametrize(
+    ("topology", "share"),
+    [("three-wire", 2 / 3), ("four-leg", 1.0), ("six-leg", 1.0), ("six-leg-isolated", 4 / 3)],
+)
+def test_the_base_voltage_left_open_holds_what_a_phase_reaches(topology: str, share: float) -> None:
+    found = design(P, f"inverter.topology={topology}")
+    assert found.control.bases.voltage == pytest.approx(share * found.inverter.v_dc)
+    assert design(BENCH).control.bases.voltage == design(BENCH).inverter.v_dc / np.sqrt(3.0)
