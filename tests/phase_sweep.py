@@ -311,5 +311,9 @@ def _decay(solution: Solution, program: EmittedLoop, drive: SweptDrive, speed: f
         loop.decay(omega, plant, 1.0, 4000, length, (0.382 + start) / starts * omega * t_s)
         for start in range(starts)
     ]
-    unfaded = expected_radius(drive, omega, FADING)
-    return Decay(expected_radius(drive, omega), unfaded, max(left))
+    unfaded, found = (expected_radius(drive, omega, least) for least in (FADING, 0.0))
+    # Where an order lies on the limit its weight is rounding: the order keeps what it has.
+    harmonics = control.harmonics
+    orders = () if harmonics is None else (*harmonics.plane, *harmonics.zero)
+    faded = any(6 * abs(order) == samples for order in orders)
+    return Decay(1.0 if faded else found, unfaded, max(left))

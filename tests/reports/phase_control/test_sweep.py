@@ -4,6 +4,7 @@ refused with a reason that holds.
 
 from __future__ import annotations
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from pathlib import Path
@@ -108,7 +109,7 @@ def pulses_are_small(drive: SweptDrive, neutral: float) -> bool:
     if inverter.midpoint_capacitance is None:
         return True
     square = drive.control.inductances[2] * inverter.midpoint_capacitance / 3.0
-    return t_s < 2.0 * np.pi * square**0.5 / 40.0
+    return t_s < 2.0 * math.pi * math.sqrt(square) / 40.0
 
 
 @pytest.mark.parametrize("topology", TOPOLOGIES)
