@@ -82,6 +82,12 @@ def check_phase_control(
             "references, or export.control: float32"
         )
         raise document.error(message, (*path, "feedforward"))
+    if isinstance(machine, SalientPhaseMachine) and not set(export.control) <= {"float32"}:
+        message = (
+            "export.control: machines with inductance_harmonics are controlled in float32 alone; "
+            "write float32"
+        )
+        raise document.error(message, ("export", "control"), key=True)
     frame = controlled_frame(loop.frame, machine, topology)
     if loop.limited_waveforms and frame != "table":
         raise document.error(

@@ -132,3 +132,10 @@ def test_the_base_voltage_left_open_holds_what_a_phase_reaches(topology: str, sh
     found = design(P, f"inverter.topology={topology}")
     assert found.control.bases.voltage == pytest.approx(share * found.inverter.v_dc)
     assert design(BENCH).control.bases.voltage == design(BENCH).inverter.v_dc / np.sqrt(3.0)
+
+
+@pytest.mark.parametrize("number", ["q15", "[float32, q31]"])
+def test_salient_machines_are_controlled_in_float32_alone(number: str) -> None:
+    with pytest.raises(InputError, match=r"in float32 alone; write float32"):
+        design(SALIENT, f"export.control={number}")
+    assert design(SALIENT, "export.control=float32").phase_machine is not None
