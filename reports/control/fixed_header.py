@@ -9,6 +9,7 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_control.design import FixedControlFit
 from dqforge.optimizer.fixed_control.step import FixedControl
 from dqforge.reports.c_code.harness import Programme
@@ -199,14 +200,33 @@ def plain_fixed_evidence(fit: FixedControlFit) -> PlainData:
 
 def control_fixed_programme(control: FixedControl) -> Programme:
     """In 16 bits as many rows as there are angles, so that each comes once."""
-    inputs = row_inputs(control, 2**16 if control.width == 16 else SWEEP_POINTS, SWEEP_SEED)
-    wide = np.dtype(f"i{control.width // 4}")
-    context = {"width": control.width, "format": control.format}
-    results = row_results(control, inputs).astype(wide)
+    inputs = row_inputs(control, sweep_rows(control.width), SWEEP_SEED)
+    results = row_results(control, inputs)
+    return integer_rows(control.width, inputs, results, "fixed-point control")
+
+
+def sweep_rows(width: int) -> int:
+    """How many rows a harness is given: in 16 bits as many as there are angles."""
+    return 2**16 if width == 16 else SWEEP_POINTS
+
+
+def integer_rows(width: int, inputs: CodeArray, results: CodeArray, name: str) -> Programme:
+    """The harness of a control in integers on rows of inputs and results, shapes (N, columns).
+
+    Parameters
+    ----------
+    width:
+        Bits of a code; rows hold words of twice that.
+    inputs, results:
+        What goes in, and what must come out.
+    name:
+        What runs, for messages.
+    """
+    wide = np.dtype(f"i{width // 4}")
     return Programme(
         "control/fixed_harness.c.j2",
         inputs.astype(wide),
-        results,
-        context,
-        name="fixed-point control",
+        results.astype(wide),
+        {"width": width, "format": f"q{width - 1}"},
+        name=name,
     )

@@ -21,7 +21,7 @@ from dqforge.optimizer.fixed_control.step import (
 from dqforge.optimizer.fixed_control.transforms import full_scale
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
-_FAULT = InputError(
+NOT_OURS = InputError(
     "control_q15_header or control_q31_header is not what dqforge writes; run the design again"
 )
 
@@ -36,38 +36,41 @@ def fixed_control_from(plain: Mapping[str, Any], width: int) -> FixedControl:
         The data are not what `plain_fixed_control` makes.
     """
     try:
+        current, voltage, speed, torque = positive(plain["bases"], 4)
         found = FixedControl(
-            width=_one_of(plain["width"], (width,)),
-            bases=_bases(plain["bases"]),
-            modulation=_one_of(
+            width=one_of(plain["width"], (width,)),
+            bases=(current, voltage, speed, torque),
+            modulation=one_of(
                 plain["modulation"],
                 tuple(name for name in MODULATORS if MODULATORS[name].in_integers),
             ),
-            dc_scale=_whole(plain["dc_scale"], 0, 8),
-            dc_least=_whole(plain["dc_least"], 1, full_scale(width)),
-            limit=_gain(plain["limit"], width),
-            advance=_gain(plain["advance"], width),
+            dc_scale=whole(plain["dc_scale"], 0, 8),
+            dc_least=whole(plain["dc_least"], 1, full_scale(width)),
+            limit=gain_from(plain["limit"], width),
+            advance=gain_from(plain["advance"], width),
             i_d=_forms(plain["i_d"], width),
             i_q=_forms(plain["i_q"], width),
             speed=None if plain["speed"] is None else _forms(plain["speed"], width),
             decoupling=FixedDecoupling(
-                **{k: _gain(v, width) for k, v in plain["decoupling"].items()}
+                **{k: gain_from(v, width) for k, v in plain["decoupling"].items()}
             ),
             observer=None if plain["observer"] is None else _observer(plain["observer"], width),
         )
         control_ranges(found)
     except (KeyError, TypeError, ValueError, AttributeError, NoSolutionError):
-        raise _FAULT from None
+        raise NOT_OURS from None
     return found
 
 
-def _one_of(value: Any, choices: tuple[Any, ...]) -> Any:
+def one_of(value: Any, choices: tuple[Any, ...]) -> Any:
+    """A value that is one of some choices; raises ValueError where it is none."""
     if isinstance(value, bool) or value not in choices:
         raise ValueError(value)
     return value
 
 
-def _whole(value: Any, low: int, high: int) -> int:
+def whole(value: Any, low: int, high: int) -> int:
+    """A whole number within limits; raises ValueError where it is none."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ValueError(value)
     return value
@@ -79,18 +82,20 @@ def _real(value: Any) -> float:
     return float(value)
 
 
-def _bases(value: Any) -> tuple[float, float, float, float]:
-    current, voltage, speed, torque = (_real(entry) for entry in value)
-    if not min(current, voltage, speed, torque) > 0.0:
+def positive(value: Any, count: int) -> tuple[float, ...]:
+    """So many positive numbers; raises TypeError or ValueError where they are not."""
+    found = tuple(_real(entry) for entry in value)
+    if len(found) != count or not min(found) > 0.0:
         raise ValueError(value)
-    return current, voltage, speed, torque
+    return found
 
 
-def _gain(plain: Mapping[str, Any], width: int) -> FixedGain:
+def gain_from(plain: Mapping[str, Any], width: int) -> FixedGain:
+    """A gain in words of ``width`` bits; KeyError, TypeError or ValueError where it is none."""
     top = full_scale(width)
     return FixedGain(
-        _whole(plain["mantissa"], -top, top),
-        _whole(plain["shift"], 0, 2 * width - 2),
+        whole(plain["mantissa"], -top, top),
+        whole(plain["shift"], 0, 2 * width - 2),
         _real(plain["value"]),
     )
 
@@ -98,17 +103,17 @@ def _gain(plain: Mapping[str, Any], width: int) -> FixedGain:
 def _forms(plain: Mapping[str, Any], width: int) -> dict[PiForm, FixedPi]:
     return {
         form: FixedPi(
-            **{name: _gain(plain[form][name], width) for name in ("kp", "ki", "tracking")},
-            fraction=_whole(plain[form]["fraction"], 0, width - 1),
+            **{name: gain_from(plain[form][name], width) for name in ("kp", "ki", "tracking")},
+            fraction=whole(plain[form]["fraction"], 0, width - 1),
         )
         for form in get_args(PiForm)
     }
 
 
 def _observer(plain: Mapping[str, Any], width: int) -> FixedObserver:
-    gains = {name: _gain(plain[name], width) for name in ("decay", "b_u", "b_i", "c", "x_d")}
+    gains = {name: gain_from(plain[name], width) for name in ("decay", "b_u", "b_i", "c", "x_d")}
     return FixedObserver(
         **gains,
-        fraction=_whole(plain["fraction"], 0, width - 1),
-        reach=_whole(plain["reach"], 1, 2 ** (width - 1)),
+        fraction=whole(plain["fraction"], 0, width - 1),
+        reach=whole(plain["reach"], 1, 2 ** (width - 1)),
     )

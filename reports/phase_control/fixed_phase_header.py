@@ -14,9 +14,10 @@ from dqforge.optimizer.fixed_phase_control.integers import (
     FixedPhaseControl,
 )
 from dqforge.reports.c_code.harness import Programme
-from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
+from dqforge.reports.c_code.header_kind import SWEEP_SEED
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.c_code.title import title
+from dqforge.reports.control.fixed_header import integer_rows, sweep_rows
 from dqforge.reports.pages.templating import render
 from dqforge.reports.phase_control.fixed_phase_model import (
     phase_inputs,
@@ -131,14 +132,6 @@ def phase_fixed_files(design: Design, fit: FixedPhaseFit) -> dict[str, bytes]:
 
 def phase_fixed_programme(control: FixedPhaseControl) -> Programme:
     """In 16 bits as many rows as there are angles, so that each comes once."""
-    inputs = phase_rows(control, 2**16 if control.width == 16 else SWEEP_POINTS, SWEEP_SEED)
-    wide = np.dtype(f"i{control.width // 4}")
-    context = {"width": control.width, "format": control.format}
-    results = phase_results(control, inputs).astype(wide)
-    return Programme(
-        "control/fixed_harness.c.j2",
-        inputs.astype(wide),
-        results,
-        context,
-        name="fixed-point control of the phases",
-    )
+    inputs = phase_rows(control, sweep_rows(control.width), SWEEP_SEED)
+    results = phase_results(control, inputs)
+    return integer_rows(control.width, inputs, results, "fixed-point control of the phases")
