@@ -405,39 +405,50 @@ def control_step(
         terms[place].append(scaled(o, "kp e", axis.kp, error[place]))
     electrical = electrical_angle(o, control, sample.theta)
     turned = electrical_angle(o, control, o.wrapped(middle, width))
-    held = frame_voltage(
-        o, control, state.integral, (acting, electrical_angle(o, control, acting)), flux
-    )
+    acting_angles = (acting, electrical_angle(o, control, acting))
+    held = frame_voltage(o, control, state.integral, acting_angles, flux)
     for place in range(3):
         terms[place].append(held[place])
     for part, r in zip(control.harmonics, state.harmonics, strict=True):
         made = harmonic_voltage(o, control, part, r, (electrical, turned), sample.omega)
-        if part.zero:
-            terms[2].append(made.x)
-        else:
-            terms[0].append(made.x)
-            terms[1].append(made.y)
+        for place, value in ((2, made.x),) if part.zero else ((0, made.x), (1, made.y)):
+            terms[place].append(value)
     asked = Vector(*(o.total("voltage", *parts) for parts in terms))
     voltage, limited = within_region(o, control, asked, v_dc, sample.v_m)
     seen = flux_vector(o, control, flux_at(o, control, sample.theta), zero_sequence=neutral)
-    frame_error = frame_errors(o, control, near, electrical, seen)
-    integral = Triple(
-        *(
-            o.choose(limited, old, _integrated(o, control, axis, old, e))
-            for old, axis, e in zip(
-                state.integral, (control.d, control.q, control.zero), frame_error, strict=True
-            )
-        )
+    integral = _integrals(
+        o, control, state, frame_errors(o, control, near, electrical, seen), limited
     )
     size = o.total("harmonic: sum of errors", *(magnitude(o, x) for x in error))
     rests = o.at_least(size, o.const(control.error_max + 1))
     harmonics = []
     for part, r in zip(control.harmonics, state.harmonics, strict=True):
         new = harmonic_update(o, control, part, r, electrical, near, sample.omega)
-        kept = Pair(*(o.choose(rests, a, b) for a, b in zip(r, new, strict=True)))
-        harmonics.append(Pair(*(o.choose(limited, a, b) for a, b in zip(r, kept, strict=True))))
+        harmonics.append(_unless(o, limited, r, _unless(o, rests, r, new)))
     duty = leg_duties(o, control, voltage, v_dc, sample.v_m)
     return PhaseStep(duty, PhaseState(integral, tuple(harmonics)), voltage, now)
+
+
+def _unless(o: Arithmetic[N, Any], stopped: Any, old: Pair[N], new: Pair[N]) -> Pair[N]:
+    """The new values, or the old ones where they are stopped."""
+    return Pair(o.choose(stopped, old.x, new.x), o.choose(stopped, old.y, new.y))
+
+
+def _integrals(
+    o: Arithmetic[N, Any],
+    control: FixedPhaseControl,
+    state: PhaseState[N],
+    errors: Triple[N],
+    limited: Any,
+) -> Triple[N]:
+    """Integrals of the frame's axes after a sample; they stop where the voltage was shortened."""
+    axes = (control.d, control.q, control.zero)
+    return Triple(
+        *(
+            o.choose(limited, old, _integrated(o, control, axis, old, e))
+            for old, axis, e in zip(state.integral, axes, errors, strict=True)
+        )
+    )
 
 
 def _integrated(
