@@ -60,8 +60,11 @@ _DIGITS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurrentLoopSearch:
-    """What a search found: the tree, and the drive that is unstable, None where none was met."""
+    """What a search found: the tree below the cell of all drives, and the drive that is unstable,
+    None where none was met.
+    """
 
+    root: Cell
     tree: Tree[FloatArray]
     counterexample: BoxDrive | None
 
@@ -85,7 +88,7 @@ def find_certificate(box: CurrentLoopBox, largest: int = CELLS) -> CurrentLoopSe
     outside = unstable_corner(box)
     if outside is not None:
         tree: Tree[FloatArray] = Tree(counterexample=parameters_of(box, outside))
-        return CurrentLoopSearch(tree, outside)
+        return CurrentLoopSearch(root, tree, outside)
     full = np.maximum(root.width, 1e-300)
 
     def examine(cell: Cell) -> Verdict[FloatArray]:
@@ -96,7 +99,7 @@ def find_certificate(box: CurrentLoopBox, largest: int = CELLS) -> CurrentLoopSe
 
     tree = search(root, examine, urgency, largest)
     point = tree.counterexample
-    return CurrentLoopSearch(tree, None if point is None else drive_at(box, point))
+    return CurrentLoopSearch(root, tree, None if point is None else drive_at(box, point))
 
 
 def unstable_corner(box: CurrentLoopBox) -> BoxDrive | None:
