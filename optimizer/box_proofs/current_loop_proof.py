@@ -11,7 +11,7 @@ import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.optimizer.box_proofs.cell_queue import Cell
-from dqforge.optimizer.box_proofs.certificate import (
+from dqforge.optimizer.box_proofs.plain_certificate import (
     PlainCertificate,
     plain_certificate,
     plain_inputs,
