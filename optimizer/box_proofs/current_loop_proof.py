@@ -11,11 +11,6 @@ import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.optimizer.box_proofs.cell_queue import Cell
-from dqforge.optimizer.box_proofs.plain_certificate import (
-    PlainCertificate,
-    plain_certificate,
-    plain_inputs,
-)
 from dqforge.optimizer.box_proofs.current_loop_checker import Confirmation, confirm
 from dqforge.optimizer.box_proofs.current_loop_model import (
     BoxDrive,
@@ -23,6 +18,11 @@ from dqforge.optimizer.box_proofs.current_loop_model import (
     gain_interval,
 )
 from dqforge.optimizer.box_proofs.current_loop_search import CELLS, find_certificate
+from dqforge.optimizer.box_proofs.plain_certificate import (
+    PlainCertificate,
+    plain_certificate,
+    plain_inputs,
+)
 
 _SAMPLES = 20_000
 

@@ -272,7 +272,9 @@ def simulate_design(
     formats = simulated(whole)
     found = [
         replace(
-            _simulated_in(whole, scenario, number_format, _part(progress, place, len(formats))),
+            _simulated_in(
+                design, whole, scenario, number_format, _part(progress, place, len(formats))
+            ),
             not_simulated=not_simulated(whole),
         )
         for place, number_format in enumerate(formats)
@@ -281,13 +283,13 @@ def simulate_design(
 
 
 def _simulated_in(
+    design: Design,
     solution: Solution,
     scenario: Scenario,
     number_format: NumberFormat,
     progress: Callable[[float], None] | None,
 ) -> DriveSimulation:
     """The run of the control functions in one format."""
-    design = solution.design
     stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
     with simulator(
         emitted_files(solution, number_format),
