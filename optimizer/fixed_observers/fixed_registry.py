@@ -6,11 +6,26 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.fixed_observers import fixed_extended_emf
+from dqforge.optimizer.fixed_observers import (
+    fixed_extended_emf,
+    fixed_flux,
+    fixed_matsui_current,
+    fixed_matsui_voltage,
+    fixed_open_loop_flux,
+)
 from dqforge.optimizer.fixed_observers.fixed_method import FixedMethod
 
 FIXED_METHODS: Mapping[str, FixedMethod] = MappingProxyType(
-    {method.name: method for method in (fixed_extended_emf.METHOD,)}
+    {
+        method.name: method
+        for method in (
+            fixed_extended_emf.METHOD,
+            fixed_flux.METHOD,
+            fixed_open_loop_flux.METHOD,
+            fixed_matsui_voltage.METHOD,
+            fixed_matsui_current.METHOD,
+        )
+    }
 )
 
 """The methods by name."""

@@ -85,11 +85,16 @@ def _turning(
         seen = np.rint(np.repeat(sizes, 2, axis=0) * (np.cos(angle) + noise) * top)
         codes = np.clip(seen, -top - 1, top).astype(np.int64)
         started = np.full(drives, min(k, 1))
-        rows.append(np.stack([started, state.theta, state.omega, *state.words, *codes], axis=1))
+        rows.append(_columns(started, state.theta, state.omega, *state.words, *codes))
         state = _after(o, observer, rows[-1])
     assert isinstance(gains, method.gains)
     assert width in (16, 32)
     return np.concatenate(rows)
+
+
+def _columns(*parts: CodeArray) -> CodeArray:
+    """Columns side by side, constants repeated."""
+    return np.stack(np.broadcast_arrays(*parts), axis=1)
 
 
 def _after(o: Integers, observer: FixedPositionObserver, rows: CodeArray) -> TrackedState[Any]:
@@ -122,5 +127,5 @@ def row_results(
         if np.any(chosen):
             state = _after(o, observer, inputs[chosen])
             seen = shown(o, state, observer.width)
-            results[chosen] = np.stack([state.theta, state.omega, *state.words, *seen], axis=1)
+            results[chosen] = _columns(state.theta, state.omega, *state.words, *seen)
     return results
