@@ -11,6 +11,7 @@ from dqforge.reports.current_reference.capability import (
     NEGATIVE_REFERENCE,
 )
 from dqforge.reports.field_weakening.capability import WEAKENING
+from dqforge.reports.fixed_observers.capability import FIXED_OBSERVER
 from dqforge.reports.frame_tables.capability import FRAME_TABLES
 from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS, STABILITY
 from dqforge.reports.losses.capability import LOSSES, MISSION
@@ -40,6 +41,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     MODULATION_CHOICE,
     GAIN_SCHEDULE,
     POSITION_OBSERVER,
+    FIXED_OBSERVER,
     SPEED_OBSERVER,
     FORMATS_NOT_SIMULATED,
     SIMULATION,
