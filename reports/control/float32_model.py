@@ -14,9 +14,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.modulation.hexagon import overmodulated
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.zero_sequence import load_turn, zero_sequence_of
-from dqforge.machines.names import ModulationName
+from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.current_reference.forms import FloatReference
 from dqforge.optimizer.curves.single_precision import SingleArray
@@ -73,6 +74,8 @@ class ControlModel:
         Current references of the torque.
     weakening:
         Current references of torque, voltage and speed, None where there are none.
+    overmodulation:
+        What becomes of a voltage beyond the circle in the hexagon.
     """
 
     gains: Mapping[str, Any]
@@ -80,6 +83,7 @@ class ControlModel:
     modulation: ModulationName
     reference: FloatReference
     weakening: DropReference | None = None
+    overmodulation: OvermodulationName = "none"
 
     def duties(
         self, voltage: Pair[SingleArray], v_dc: SingleArray, current: Pair[SingleArray]
@@ -119,7 +123,8 @@ class ControlModel:
         state.d, state.q = np.where(known, next_d, state.d), np.where(known, next_q, state.q)
         state.reference = reference
         turn = rotation(wrap(theta + (omega_e * gains["advance"])))
-        state.v = voltage = park_inverse(SINGLE, (v_d, v_q), turn)
+        voltage = park_inverse(SINGLE, (v_d, v_q), turn)
+        state.v = voltage = overmodulated(self.overmodulation, voltage, v_dc)
         return self.duties(voltage, v_dc, current)
 
     def torque_control(
