@@ -50,7 +50,7 @@ def test_distortion_holds_all_orders_and_grows(name: OvermodulationName) -> None
     assert np.all(np.diff(found.copper) == 0.0)  # no resistance
     told = np.sqrt(np.sum(found.voltage**2, axis=1)) / (found.index * SIX_STEP * 300.0)
     assert np.all(told <= found.distortion * (1.0 + 1e-9))
-    assert told[-1] > 0.92 * found.distortion[-1]
+    assert told[-1] > 0.9 * found.distortion[-1]
     # of a six-step wave: sqrt(pi^2/9 - 1) of the fundamental
     assert found.distortion[-1] == pytest.approx(math.sqrt(math.pi**2 / 9.0 - 1.0), abs=2e-3)
 
