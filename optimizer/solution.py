@@ -36,6 +36,7 @@ from dqforge.optimizer.observers.reduced_order import (
     errors_at_loads,
 )
 from dqforge.optimizer.operating_points.solve import Curves, current_choice, solve_curves
+from dqforge.optimizer.overmodulation.solve import Overmodulation, solve_overmodulation
 from dqforge.optimizer.waveforms.comparison import (
     WaveformComparison,
     compare_waveforms,
@@ -57,9 +58,9 @@ class Solution:
     them. ``loops`` is None where none are wanted, or where a design without a section ``control``
     has none that hold; ``gains_left_out`` then says why. ``negative`` is None where one reference
     serves torques of both signs; else ``fit`` and ``certificate`` are those of positive ones.
-    ``frame_tables`` is None where none are asked for. ``observer_errors`` are those of the speed
-    observer at half the base speed, without load and with half the largest torque; empty without
-    that observer.
+    ``frame_tables`` and ``overmodulation`` are None where they are not asked for.
+    ``observer_errors`` are those of the speed observer at half the base speed, without load and
+    with half the largest torque; empty without that observer.
     """
 
     design: Design
@@ -82,6 +83,7 @@ class Solution:
     negative: NegativeHalf | None = None
     observer_errors: tuple[ErrorsAtLoad, ...] = ()
     frame_tables: FrameTables | None = None
+    overmodulation: Overmodulation | None = None
 
     @property
     def positive(self) -> Design:
@@ -155,4 +157,5 @@ def solve(design: Design) -> Solution:
         negative=solve_negative(design),
         observer_errors=_observer_errors(design, gains, fit.torque_max),
         frame_tables=solve_frame_tables(design),
+        overmodulation=solve_overmodulation(design),
     )

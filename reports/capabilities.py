@@ -18,6 +18,7 @@ from dqforge.reports.losses.capability import LOSSES, MISSION
 from dqforge.reports.modulation_choice.capability import MODULATION_CHOICE
 from dqforge.reports.observers.capability import POSITION_OBSERVER, SPEED_OBSERVER
 from dqforge.reports.operating_points.capability import OPERATING_POINTS
+from dqforge.reports.overmodulation.capability import OVERMODULATION
 from dqforge.reports.phase_control.capability import FIXED_CONTROL, FLOAT32_CONTROL
 from dqforge.reports.simulation.capability import FORMATS_NOT_SIMULATED, SIMULATION
 from dqforge.reports.waveforms.capability import PHASE_REFERENCE, WAVEFORMS
@@ -39,6 +40,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     FLOAT32_CONTROL,
     FIXED_CONTROL,
     MODULATION_CHOICE,
+    OVERMODULATION,
     GAIN_SCHEDULE,
     POSITION_OBSERVER,
     FIXED_OBSERVER,
