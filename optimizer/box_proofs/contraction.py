@@ -13,11 +13,14 @@ P after.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.box_proofs.interior_point import Blocks, climb
 
 _SLACK = 1e-5
 
@@ -104,8 +107,14 @@ def lyapunov_frame(closed: FloatArray) -> FloatArray | None:
         return None
 
 
-def common_lyapunov(closed: FloatArray, frame: FloatArray) -> FloatArray | None:
-    """A P that falls along all corners, proposed by the inequality solver; None where it has none.
+def common_lyapunov(
+    closed: FloatArray, frame: FloatArray, taken: Callable[[FloatArray], bool] | None = None
+) -> FloatArray | None:
+    """A P that falls along all corners; None where there is none.
+
+    In the frame, asked for is the largest t with P - A_v^T P A_v >= t T^-T T^-1 and a trace of n,
+    from P = 1, which is the answer of the loop in the middle (t = 1). Slow integrators would drown
+    without the frame.
 
     Parameters
     ----------
@@ -113,12 +122,42 @@ def common_lyapunov(closed: FloatArray, frame: FloatArray) -> FloatArray | None:
         Corners, shape (V, n, n).
     frame:
         T of the loop in the middle, shape (n, n).
+    taken:
+        Whether a proposal already serves; without it, that with the largest t is returned.
     """
-    from dqforge.optimizer.box_proofs.matrix_inequalities import common_matrix
-
     back = np.linalg.inv(frame)
-    found = common_matrix(frame @ closed @ back, back.T @ back)
-    if found is None or found.scalar <= 1e-7:
-        return None
-    matrix = frame.T @ found.matrices[0] @ frame
-    return np.asarray(0.5 * (matrix + matrix.T), dtype=np.float64)
+    seen = frame @ closed @ back
+    turned = np.swapaxes(seen, 1, 2)
+    weight = back.T @ back
+    parts = _traceless(len(frame))
+    slopes = np.empty((len(closed), len(parts) + 1, *frame.shape))
+    slopes[:, :-1] = parts - turned[:, None] @ parts @ seen[:, None]
+    slopes[:, -1] = -weight
+    blocks = Blocks(np.eye(len(frame)) - turned @ seen, slopes)
+    # T^T (P - A^T P A) T against the unit matrix, as the weight is T^-T T^-1
+    least = float(np.linalg.eigvalsh(frame.T @ blocks.constant @ frame).min())
+    start = np.zeros(len(parts) + 1)
+    start[-1] = least - 0.3 * abs(least) - 0.05
+
+    def matrix(unknowns: FloatArray) -> FloatArray:
+        inner = np.eye(len(frame)) + np.einsum("n,nij->ij", unknowns[:-1], parts)
+        whole = frame.T @ inner @ frame
+        return np.asarray(0.5 * (whole + whole.T), dtype=np.float64)
+
+    def serves(unknowns: FloatArray) -> bool:
+        return taken is not None and unknowns[-1] > 0.0 and taken(matrix(unknowns))
+
+    found = climb(blocks, start, serves, hopeless=1e-7)
+    return None if found is None or found[-1] <= 1e-7 else matrix(found)
+
+
+@lru_cache(maxsize=8)
+def _traceless(size: int) -> FloatArray:
+    """A basis of the symmetric matrices without trace, shape (n(n+1)/2 - 1, n, n)."""
+    parts = []
+    for column in range(size):
+        for row in range(column + 1):
+            part = np.zeros((size, size))
+            part[row, column] = part[column, row] = 1.0
+            parts.append(part - np.trace(part) / size * np.eye(size))
+    return np.array(parts[:-1])
