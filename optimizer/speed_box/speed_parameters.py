@@ -50,9 +50,9 @@ def _common(one: Interval, other: Interval) -> Interval:
 
 @dataclass(frozen=True, slots=True)
 class SpeedBox:
-    """Intervals of R/R', L/L', g, R/R' that the dead time adds per g, f, J'/J and e times g (V s/rad).
+    """Intervals of R/R', L/L', g, what the dead time adds to R/R' per g, f, J'/J and e g.
 
-    All but the last without unit.
+    The last in V s/rad, all others without unit.
     """
 
     resistance: Interval
@@ -89,7 +89,10 @@ class SpeedBox:
 
     def _shares(self, cell: Cell) -> tuple[Interval, Interval] | None:
         """Gains of the voltage and inductances that drives of a cell may have, None without any."""
-        (b_low, c_low, _, e_low), (b_high, c_high, _, e_high) = cell.low.tolist(), cell.high.tolist()
+        (b_low, c_low, _, e_low), (b_high, c_high, _, e_high) = (
+            cell.low.tolist(),
+            cell.high.tolist(),
+        )
         gain, inductance = self.gain, self.inductance
         if e_low > 0.0:  # only a deviation large enough over a gain small enough makes so much
             gain = gain[0], min(gain[1], self.back_emf[1] / e_low)

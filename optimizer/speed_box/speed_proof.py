@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.box_proofs.cell_queue import Cell, Tree
+from dqforge.optimizer.box_proofs.cell_queue import Proven, Tree
 from dqforge.optimizer.loops.loop_gains import LoopGains
-from dqforge.optimizer.loops.tolerance_box import BoxPoints, DriveBox
-from dqforge.optimizer.speed_box.speed_parameters import PARAMETERS, Interval, SpeedBox
+from dqforge.optimizer.loops.tolerance_box import DriveBox
+from dqforge.optimizer.speed_box.speed_parameters import Interval, SpeedBox
 from dqforge.optimizer.speed_box.speed_search import Chain, Effort, SpeedSearch
 from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers, cell_corners
 
@@ -84,6 +84,7 @@ def speed_box(box: DriveBox) -> SpeedBox:
     if np.ptp(factors) == 0.0:
         torque = np.full(2, factors[0])
     masses = _reach(points.of("inertia"))
+    # What a dead time adds to R/R' per gain of the voltage, in 1/s at first.
     per_gain = 4.0 / np.pi * design.inverter.f_sw * design.inverter.v_dc / design.machine.r_s
     dead = _extremes(points.of("dead_time"))
     if dead != (0.0, 0.0):
@@ -165,8 +166,22 @@ def prove_speed_loop(
     return SpeedProof(
         share=1.0 if tree.complete else held,
         cells=tree.examined,
-        leaves=sum(node.proof is not None for node in tree.nodes),
+        leaves=sum(isinstance(node.verdict, Proven) for node in tree.nodes),
         ratio=loop.ratio,
         open_drives=place,
         tree=tree,
     )
+
+
+def _open_part(drives: SpeedBox, tree: Tree[Chain]) -> tuple[float, FloatArray | None]:
+    """Share of random drives outside all open cells, and what those reach."""
+    cells = tree.open_cells
+    if not cells:
+        return 1.0, None
+    points = drives.samples(_SAMPLES, np.random.default_rng(_SEED))
+    inside = np.zeros(len(points), dtype=np.bool_)
+    for cell in cells:
+        inside |= np.all((points >= cell.low) & (points <= cell.high), axis=1)
+    low = np.min([cell.low for cell in cells], axis=0)
+    high = np.max([cell.high for cell in cells], axis=0)
+    return 1.0 - float(np.mean(inside)), np.stack([low, high], axis=1)

@@ -3,8 +3,8 @@
     U^T P_1 U < P_0,      A_v^T P_(k+1) A_v < P_k   for k = 1 .. m,   P_(m+1) = P_0
 
 at the corners A_v of the cell and with what they leave out. The power of the inner step is never
-formed, since nothing is multi-affine behind it; what is proven so permits the drive to change within
-a cell at every current sample.
+formed, since nothing is multi-affine behind it; what is proven so permits the drive to change
+within a cell at every current sample.
 """
 
 from __future__ import annotations
@@ -25,7 +25,12 @@ from dqforge.optimizer.box_proofs.cell_queue import (
     Verdict,
     search,
 )
-from dqforge.optimizer.box_proofs.contraction import contracts
+from dqforge.optimizer.box_proofs.contraction import (
+    NOTHING_LEFT,
+    Contraction,
+    Remainder,
+    contracts,
+)
 from dqforge.optimizer.box_proofs.matrix_inequalities import chained_matrices
 from dqforge.optimizer.speed_box.speed_parameters import SpeedBox
 from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers, cell_corners
@@ -56,7 +61,8 @@ class _Links:
     steps: FloatArray
     ratio: int
 
-    def all(self) -> list[tuple[int, int, FloatArray]]:
+    def every(self) -> list[tuple[int, int, FloatArray]]:
+        """The update, the steps between, and the last one, which drops the torque command."""
         keep = np.delete(np.arange(self.steps.shape[1]), self.steps.shape[1] - 2)
         inner = [(k, k + 1, self.steps) for k in range(1, self.ratio)]
         return [(0, 1, self.update), *inner, (self.ratio, 0, self.steps[:, keep])]
@@ -85,33 +91,31 @@ class SpeedSearch:
         kept = self.box.contracted(cell)
         if kept is None:
             return Empty()
-        remainder, parts = self.loop.remainder(kept)
         if self._radius(kept.middle) >= 1.0:
             point = self.box.drive(kept)
             if point is not None and self._radius(point) >= 1.0:
                 return Refuted(point)
-            return self._cut(kept, parts)
-        if remainder.groups[0][1] > self.effort.remainder and np.max(parts) > 0.0:
-            return self._cut(kept, parts)
-        steps = self.loop.steps(cell_corners(kept))
-        links = _Links(self.loop.update()[np.newaxis], steps, self.loop.ratio)
-        frames = self._frames(kept)
+        return self._tried(kept)
+
+    def _tried(self, cell: Cell) -> Verdict[Chain]:
+        """The chain of a cell, or where to cut it.
+
+        The corners are asked for one only where what they leave out is small, since an inequality
+        costs far more than a cut.
+        """
+        remainder, parts = self.loop.remainder(cell)
+        frames = self._frames(cell) if remainder.groups[0][1] <= self.effort.remainder else None
         if frames is None:
-            return self._cut(kept, parts)
-        chain = _proposed(links, frames)
-        if chain is None:
-            return self._cut(kept, self._reach(kept, frames))
-        falls = [
-            contracts(chain[a], chain[b], closed, remainder)
-            if a > 0
-            else contracts(chain[a], chain[b], closed)
-            for a, b, closed in links.all()
-        ]
-        if all(found.whole for found in falls):
-            return Proven(chain)
-        if all(found.corners for found in falls):
-            return self._cut(kept, parts)
-        return self._cut(kept, self._reach(kept, frames))
+            return self._cut(cell, parts)
+        steps = self.loop.steps(cell_corners(cell))
+        links = _Links(self.loop.update()[np.newaxis], steps, self.loop.ratio)
+        found = Contraction(corners=False, whole=False)
+        for proposal in (_of_middle, _proposed):
+            chain = proposal(links, frames)
+            found = found if chain is None else _falls(chain, links, remainder)
+            if chain is not None and found.whole:
+                return Proven(chain)
+        return self._cut(cell, parts if found.corners else self._reach(cell, frames))
 
     def _cut(self, cell: Cell, sizes: FloatArray) -> Verdict[Chain]:
         root = self.box.root()
@@ -126,7 +130,7 @@ class SpeedSearch:
         from scipy.linalg import solve_discrete_lyapunov
 
         step = self.loop.steps(cell.middle[np.newaxis])[0]
-        links = _Links(self.loop.update()[np.newaxis], step[np.newaxis], self.loop.ratio).all()
+        links = _Links(self.loop.update()[np.newaxis], step[np.newaxis], self.loop.ratio).every()
         whole = np.eye(self.loop.size - 1)
         weight = np.zeros_like(whole)
         for _, _, closed in links:
@@ -154,9 +158,23 @@ class SpeedSearch:
         return np.array(found)
 
 
+def _falls(chain: Chain, links: _Links, remainder: Remainder) -> Contraction:
+    """Whether x^T P x falls at every step of the cycle; the update itself leaves nothing out."""
+    found = [
+        contracts(chain[a], chain[b], closed, remainder if a > 0 else NOTHING_LEFT)
+        for a, b, closed in links.every()
+    ]
+    return Contraction(all(of.corners for of in found), all(of.whole for of in found))
+
+
+def _of_middle(_: _Links, frames: list[FloatArray]) -> Chain:
+    """The chain of the loop in the middle of the cell, for which nothing needs to be solved."""
+    return tuple(frame.T @ frame for frame in frames)
+
+
 def _proposed(links: _Links, frames: list[FloatArray]) -> Chain | None:
     backs = [np.linalg.inv(frame) for frame in frames]
-    turned = [(a, b, frames[b] @ closed @ backs[a]) for a, b, closed in links.all()]
+    turned = [(a, b, frames[b] @ closed @ backs[a]) for a, b, closed in links.every()]
     found = chained_matrices(turned, [back.T @ back for back in backs], count=len(frames))
     if found is None or found.scalar <= 1e-7:
         return None

@@ -1,14 +1,20 @@
 """Steps of the speed loop over one current sample, over cells of its box.
 
-In flux linkage over voltage, phi = i L/(g t_s), speed w = omega L' kp_s/(t_s K sigma), torque command
-T L'/(t_s K) and the design's rho' = R' t_s/L', h = kp_s t_s/(J' sigma), p = kp t_s/L', q = ki t_s^2/L':
+In flux linkage over voltage, phi = i L/(g t_s), speed w = omega L' kp_s/(t_s K sigma), torque
+command T L'/(t_s K):
 
-    d phi = -rho' c phi - e eta w + v,   d w = h j b phi - (B t_s/J') (J'/J) w,   d w_f = (w - w_f) t_s/T_f
+    d phi = -rho' c phi - e eta w + v
+    d w   = h j b phi - (B t_s/J') (J'/J) w
+    d w_f = (w - w_f) t_s/T_f
     v+ = I + (p + q) (T - b phi),   I+ = I + q (T - b phi)
-    T+ = S - (1 + r) sigma y,   S+ = S - r sigma y     every ratio-th sample only; y = w or w_f
+    T+ = S - (1 + r) sigma y,       S+ = S - r sigma y       y = w or w_f
 
-K the torque constant that the controller assumes, eta = t_s K sigma/(L' kp_s), r = ki_s ratio t_s/kp_s,
-and sigma a scale of the speed that makes h and e eta of one size.
+the last line every ratio-th sample only. K is the torque constant that the controller assumes, and
+
+    rho' = R' t_s/L',  p = kp t_s/L',  q = ki t_s^2/L',  r = ki_s ratio t_s/kp_s
+    h = kp_s t_s/(J' sigma),   eta = t_s K sigma/(L' kp_s)
+
+with a scale sigma of the speed that makes h and e eta of one size.
 
 This is affine in each of b, c, j, e alone but for the exponential, which over a cell errs by at
 most w^2/8 times its second derivatives from the interpolation of its corners. Those are the square
@@ -27,7 +33,6 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.box_proofs.cell_queue import Cell
 from dqforge.optimizer.box_proofs.contraction import Remainder
-
 
 _MORE = 1.0 + 1e-12
 
