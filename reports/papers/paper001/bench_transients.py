@@ -22,7 +22,7 @@ from dqforge.optimizer.loops.loop_gains import LoopGains, per_unit
 from dqforge.optimizer.loops.q_numbers import to_q
 from dqforge.optimizer.observers.reduced_order import ObserverError, steady_state_error
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.papers.paper001_sensorless import Estimator, estimator_errors
+from dqforge.reports.papers.paper001.bench_sensorless import Estimator, estimator_errors
 from dqforge.reports.papers.transients import RPM, Bench, bench, settling_time
 from dqforge.reports.simulation.recorded_run import Simulation
 

@@ -6,8 +6,12 @@ import math
 from dataclasses import asdict
 
 from dqforge.reports.pages.table import Table
-from dqforge.reports.papers.paper001 import PRINTED_INTEGERS, PRINTED_TIME, Reproduction
-from dqforge.reports.papers.paper001_sensorless import PRINTED_ANGLE, PRINTED_SPEED, Estimator
+from dqforge.reports.papers.paper001.bench_sensorless import PRINTED_ANGLE, PRINTED_SPEED, Estimator
+from dqforge.reports.papers.paper001.bench_transients import (
+    PRINTED_INTEGERS,
+    PRINTED_TIME,
+    Reproduction,
+)
 from dqforge.reports.plain_data import PlainData
 
 
