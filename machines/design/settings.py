@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from dqforge.machines.losses.mission import Mission
+from dqforge.machines.modulation.hexagon import HEXAGON, SIX_STEP
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import (
     SPEED_OBSERVER,
@@ -23,6 +24,7 @@ from dqforge.machines.names import (
     ObserverMethodName,
     ObserverTuningName,
     OpenPhase,
+    OvermodulationName,
     QFormats,
     SpeedLoopMethod,
     Strategy,
@@ -53,13 +55,17 @@ class OperationSettings:
 
     ``omega_m`` in rad/s (mechanical) is the speed for which the currents are chosen, None where the
     voltage limits nothing. The voltage limit there is the linear range of ``modulation`` less
-    ``voltage_margin``, a share of 0 to 1 that is kept for control.
+    ``voltage_margin``, a share of 0 to 1 that is kept for control. With ``overmodulation`` it
+    reaches to ``overmodulation_limit`` of six-step operation: unless told otherwise as far as a
+    vector that follows the hexagon.
     """
 
     strategy: Strategy = "mtpa"
     omega_m: float | None = None
     modulation: ModulationName = "svpwm"
     voltage_margin: float = 0.0
+    overmodulation: OvermodulationName = "none"
+    overmodulation_limit: float = HEXAGON / SIX_STEP
 
 
 @dataclass(frozen=True, slots=True)
