@@ -20,6 +20,10 @@ from dqforge.optimizer.current_reference.signed import signed_designs, signed_re
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.field_weakening.fit import WeakeningFit
 from dqforge.optimizer.field_weakening.solve import solve_weakening
+from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
+    FixedObserverFit,
+    solve_fixed_observers,
+)
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
 from dqforge.optimizer.frame_tables.fit import FrameTables, solve_frame_tables
 from dqforge.optimizer.losses.mission_budget import MissionComparison
@@ -50,8 +54,8 @@ class Solution:
     that could not be proven; ``trials`` are the forms that were tried for a budget. ``weakening``
     is None where no two-dimensional reference, ``choice`` where no choice of modulator and
     switching frequency, ``mission`` where no mission is asked for. ``fixed`` are control functions
-    in fixed point. ``data`` says where the reference is held by the data of a flux map, or leaves
-    them. ``loops`` is None where none are wanted, or where a design without a section ``control``
+    in fixed point, ``fixed_observers`` its position observer. ``data`` says where the reference is
+    held by the data of a flux map, or leaves them. ``loops`` is None where none are wanted, or where a design without a section ``control``
     has none that hold; ``gains_left_out`` then says why. ``negative`` is None where one reference
     serves torques of both signs; else ``fit`` and ``certificate`` are those of positive ones.
     ``frame_tables`` and ``overmodulation`` are None where they are not asked for.
@@ -73,6 +77,7 @@ class Solution:
     choice: ModulationChoice | None = None
     mission: MissionComparison | None = None
     fixed: tuple[IntegerFit, ...] = ()
+    fixed_observers: tuple[FixedObserverFit, ...] = ()
     data: DataUse = COVERED
     gains_left_out: str = ""
     negative: NegativeHalf | None = None
@@ -146,6 +151,7 @@ def solve(design: Design) -> Solution:
         choice=solve_choice(design),
         mission=solve_mission(design),
         fixed=() if gains is None else solve_integers(design, gains),
+        fixed_observers=(() if gains is None else solve_fixed_observers(design, gains.position)),
         data=chosen.data,
         gains_left_out=left_out,
         negative=solve_negative(design),

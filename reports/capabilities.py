@@ -11,8 +11,9 @@ from dqforge.reports.current_reference.capability import (
     NEGATIVE_REFERENCE,
 )
 from dqforge.reports.field_weakening.capability import WEAKENING
+from dqforge.reports.fixed_observers.capability import FIXED_OBSERVER
 from dqforge.reports.frame_tables.capability import FRAME_TABLES
-from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS
+from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS, STABILITY
 from dqforge.reports.losses.capability import LOSSES, MISSION
 from dqforge.reports.modulation_choice.capability import MODULATION_CHOICE
 from dqforge.reports.observers.capability import POSITION_OBSERVER, SPEED_OBSERVER
@@ -29,6 +30,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     NEGATIVE_REFERENCE,
     LOOPS,
     NO_LOOPS,
+    STABILITY,
     LOSSES,
     MISSION,
     WAVEFORMS,
@@ -41,6 +43,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     OVERMODULATION,
     GAIN_SCHEDULE,
     POSITION_OBSERVER,
+    FIXED_OBSERVER,
     SPEED_OBSERVER,
     FORMATS_NOT_SIMULATED,
     SIMULATION,

@@ -4,7 +4,6 @@ and the run that proves it.
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Mapping
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.settings import filter_share
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.hexagon import LEAST_HOLD, METHODS, SIX_STEP
 from dqforge.machines.modulation.registry import MODULATORS
@@ -27,6 +27,7 @@ from dqforge.reports.c_code.title import title
 from dqforge.reports.control.float32_model import ControlModel, ControlState
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.field_weakening.header import weakening_from
+from dqforge.reports.loops.stability_text import stability_lines
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
 
@@ -119,7 +120,7 @@ def speed_filter(filter_time: float, t_s: float) -> float:
     """Share of a new sample in the sampled first-order filter of a time constant in s: 1 -
     exp(-t_s/filter_time).
     """
-    return 1.0 if filter_time <= 0.0 else -math.expm1(-t_s / filter_time)
+    return filter_share(filter_time, t_s)
 
 
 def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> ControlModel:
@@ -290,6 +291,7 @@ def control_files(solution: Solution) -> dict[str, bytes]:
                 "copy over."
             ),
             "Compile with -ffp-contract=off to equal the model bit for bit.",
+            *stability_lines(solution.loops, solution.design.machine.pole_pairs),
         ],
     }
     return {f"{prefix}_control.h": render("control/control.h.j2", context).encode("ascii")}

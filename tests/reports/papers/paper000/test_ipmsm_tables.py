@@ -9,8 +9,8 @@ import pytest
 from modulators import duties
 
 from dqforge.machines.design import catalogue
-from dqforge.reports.papers.paper000 import Reproduction, reproduce_paper
-from dqforge.reports.papers.paper000_tables import plain_reproduction, reproduction_tables
+from dqforge.reports.papers.paper000.ipmsm_tables import Reproduction, reproduce_paper
+from dqforge.reports.papers.paper000.tables import plain_reproduction, reproduction_tables
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The transients of paper 001 and the load test of paper 000, run with the emitted controller."""
+"""The transients of paper 001, run with the emitted controller."""
 
 from __future__ import annotations
 
@@ -6,39 +6,38 @@ import numpy as np
 import pytest
 
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.papers import paper000_tables, paper000_transient, paper001, paper001_tables
-from dqforge.reports.papers import paper001_sensorless as sensorless001
-from dqforge.reports.papers.figures_transients import plot_bench, plot_load_tests
-from dqforge.reports.papers.paper000_transient import LoadTest
+from dqforge.reports.papers.paper001 import bench_sensorless, bench_transients, tables
+from dqforge.reports.papers.paper001.bench_transients import Reproduction
+from dqforge.reports.papers.paper001.figures import plot_bench
 from dqforge.reports.papers.transients import RPM
 
 
 @pytest.fixture(scope="module")
-def found() -> paper001.Reproduction:
-    return paper001.reproduce_paper()
+def found() -> Reproduction:
+    return bench_transients.reproduce_paper()
 
 
-def test_integers_of_table_8_1(found: paper001.Reproduction) -> None:
-    assert found.integers == paper001.PRINTED_INTEGERS
+def test_integers_of_table_8_1(found: Reproduction) -> None:
+    assert found.integers == bench_transients.PRINTED_INTEGERS
 
 
-def test_start_and_reversal_take_the_printed_time(found: paper001.Reproduction) -> None:
+def test_start_and_reversal_take_the_printed_time(found: Reproduction) -> None:
     """Each with the limit of the current that is stated with it; with the
     program's own both are quicker.
     """
     with_program, fitted = found.transients[:4], found.transients[4:]
     for row in fitted:
-        assert row.seconds == pytest.approx(paper001.PRINTED_TIME, rel=0.15)
+        assert row.seconds == pytest.approx(bench_transients.PRINTED_TIME, rel=0.15)
         assert row.peak_current < row.limit
     for row in with_program:
-        assert 0.05 < row.seconds < paper001.PRINTED_TIME
+        assert 0.05 < row.seconds < bench_transients.PRINTED_TIME
     # physics: twice the change of speed
     for start, reversal in (with_program[:2], with_program[2:]):
         assert 1.4 < reversal.seconds / start.seconds < 2.5
 
 
 def test_every_transient_runs_with_the_limit_that_stands_beside_it(
-    found: paper001.Reproduction,
+    found: Reproduction,
 ) -> None:
     """The speed controller saturates at once, so that the largest reference is the limit itself."""
     assert {round(row.limit, 3) for row in found.transients} >= {12.5}
@@ -85,7 +84,7 @@ def _thesis_start(v_dc: float, limit: float) -> float:
 
 
 def test_the_start_with_the_limit_of_the_program_against_an_independent_simulation(
-    found: paper001.Reproduction,
+    found: Reproduction,
 ) -> None:
     row = found.transients[2]
     assert (row.name, row.dead_time) == ("start", 0.0)
@@ -95,12 +94,12 @@ def test_the_start_with_the_limit_of_the_program_against_an_independent_simulati
     )  # the shipped drive's own limit is another start
 
 
-def test_the_speeds_that_the_thesis_shows_are_reached(found: paper001.Reproduction) -> None:
+def test_the_speeds_that_the_thesis_shows_are_reached(found: Reproduction) -> None:
     """The comment of the program: 13000 of 32768 holds about 2600 rpm, which is a DC link of 214
     V.
     """
-    design = paper001.bench_design()
-    held = paper001.VOLTAGE_LIMIT * design.inverter.v_dc / np.sqrt(3.0) / (3 * 0.06) / RPM
+    design = bench_transients.bench_design()
+    held = bench_transients.VOLTAGE_LIMIT * design.inverter.v_dc / np.sqrt(3.0) / (3 * 0.06) / RPM
     assert held == pytest.approx(2600.0, rel=2e-3)
     assert design.control.bases.voltage == pytest.approx(
         design.inverter.v_dc / np.sqrt(3.0), rel=1e-9
@@ -113,7 +112,7 @@ def test_the_speeds_that_the_thesis_shows_are_reached(found: paper001.Reproducti
     assert 0.0 < middle.seconds < 1.0
 
 
-def test_sine_and_steps_are_followed(found: paper001.Reproduction) -> None:
+def test_sine_and_steps_are_followed(found: Reproduction) -> None:
     assert found.sine_amplitude == pytest.approx(200.0, rel=0.06)
     assert abs(found.sine_lag) < 5.0
     assert found.step_time < 0.3
@@ -122,62 +121,41 @@ def test_sine_and_steps_are_followed(found: paper001.Reproduction) -> None:
     assert np.max(np.abs(run.omega_m[late] - run.reference[late])) < 20.0 * np.pi / 30.0
 
 
-def test_the_corrected_observer_errs_by_less_than_one_percent(found: paper001.Reproduction) -> None:
+def test_the_corrected_observer_errs_by_less_than_one_percent(
+    found: Reproduction,
+) -> None:
     assert abs(found.sensorless_error) < 0.01
     assert abs(found.sensorless["exact parameters"]) < 1e-6
     assert found.sensorless["psi_pm 4 % too small"] == pytest.approx(0.04, abs=0.003)
 
 
 def test_the_estimator_errs_in_speed_as_printed_and_in_position_by_less(
-    found: paper001.Reproduction,
+    found: Reproduction,
 ) -> None:
     """The dead time of the program and 0.7 % more magnet flux make 4 % of speed, but 4 % of a turn,
     not 10 %.
     """
     rows = {row.name: row for row in found.estimator}
-    exact, bench = rows[sensorless001.EXACT], rows[sensorless001.BENCH]
+    exact, bench = rows[bench_sensorless.EXACT], rows[bench_sensorless.BENCH]
     assert abs(exact.speed_error) < 1e-3
     assert abs(exact.angle_error) < 1e-4
-    assert bench.speed_error == pytest.approx(sensorless001.PRINTED_SPEED, abs=0.003)
+    assert bench.speed_error == pytest.approx(bench_sensorless.PRINTED_SPEED, abs=0.003)
     assert 0.02 < bench.angle_error < 0.05
     assert bench.switched is not None
     assert bench.switched == pytest.approx((bench.speed_error, bench.angle_error), abs=4e-3)
-    held = rows[sensorless001.HELD]
+    held = rows[bench_sensorless.HELD]
     age = np.mean(np.arange(10)) * 2e-4 * 3.0 * bench.speed / (2.0 * np.pi)
     assert held.angle_error == pytest.approx(bench.angle_error + age, abs=2e-3)
-    assert held.angle_error == pytest.approx(sensorless001.PRINTED_ANGLE, abs=0.01)
-    far = rows[sensorless001.NEEDED]
-    assert far.angle_error == pytest.approx(sensorless001.PRINTED_ANGLE, abs=0.005)
+    assert held.angle_error == pytest.approx(bench_sensorless.PRINTED_ANGLE, abs=0.01)
+    far = rows[bench_sensorless.NEEDED]
+    assert far.angle_error == pytest.approx(bench_sensorless.PRINTED_ANGLE, abs=0.005)
     assert far.speed_error > 0.15
 
 
-def test_tables_and_figures_show_them(found: paper001.Reproduction) -> None:
+def test_tables_and_figures_show_them(found: Reproduction) -> None:
     text = "\n".join(
-        " ".join(row) for table in paper001_tables.reproduction_tables(found) for row in table.rows
+        " ".join(row) for table in tables.reproduction_tables(found) for row in table.rows
     )
     assert "20000 20000" in text
-    assert len(paper001_tables.plain_reproduction(found)["transients"]) == 6
+    assert len(tables.plain_reproduction(found)["transients"]) == 6
     assert "<svg" in to_svg(plot_bench(found.runs))
-
-
-@pytest.fixture(scope="module")
-def load_tests() -> tuple[LoadTest, ...]:
-    return paper000_transient.load_tests()
-
-
-@pytest.mark.slow
-def test_the_load_is_carried_and_mtpa_needs_less_current(load_tests: tuple[LoadTest, ...]) -> None:
-    direct, spwm, dpwm = load_tests
-    for test in load_tests:
-        assert test.deviation < 3.0  # of 300 rad/s
-        assert test.end_error < 0.01
-        assert test.torque == pytest.approx(130.0, abs=0.1)
-        assert test.current == pytest.approx(test.expected, rel=5e-4)
-        run = test.run
-        ramp = (run.t > 2.6) & (run.t < 3.9)
-        assert np.mean(run.torque[ramp]) == pytest.approx(90.0, abs=0.1)
-    assert direct.current / spwm.current > 1.07
-    assert dpwm.current == pytest.approx(spwm.current, rel=1e-3)
-    assert "<svg" in to_svg(plot_load_tests(load_tests))
-    assert len(paper000_tables.load_test_table(load_tests).rows) == 3
-    assert paper000_tables.plain_load_tests(load_tests)[1]["current_A"] == spwm.current

@@ -8,9 +8,9 @@ import textwrap
 from dataclasses import asdict
 
 from dqforge.reports.pages.table import Table
-from dqforge.reports.papers.paper000 import BreakpointRow, PolynomialRow, Reproduction
-from dqforge.reports.papers.paper000_losses import LossRow
-from dqforge.reports.papers.paper000_transient import LoadTest
+from dqforge.reports.papers.paper000.ipmsm_tables import BreakpointRow, PolynomialRow, Reproduction
+from dqforge.reports.papers.paper000.load_test import LoadTest
+from dqforge.reports.papers.paper000.loss_columns import LossRow
 from dqforge.reports.plain_data import PlainData
 
 _WIDTH = 118

@@ -6,8 +6,13 @@ import math
 from dataclasses import asdict
 
 from dqforge.reports.pages.table import Table
-from dqforge.reports.papers.paper001 import PRINTED_INTEGERS, PRINTED_TIME, Reproduction
-from dqforge.reports.papers.paper001_sensorless import PRINTED_ANGLE, PRINTED_SPEED, Estimator
+from dqforge.reports.papers.paper001.bench_sensorless import PRINTED_ANGLE, PRINTED_SPEED, Estimator
+from dqforge.reports.papers.paper001.bench_transients import (
+    PRINTED_INTEGERS,
+    PRINTED_TIME,
+    Reproduction,
+)
+from dqforge.reports.papers.paper001.program_tables import plain_program, program_tables
 from dqforge.reports.plain_data import PlainData
 
 
@@ -43,6 +48,7 @@ def reproduction_tables(found: Reproduction) -> list[Table]:
             ("gain", "printed", "found"),
             integers,
         ),
+        *program_tables(found.program),
         Table(
             "Paper 001, section 8.4: time until the speed stays within 2 % of 1200 rpm, emitted C "
             "in the loop",
@@ -149,6 +155,7 @@ def plain_reproduction(found: Reproduction) -> PlainData:
             "printed_angle_error": PRINTED_ANGLE,
             "found": [asdict(row) for row in found.estimator],
         },
+        "program": plain_program(found.program),
     }
 
 

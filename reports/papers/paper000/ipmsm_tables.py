@@ -17,7 +17,7 @@ from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.optimizer.curves.breakpoints import search
 from dqforge.optimizer.curves.fitting import SideConditions, fit_curve, squared_error_integral
 from dqforge.optimizer.operating_points.mtpa import mtpa_currents, mtpa_per_unit, per_unit_base
-from dqforge.reports.papers.paper000_losses import LossRow, table_4
+from dqforge.reports.papers.paper000.loss_columns import LossRow, table_4
 
 DESIGN_NAME = "paper000-ipmsm-100kw"
 

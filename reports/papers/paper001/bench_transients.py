@@ -22,7 +22,8 @@ from dqforge.optimizer.loops.loop_gains import LoopGains, per_unit
 from dqforge.optimizer.loops.q_numbers import to_q
 from dqforge.optimizer.observers.reduced_order import ObserverError, steady_state_error
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.papers.paper001_sensorless import Estimator, estimator_errors
+from dqforge.reports.papers.paper001.bench_sensorless import Estimator, estimator_errors
+from dqforge.reports.papers.paper001.program_runs import Program, program_results
 from dqforge.reports.papers.transients import RPM, Bench, bench, settling_time
 from dqforge.reports.simulation.recorded_run import Simulation
 
@@ -128,7 +129,8 @@ class Reproduction:
     ``integers`` by name as in `PRINTED_INTEGERS`; ``sine_lag`` in degrees, ``sine_amplitude`` in
     rpm, ``step_time`` in s; ``sensorless_error`` and ``sensorless`` are steady speed errors at 1500
     rpm, relative, with exact parameters in simulation, and by formula with what is stated in the
-    key; ``estimator`` the errors of angle and speed without encoder.
+    key; ``estimator`` the errors of angle and speed without encoder; ``program`` is what
+    the program of the thesis does with its own integers.
     """
 
     integers: dict[str, int]
@@ -141,6 +143,7 @@ class Reproduction:
     sensorless: dict[str, float]
     estimator: tuple[Estimator, ...]
     runs: Runs
+    program: Program
 
 
 def _integers(solution: Solution) -> dict[str, int]:
@@ -344,7 +347,8 @@ def reproduce_paper() -> Reproduction:
     VerificationError
         There is no compiler for the simulation.
     """
-    with bench(bench_design()) as place:
+    design = bench_design()
+    with bench(design) as place:
         transients, reversal = _transients(place)
         sine, amplitude, lag = _sine(place)
         steps, step_time = _steps(place)
@@ -361,4 +365,5 @@ def reproduce_paper() -> Reproduction:
             sensorless=_stated_errors(place),
             estimator=estimator,
             runs=Runs(reversal, sine, steps, sensorless, wrong),
+            program=program_results(design),
         )
