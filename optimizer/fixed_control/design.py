@@ -5,6 +5,7 @@ and their evidence.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from dqforge.machines.design.design import Design
@@ -120,12 +121,13 @@ def fit_control(
         if loop is not None:
             further = feed_reach(decoupled, width).get(loop.loop, 0)
             found[loop.loop], forms[loop.loop] = _loop(design, loop, width, loops[1], further)
+    dc_scale, dc_least = dc_link(design, width)
     control = FixedControl(
         width=width,
         bases=_bases(design),
         modulation=design.operation.modulation,
-        dc_scale=_dc_scale(design),
-        dc_least=round(0.5 * design.inverter.v_dc / _dc_base(design) * 2 ** (width - 1)),
+        dc_scale=dc_scale,
+        dc_least=dc_least,
         limit=precise_gain("voltage limit", _limit(design), width, 2 ** (width - 1)),
         advance=precise_gain("angle advance", _advance(design), width, 2 ** (width - 1)),
         i_d=forms["i_d"],
@@ -152,13 +154,19 @@ def fit_controls(
     loops: tuple[LoopGains, LoopGains, LoopGains | None],
     observer: ReducedOrderObserver | None,
     torque_max: float | None = None,
+    references: Mapping[int, FixedReferences] | None = None,
 ) -> tuple[FixedControlFit, ...]:
     """Control functions in every fixed-point format that the design asks for.
 
-    Arguments and errors as `fit_control`.
+    ``references`` are current references by the bits of their codes. Other arguments and errors as
+    `fit_control`.
     """
     widths = [FIXED_WIDTHS[name] for name in design.export.control if name in FIXED_WIDTHS]
-    return tuple(fit_control(design, loops, observer, width, torque_max) for width in widths)
+    known = references or {}
+    return tuple(
+        fit_control(design, loops, observer, width, torque_max, known.get(width))
+        for width in widths
+    )
 
 
 def _torque_code(design: Design, torque_max: float | None, width: int) -> int:
@@ -221,6 +229,12 @@ def _dc_scale(design: Design) -> int:
 
 def _dc_base(design: Design) -> float:
     return design.control.bases.voltage * 2.0 ** _dc_scale(design)
+
+
+def dc_link(design: Design, width: int) -> tuple[int, int]:
+    """Scale of the dc link as a power of two, and the code below which it is taken as that."""
+    half = 0.5 * design.inverter.v_dc / _dc_base(design)
+    return _dc_scale(design), round(half * 2 ** (width - 1))
 
 
 def _limit(design: Design) -> float:
