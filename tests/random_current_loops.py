@@ -19,9 +19,7 @@ from dqforge.optimizer.box_proofs.current_loop_model import BoxDrive, CurrentLoo
 from dqforge.optimizer.loops.coupled_loops import CurrentControl, TurningMachines, largest_pole
 from dqforge.optimizer.loops.pi_methods import current_pi
 
-METHODS = tuple(
-    name for name in get_args(CurrentLoopMethod) if name not in ("optimised", "given")
-)
+METHODS = tuple(name for name in get_args(CurrentLoopMethod) if name not in ("optimised", "given"))
 
 
 def random_box(generator: np.random.Generator, *, fast: bool) -> CurrentLoopBox | None:
@@ -119,9 +117,7 @@ def limit(box: CurrentLoopBox) -> float | None:
 
     None where the box is unstable as it is, or no factor up to 12 makes it so.
     """
-    drives = np.vstack(
-        [corner_drives(box, 25), drives_inside(box, np.random.default_rng(3), 1500)]
-    )
+    drives = np.vstack([corner_drives(box, 25), drives_inside(box, np.random.default_rng(3), 1500)])
     low, high = 1.0, 12.0
     if radii(box, drives).max() >= 1.0 or radii(times(box, high), drives).max() < 1.0:
         return None

@@ -87,7 +87,7 @@ def _clear(box: CurrentLoopBox, low: FloatArray, high: FloatArray) -> tuple[Bool
     for axis in range(4):
         one = np.zeros(4, dtype=int)
         one[axis] = 1
-        place = int(np.flatnonzero((_CORNERS == one).all(axis=1))[0])
+        place = int(np.flatnonzero((one == _CORNERS).all(axis=1))[0])
         steps.append(0.5 * np.linalg.norm(changes[place] - changes[0], axis=(1, 2)))
     return reach + rest + left * right < 0.999, np.argmax(np.array(steps), axis=0)
 

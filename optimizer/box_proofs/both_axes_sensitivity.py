@@ -48,7 +48,7 @@ from dqforge.optimizer.box_proofs.current_loop_model import (
 from dqforge.optimizer.box_proofs.current_loop_search import reach_of, rounded
 from dqforge.optimizer.box_proofs.interior_point import Blocks, climb
 
-CELLS = 400
+CELLS = 120
 
 _OVER = 1.08
 

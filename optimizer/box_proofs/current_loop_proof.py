@@ -79,7 +79,7 @@ class CurrentLoopProof:
     counterexample:
         A drive of the box whose loops are unstable; None where none was met.
     sensitivity:
-        That of both axes together; None unless all drives are proven stable.
+        That of both axes together, where it was asked for.
     """
 
     box: CurrentLoopBox
@@ -116,13 +116,21 @@ def prove_current_loops(box: CurrentLoopBox, largest: int = CELLS) -> CurrentLoo
         return CurrentLoopProof(box, confirmation, None, 0.0, _ranges(box, [found.root]))
     left = found.tree.open_cells
     if not left:
-        return CurrentLoopProof(box, confirmation, certificate, 1.0, sensitivity=_sensitivity(box))
+        return CurrentLoopProof(box, confirmation, certificate, 1.0)
     return CurrentLoopProof(
         box, confirmation, certificate, _proven_share(box, left), _ranges(box, left)
     )
 
 
-def _sensitivity(box: CurrentLoopBox) -> ProvenSensitivity:
+@lru_cache(maxsize=64)
+def prove_sensitivity(box: CurrentLoopBox) -> ProvenSensitivity:
+    """The largest sensitivity of both axes together that is found in a box, with a proven bound.
+
+    Parameters
+    ----------
+    box:
+        Control and drives, all of them proven stable.
+    """
     searched = bound_sensitivity(box)
     if np.isfinite(searched.bound):
         certificate = plain_certificate(box, searched.tree)
