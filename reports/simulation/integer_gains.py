@@ -48,9 +48,10 @@ def _gains(control: FixedControl) -> ctypes.Structure:
 
     class Gains(ctypes.Structure):
         _fields_ = (
-            ("d", Pi), ("q", Pi), ("speed", Pi),
+            ("d", Pi), ("q", Pi),
             ("x_d", Gain), ("x_q", Gain), ("back_emf", Gain),
             ("voltage_limit", Gain), ("angle_advance", Gain), ("speed_filter", Gain),
+            ("speed", Pi),
             ("dc_least", number), ("torque_max", number), ("ratio", ctypes.c_uint32),
         )  # fmt: skip
 
@@ -61,4 +62,4 @@ def _gains(control: FixedControl) -> ctypes.Structure:
         feed.x_d, feed.x_q, feed.back_emf, control.limit, control.advance, control.speed_filter,
     )  # fmt: skip
     numbers = (control.dc_least, control.torque_max, control.ratio)
-    return Gains(*pis, *(Gain.of(gain) for gain in gains), *numbers)
+    return Gains(*pis[:2], *(Gain.of(gain) for gain in gains), pis[2], *numbers)
