@@ -14,9 +14,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.modulation.hexagon import overmodulated
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.zero_sequence import load_turn, zero_sequence_of
-from dqforge.machines.names import ModulationName
+from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.current_reference.forms import FloatReference
 from dqforge.optimizer.curves.single_precision import SingleArray
@@ -76,6 +77,8 @@ class ControlModel:
         Current references of the torque.
     weakening:
         Current references of torque, voltage and speed, None where there are none.
+    overmodulation:
+        What becomes of a voltage beyond the circle in the hexagon.
     """
 
     gains: Mapping[str, Any]
@@ -83,6 +86,7 @@ class ControlModel:
     modulation: ModulationName
     reference: FloatReference
     weakening: DropReference | None = None
+    overmodulation: OvermodulationName = "none"
 
     def duties(
         self, voltage: Pair[SingleArray], v_dc: SingleArray, current: Pair[SingleArray]
@@ -126,8 +130,9 @@ class ControlModel:
         next_q = np.where(short, integral_q + back_q, integral_q)
         state.d, state.q = np.where(known, next_d, state.d), np.where(known, next_q, state.q)
         state.reference = reference
-        state.v = voltage = park_inverse(SINGLE, (v_d, v_q), turned(now, ahead))
-        if MODULATORS[self.modulation].kind == "centred":
+        voltage = park_inverse(SINGLE, (v_d, v_q), turned(now, ahead))
+        state.v = voltage = overmodulated(self.overmodulation, voltage, v_dc)
+        if MODULATORS[self.modulation].kind == "centred" and self.overmodulation == "none":
             return centred_duties(voltage, v_dc)
         return self.duties(voltage, v_dc, current)
 

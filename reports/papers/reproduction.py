@@ -26,39 +26,45 @@ class Reproduced:
 
 
 def _paper000(*, figures: bool) -> Reproduced:
-    from dqforge.reports.papers import paper000, paper000_tables
+    from dqforge.reports.papers.paper000 import tables
+    from dqforge.reports.papers.paper000.ipmsm_tables import reproduce_paper
 
-    found = paper000.reproduce_paper()
-    tables, plain = (
-        paper000_tables.reproduction_tables(found),
-        paper000_tables.plain_reproduction(found),
-    )
+    found = reproduce_paper()
+    shown, plain = tables.reproduction_tables(found), tables.plain_reproduction(found)
     if not figures:
-        return Reproduced(tables, plain)
-    from dqforge.reports.papers.figures_transients import plot_load_tests
-    from dqforge.reports.papers.paper000_transient import load_tests
+        return Reproduced(shown, plain)
+    from dqforge.reports.papers.paper000.figures import plot_load_tests
+    from dqforge.reports.papers.paper000.load_test import load_tests
 
     tests = load_tests()
-    plain = {**plain, "figure_5": paper000_tables.plain_load_tests(tests)}
+    plain = {**plain, "figure_5": tables.plain_load_tests(tests)}
     return Reproduced(
-        [*tables, paper000_tables.load_test_table(tests)],
+        [*shown, tables.load_test_table(tests)],
         plain,
         {"figure-5.svg": lambda: plot_load_tests(tests)},
     )
 
 
 def _paper001(*, figures: bool) -> Reproduced:
-    from dqforge.reports.papers import paper001, paper001_tables
+    from dqforge.reports.papers.paper001 import tables
+    from dqforge.reports.papers.paper001.bench_transients import reproduce_paper
 
-    found = paper001.reproduce_paper()
+    found = reproduce_paper()
     drawn: dict[str, Callable[[], Figure]] = {}
     if figures:
-        from dqforge.reports.papers.figures_transients import plot_bench
+        from dqforge.reports.papers.paper001.figures import plot_bench
+        from dqforge.reports.papers.paper001.program_figures import (
+            plot_at_1200,
+            plot_climbs,
+            plot_reversal,
+        )
 
+        runs = found.program.runs
+        drawn["figures-8.3-to-8.13.svg"] = lambda: plot_at_1200(runs)
+        drawn["figures-8.14-to-8.20.svg"] = lambda: plot_climbs(runs)
+        drawn["figures-8.21-to-8.28.svg"] = lambda: plot_reversal(runs)
         drawn["figures-8.3-to-8.31.svg"] = lambda: plot_bench(found.runs)
-    return Reproduced(
-        paper001_tables.reproduction_tables(found), paper001_tables.plain_reproduction(found), drawn
-    )
+    return Reproduced(tables.reproduction_tables(found), tables.plain_reproduction(found), drawn)
 
 
 def _paper002(*, figures: bool) -> Reproduced:
