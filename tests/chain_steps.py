@@ -1,4 +1,4 @@
-"""The steps of a drive's chain that the cost table holds today, in float32 and in fixed point."""
+"""The steps of a drive's chain in float32, for the cost table."""
 
 from __future__ import annotations
 
@@ -15,14 +15,10 @@ from numpy.typing import NDArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import FitSettings, ObserverSettings, WeakeningSettings
 from dqforge.machines.modulation.registry import MODULATORS
-from dqforge.machines.names import ModulationName, NumberFormat
+from dqforge.machines.names import ModulationName
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.current_reference.integer_form import FixedReference
-from dqforge.optimizer.fixed_control.design import fit_control
-from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.control.fixed_header import control_fixed_files
 from dqforge.reports.control.header import control_files
 from dqforge.reports.field_weakening.header import weakening_files
 from dqforge.reports.main_header.header import header_files
@@ -52,7 +48,7 @@ def design_of(modulation: ModulationName = "svpwm", **changes: Any) -> Design:
     """A machine of 100 kW at 500 V, sampled at 100 kHz."""
     base = make_design(IPM, fit=FitSettings(degree=4, torque_max=200.0))
     operation = replace(base.operation, modulation=modulation)
-    export = replace(base.export, control=("float32",))
+    export = replace(base.export, control=("float32", "q15", "q31"))
     bases = replace(base.control.bases, speed=1000.0)
     control = replace(base.control, bases=bases)
     return replace(
@@ -66,12 +62,6 @@ def design_of(modulation: ModulationName = "svpwm", **changes: Any) -> Design:
 @cache
 def solution() -> Solution:
     return solve(design_of())
-
-
-@cache
-def fixed_solution(number_format: NumberFormat) -> Solution:
-    fit = FitSettings(form="polynomial", degree=4, format=number_format, torque_max=200.0)
-    return solve(design_of(fit=replace(fit, full_scale=(240.0, IPM.i_max))))
 
 
 @cache
@@ -203,91 +193,4 @@ def _observer(
         f"static drive_{code}_t state; drive_alphabeta_t v; drive_alphabeta_t i;", "",
         f"if (r[0] > 0.0F) {{ drive_{code}_start(&state, r[1], r[2]); }}"
         " v.alpha = r[3]; v.beta = r[4]; i.alpha = r[5]; i.beta = r[6];",
-    )  # fmt: skip
-
-
-def fixed_torque_reference(number_format: NumberFormat) -> Step:
-    found = fixed_solution(number_format)
-    reference = found.fit.reference
-    assert isinstance(reference, FixedReference)
-    number = f"int{reference.width}_t"
-    torque = np.random.default_rng(1).uniform(-210.0, 210.0, COUNT).astype(np.float32)
-    codes = reference.nearest(torque).astype(np.int32)[:, None]
-    return Step(
-        "torque reference", number_format, header_files(found), "drive.h",
-        f"{number} torque, {number} *i_d, {number} *i_q",
-        f"drive_current_reference_{number_format}(torque, i_d, i_q);",
-        f"({number})r[0], &i_d, &i_q", codes, state=f"{number} i_d; {number} i_q;",
-    )  # fmt: skip
-
-
-@cache
-def fixed_control(
-    number_format: NumberFormat, modulation: ModulationName = "svpwm"
-) -> dict[str, bytes]:
-    design, gains = design_of(modulation), solution().gains
-    width = 16 if number_format == "q15" else 32
-    fit = fit_control(design, (gains.i_d, gains.i_q, gains.speed), gains.observer, width)
-    return control_fixed_files(design, fit)
-
-
-def fixed_rows(number_format: NumberFormat) -> NDArray[np.int32]:
-    """The rows of the float32 control in codes of the full scales: currents, angle, speed, DC link
-    and references.
-    """
-    bases, rows = solution().design.control.bases, drive_rows().astype(np.float64)
-    full = 2.0 ** (15 if number_format == "q15" else 31)
-    scale = np.array(
-        [bases.current] * 3 + [np.pi, bases.speed, bases.voltage] + [bases.current] * 2
-    )
-    codes = np.round(rows[:, :8] / scale * full)
-    codes[:, 3] = np.where(codes[:, 3] < 0.0, codes[:, 3] + 2.0 * full, codes[:, 3])
-    codes[:, [0, 1, 2, 4, 5, 6, 7]] = np.clip(codes[:, [0, 1, 2, 4, 5, 6, 7]], -full, full - 1.0)
-    return codes.astype(np.int64).astype(np.uint32).view(np.int32)
-
-
-def fixed_current_control(number_format: NumberFormat) -> Step:
-    f, width = number_format, 16 if number_format == "q15" else 32
-    number, angle = f"int{width}_t", f"uint{width}_t"
-    measured = " ".join(
-        f"measured.{member} = ({angle if member == 'theta_e' else number})r[{k}];"
-        for k, member in enumerate(("i.a", "i.b", "i.c", "theta_e", "omega_m", "v_dc"))
-    )
-    return Step(
-        "current control", f, fixed_control(f), f"drive_control_{f}.h",
-        f"const drive_control_gains_{f}_t *gains, drive_control_{f}_t *state,"
-        f" const drive_measured_{f}_t *measured, drive_dq_{f}_t reference",
-        f"return drive_current_control_{f}(gains, state, measured, reference);",
-        f"&DRIVE_CONTROL_GAINS_{f.upper()}, &state, &measured, reference", fixed_rows(f),
-        f"drive_duties_{f}_t",
-        f"static drive_control_{f}_t state; static drive_measured_{f}_t measured;"
-        f" drive_dq_{f}_t reference;",
-        f"drive_control_start_{f}(&state);",
-        f"{measured} reference.d = ({number})r[6]; reference.q = ({number})r[7];",
-    )  # fmt: skip
-
-
-def fixed_modulators(number_format: NumberFormat) -> Iterator[Step]:
-    f, number = number_format, "int16_t" if number_format == "q15" else "int32_t"
-    for name in FIXED_MODULATORS:
-        yield Step(
-            f"modulator {name}", f, fixed_control(f, name), f"drive_control_{f}.h",
-            f"drive_alphabeta_{f}_t v, {number} v_dc, drive_abc_{f}_t i",
-            f"return drive_duties_{f}(v, v_dc, i);", f"v, ({number})r[5], i", fixed_rows(f),
-            f"drive_duties_{f}_t", f"drive_alphabeta_{f}_t v; drive_abc_{f}_t i;", "",
-            f"v.alpha = ({number})(r[0] / 4); v.beta = ({number})(r[1] / 4);"
-            f" i.a = ({number})r[0]; i.b = ({number})r[1]; i.c = ({number})r[2];",
-        )  # fmt: skip
-
-
-def fixed_speed_observer(number_format: NumberFormat) -> Step:
-    f, number = number_format, "int16_t" if number_format == "q15" else "int32_t"
-    return Step(
-        "speed observer reduced-order", f, fixed_control(f), f"drive_control_{f}.h",
-        f"const drive_reduced_order_gains_{f}_t *gains, drive_reduced_order_{f}_t *state,"
-        f" drive_dq_{f}_t v, drive_dq_{f}_t i",
-        f"drive_reduced_order_step_{f}(gains, state, v, i);",
-        f"&DRIVE_REDUCED_ORDER_GAINS_{f.upper()}, &state, v, i", fixed_rows(f), "void",
-        f"static drive_reduced_order_{f}_t state; drive_dq_{f}_t v; drive_dq_{f}_t i;", "",
-        f"v.d = ({number})r[0]; v.q = ({number})r[1]; i.d = ({number})r[6]; i.q = ({number})r[7];",
     )  # fmt: skip
