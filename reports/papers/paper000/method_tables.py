@@ -150,7 +150,7 @@ def _cost(cost: Cost | None, clock: bool) -> tuple[str, str, str]:
 
 def cost_table(found: CoreCosts) -> Table:
     """Table 3 on every core."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for row in found.rows:
         clock = row.core == CORES[0]
         printed = PRINTED_MICROSECONDS.get(row.method) if clock else None
