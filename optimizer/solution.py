@@ -20,6 +20,10 @@ from dqforge.optimizer.current_reference.signed import signed_designs, signed_re
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.field_weakening.fit import WeakeningFit
 from dqforge.optimizer.field_weakening.solve import solve_weakening
+from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
+    FixedObserverFit,
+    solve_fixed_observers,
+)
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
 from dqforge.optimizer.frame_tables.fit import FrameTables, solve_frame_tables
 from dqforge.optimizer.losses.mission_budget import MissionComparison
@@ -32,6 +36,7 @@ from dqforge.optimizer.observers.reduced_order import (
     errors_at_loads,
 )
 from dqforge.optimizer.operating_points.solve import Curves, current_choice, solve_curves
+from dqforge.optimizer.overmodulation.solve import Overmodulation, solve_overmodulation
 from dqforge.optimizer.waveforms.comparison import (
     WaveformComparison,
     compare_waveforms,
@@ -49,13 +54,13 @@ class Solution:
     that could not be proven; ``trials`` are the forms that were tried for a budget. ``weakening``
     is None where no two-dimensional reference, ``choice`` where no choice of modulator and
     switching frequency, ``mission`` where no mission is asked for. ``fixed`` are control functions
-    in fixed point. ``data`` says where the reference is held by the data of a flux map, or leaves
-    them. ``loops`` is None where none are wanted, or where a design without a section ``control``
+    in fixed point, ``fixed_observers`` its position observer. ``data`` says where the reference is
+    held by the data of a flux map, or leaves them. ``loops`` is None where none are wanted, or where a design without a section ``control``
     has none that hold; ``gains_left_out`` then says why. ``negative`` is None where one reference
     serves torques of both signs; else ``fit`` and ``certificate`` are those of positive ones.
-    ``frame_tables`` is None where none are asked for. ``observer_errors`` are those of the speed
-    observer at half the base speed, without load and with half the largest torque; empty without
-    that observer.
+    ``frame_tables`` and ``overmodulation`` are None where they are not asked for.
+    ``observer_errors`` are those of the speed observer at half the base speed, without load and
+    with half the largest torque; empty without that observer.
     """
 
     design: Design
@@ -72,11 +77,13 @@ class Solution:
     choice: ModulationChoice | None = None
     mission: MissionComparison | None = None
     fixed: tuple[IntegerFit, ...] = ()
+    fixed_observers: tuple[FixedObserverFit, ...] = ()
     data: DataUse = COVERED
     gains_left_out: str = ""
     negative: NegativeHalf | None = None
     observer_errors: tuple[ErrorsAtLoad, ...] = ()
     frame_tables: FrameTables | None = None
+    overmodulation: Overmodulation | None = None
 
     @property
     def positive(self) -> Design:
@@ -144,9 +151,11 @@ def solve(design: Design) -> Solution:
         choice=solve_choice(design),
         mission=solve_mission(design),
         fixed=() if gains is None else solve_integers(design, gains),
+        fixed_observers=(() if gains is None else solve_fixed_observers(design, gains.position)),
         data=chosen.data,
         gains_left_out=left_out,
         negative=solve_negative(design),
         observer_errors=_observer_errors(design, gains, fit.torque_max),
         frame_tables=solve_frame_tables(design),
+        overmodulation=solve_overmodulation(design),
     )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 from dqforge.machines.losses.mission import Mission
+from dqforge.machines.modulation.hexagon import HEXAGON, SIX_STEP
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import (
     SPEED_OBSERVER,
@@ -22,6 +24,7 @@ from dqforge.machines.names import (
     ObserverMethodName,
     ObserverTuningName,
     OpenPhase,
+    OvermodulationName,
     QFormats,
     SpeedLoopMethod,
     Strategy,
@@ -52,13 +55,17 @@ class OperationSettings:
 
     ``omega_m`` in rad/s (mechanical) is the speed for which the currents are chosen, None where the
     voltage limits nothing. The voltage limit there is the linear range of ``modulation`` less
-    ``voltage_margin``, a share of 0 to 1 that is kept for control.
+    ``voltage_margin``, a share of 0 to 1 that is kept for control. With ``overmodulation`` it
+    reaches to ``overmodulation_limit`` of six-step operation: unless told otherwise as far as a
+    vector that follows the hexagon.
     """
 
     strategy: Strategy = "mtpa"
     omega_m: float | None = None
     modulation: ModulationName = "svpwm"
     voltage_margin: float = 0.0
+    overmodulation: OvermodulationName = "none"
+    overmodulation_limit: float = HEXAGON / SIX_STEP
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +154,13 @@ class CurrentLoopSettings:
     axis_gains: AxisGainRule = "own"
     harmonic_integrators: bool = True
     limited_waveforms: bool = False
+
+
+def filter_share(filter_time: float, t_s: float) -> float:
+    """Share of a new sample in the sampled first-order filter of a time constant in s, sampled
+    every ``t_s`` in s: 1 - exp(-t_s/filter_time); 1 without a filter.
+    """
+    return 1.0 if filter_time <= 0.0 else -math.expm1(-t_s / filter_time)
 
 
 @dataclass(frozen=True, slots=True)

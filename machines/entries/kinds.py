@@ -241,6 +241,9 @@ SlewRate = Annotated[Quantity, QuantityRule("current-slew", 1.0, 1e12)]
 Share = Annotated[Quantity, QuantityRule("number", 0.0, 0.9)]
 
 
+SixStepShare = Annotated[Quantity, QuantityRule("number", 0.907, 1.0)]
+
+
 Nonnegative = Annotated[float, Field(ge=0.0, le=1e9, strict=False), BeforeValidator(not_truth)]
 
 

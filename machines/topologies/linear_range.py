@@ -1,5 +1,5 @@
-"""How large a sinusoidal phase voltage may be: of the modulator where the three legs have one to
-choose, else of the topology.
+"""How large the fundamental of a phase voltage may be: of the modulator where the three legs have
+one to choose, else of the topology; more with overmodulation.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.modulation.hexagon import INSCRIBED, SIX_STEP, follows_hexagon
 from dqforge.machines.modulation.modulators import in_linear_range
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName, Topology
@@ -33,6 +34,39 @@ def linear_share(topology: Topology, modulation: ModulationName) -> float:
     if TOPOLOGIES[topology].modulated:
         return MODULATORS[modulation].linear_limit
     return sine_share(topology)
+
+
+def overmodulates(inverter: Inverter, modulation: ModulationName) -> bool:
+    """Whether the voltage may go beyond the linear range.
+
+    Parameters
+    ----------
+    inverter:
+        Topology and method of overmodulation.
+    modulation:
+        The modulator, which must make all of the hexagon; others keep their linear range.
+    """
+    return (
+        inverter.overmodulation != "none"
+        and TOPOLOGIES[inverter.topology].modulated
+        and follows_hexagon(modulation)
+    )
+
+
+def fundamental_share(inverter: Inverter, modulation: ModulationName) -> float:
+    """Largest amplitude of the fundamental over the link's voltage: the one place that says so for
+    operating points, maps, references, budgets and the emitted control.
+
+    Parameters
+    ----------
+    inverter:
+        Topology and overmodulation.
+    modulation:
+        As of `linear_share`.
+    """
+    if overmodulates(inverter, modulation):
+        return max(INSCRIBED, inverter.overmodulation_limit * SIX_STEP)
+    return linear_share(inverter.topology, modulation)
 
 
 def contradiction(key: str, topology: Topology, modulation: ModulationName) -> str:
@@ -61,20 +95,20 @@ def amplitude_limit(inverter: Inverter, modulation: ModulationName, margin: floa
     Parameters
     ----------
     inverter:
-        Topology and DC link.
+        Topology, DC link and overmodulation.
     modulation:
         As of `linear_share`.
     margin:
         Share of 0 to 1 that is kept for control.
     """
-    return linear_share(inverter.topology, modulation) * inverter.v_dc * (1.0 - margin)
+    return fundamental_share(inverter, modulation) * inverter.v_dc * (1.0 - margin)
 
 
 def amplitude_fits(
     inverter: Inverter, modulation: ModulationName, amplitude: FloatArray | float
 ) -> BoolArray:
-    """Where a phase-voltage amplitude (V, peak, any shape) is within the linear range; false for
-    NaN.
+    """Where a phase-voltage amplitude (V, peak, any shape) is within the linear range, or that of
+    overmodulation; false for NaN.
 
     Parameters
     ----------
@@ -83,7 +117,7 @@ def amplitude_fits(
     amplitude:
         In V, any shape.
     """
-    if TOPOLOGIES[inverter.topology].modulated:
+    if TOPOLOGIES[inverter.topology].modulated and not overmodulates(inverter, modulation):
         return in_linear_range(modulation, amplitude, inverter.v_dc)
     limit = amplitude_limit(inverter, modulation) * (1.0 + _ROUNDING)
     return np.asarray(amplitude <= limit)

@@ -4,15 +4,18 @@ and the run that proves it.
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.settings import filter_share
 from dqforge.machines.errors import InputError
+from dqforge.machines.modulation.hexagon import LEAST_HOLD, METHODS, SIX_STEP
 from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.machines.topologies.linear_range import fundamental_share
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.loops.loop_gains import LoopGains
@@ -24,6 +27,7 @@ from dqforge.reports.c_code.title import title
 from dqforge.reports.control.float32_model import ControlModel, ControlState
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.field_weakening.header import weakening_from
+from dqforge.reports.loops.stability_text import stability_lines
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
 
@@ -91,7 +95,7 @@ def plain_control(solution: Solution) -> PlainData:
         "l_d": machine.l_d,
         "l_q": machine.l_q,
         "psi_pm": machine.psi_pm,
-        "voltage_share": MODULATORS[operation.modulation].linear_limit
+        "voltage_share": fundamental_share(design.inverter, operation.modulation)
         * (1.0 - operation.voltage_margin),
         "advance": 1.5 * control.t_s,
         "torque_max": float(solution.reference.torque_max),
@@ -99,8 +103,10 @@ def plain_control(solution: Solution) -> PlainData:
             settings.filter_time if settings is not None else 0.0, control.t_s
         ),
     }
+    method = design.inverter.overmodulation
     return {
         "modulation": operation.modulation,
+        **({} if method == "none" else {"overmodulation": method}),
         "weakening": solution.weakening is not None,
         "ratio": 1 if settings is None else settings.ratio,
         "d": _pi(solution.gains.i_d),
@@ -114,7 +120,7 @@ def speed_filter(filter_time: float, t_s: float) -> float:
     """Share of a new sample in the sampled first-order filter of a time constant in s: 1 -
     exp(-t_s/filter_time).
     """
-    return 1.0 if filter_time <= 0.0 else -math.expm1(-t_s / filter_time)
+    return filter_share(filter_time, t_s)
 
 
 def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> ControlModel:
@@ -131,6 +137,7 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
         }
         gains |= {name: single_from(described[name]) for name in _NUMBERS}
         modulation, ratio = described["modulation"], described["ratio"]
+        method = described.get("overmodulation", "none")
         reference = from_plain(whole["header"]["reference"])
         weakening = weakening_from(whole["weakening_header"]) if described["weakening"] else None
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -139,9 +146,9 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
     triples = all(len(gains[name]) == 3 for name in _PIS)
     if modulation not in tuple(MODULATORS) or not whole_ratio or not triples:
         raise _FAULT
-    if isinstance(reference, FixedReference):
+    if isinstance(reference, FixedReference) or method not in ("none", *METHODS):
         raise _FAULT
-    return ControlModel(gains, ratio, modulation, reference, weakening)
+    return ControlModel(gains, ratio, modulation, reference, weakening, method)
 
 
 def control_inputs(model: ControlModel) -> SingleArray:
@@ -172,6 +179,8 @@ def control_inputs(model: ControlModel) -> SingleArray:
     rows[..., 7] = np.where(
         rows[..., 0] == 2, speed * generator.uniform(0.0, 2.0, shape), rows[..., 7]
     )
+    if model.overmodulation != "none":
+        _run_near_six_step(model, rows, generator)
     rows[:3, :, 1:4] = 0.0  # references and voltages that are exactly equal
     rows[2, :, 7:] = 0.0
     rows[5, :, 6] = 0.0  # no DC-link voltage
@@ -183,6 +192,20 @@ def control_inputs(model: ControlModel) -> SingleArray:
         np.eye(8, dtype=np.bool_)[:, np.newaxis], np.inf, rows[20:28][..., columns]
     )
     return np.ascontiguousarray(rows.reshape(-1, 9), dtype=np.float32)
+
+
+def _run_near_six_step(
+    model: ControlModel, rows: FloatArray, generator: np.random.Generator
+) -> None:
+    """Let the second half of the steps need little more than the back-EMF, about the voltages
+    between the linear range and six-step operation.
+    """
+    quiet = rows[_STEPS // 2 :]
+    quiet[..., 1:4] *= 0.003
+    quiet[..., 7:] *= 0.003
+    share = generator.uniform(0.5, 0.7, quiet.shape[:2])
+    flux = float(model.gains["pole_pairs"]) * max(float(model.gains["psi_pm"]), 1e-3)
+    quiet[..., 5] = np.sign(quiet[..., 5]) * share * quiet[..., 6] / flux
 
 
 def control_results(model: ControlModel, inputs: SingleArray) -> SingleArray:
@@ -250,6 +273,9 @@ def control_files(solution: Solution) -> dict[str, bytes]:
         **title(design),
         "weakening": plain["weakening"],
         "modulator": MODULATORS[plain["modulation"]],
+        "overmodulation": METHODS.get(plain.get("overmodulation", "none")),
+        "six_step": SIX_STEP,
+        "least_hold": LEAST_HOLD,
         "gains": _gain_lines(plain),
         "preamble": [
             (
@@ -265,6 +291,7 @@ def control_files(solution: Solution) -> dict[str, bytes]:
                 "copy over."
             ),
             "Compile with -ffp-contract=off to equal the model bit for bit.",
+            *stability_lines(solution.loops, solution.design.machine.pole_pairs),
         ],
     }
     return {f"{prefix}_control.h": render("control/control.h.j2", context).encode("ascii")}

@@ -1,0 +1,183 @@
+"""A cyclic certificate per cell: P_0 .. P_m, one for each current sample between two of the speed.
+
+    U^T P_1 U < P_0,      A_v^T P_(k+1) A_v < P_k   for k = 1 .. m,   P_(m+1) = P_0
+
+at the corners A_v of the cell and with what they leave out. The power of the inner step is never
+formed, since nothing is multi-affine behind it; what is proven so permits the drive to change
+within a cell at every current sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.box_proofs.cell_queue import (
+    Cell,
+    Cut,
+    Empty,
+    Open,
+    Proven,
+    Refuted,
+    Tree,
+    Verdict,
+    search,
+)
+from dqforge.optimizer.box_proofs.contraction import (
+    NOTHING_LEFT,
+    Contraction,
+    Remainder,
+    contracts,
+)
+from dqforge.optimizer.box_proofs.matrix_inequalities import chained_matrices
+from dqforge.optimizer.speed_box.speed_parameters import SpeedBox
+from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers, cell_corners
+
+Chain = tuple[FloatArray, ...]
+
+"""P_0 without the torque command, P_1 .. P_m with it."""
+
+
+_SMALLEST = 1e-6
+
+"""Share of the box below which a cell is not cut any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """``cells`` at most are looked at; below ``remainder`` a cell is worth an inequality."""
+
+    cells: int
+    remainder: float = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class _Links:
+    """Steps of a cycle: numbers of the matrices before and after, and the corners of the step."""
+
+    update: FloatArray
+    steps: FloatArray
+    ratio: int
+
+    def every(self) -> list[tuple[int, int, FloatArray]]:
+        """The update, the steps between, and the last one, which drops the torque command."""
+        keep = np.delete(np.arange(self.steps.shape[1]), self.steps.shape[1] - 2)
+        inner = [(k, k + 1, self.steps) for k in range(1, self.ratio)]
+        return [(0, 1, self.update), *inner, (self.ratio, 0, self.steps[:, keep])]
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedSearch:
+    """The search over one box."""
+
+    loop: SpeedLoopNumbers
+    box: SpeedBox
+    effort: Effort
+
+    def run(self) -> Tree[Chain]:
+        """Cut the box until all of it is proven, a drive refutes it, or the effort is spent."""
+        return search(self.box.root(), self._examined, self._urgency, self.effort.cells)
+
+    def _urgency(self, cell: Cell) -> float:
+        return float(self._radius(cell.middle))
+
+    def _radius(self, parameters: FloatArray) -> float:
+        step = self.loop.steps(parameters[np.newaxis])[0]
+        return float(np.max(np.abs(np.linalg.eigvals(self.loop.cycle(step)))))
+
+    def _examined(self, cell: Cell) -> Verdict[Chain]:
+        kept = self.box.contracted(cell)
+        if kept is None:
+            return Empty()
+        if self._radius(kept.middle) >= 1.0:
+            point = self.box.drive(kept)
+            if point is not None and self._radius(point) >= 1.0:
+                return Refuted(point)
+        return self._tried(kept)
+
+    def _tried(self, cell: Cell) -> Verdict[Chain]:
+        """The chain of a cell, or where to cut it.
+
+        The corners are asked for one only where what they leave out is small, since an inequality
+        costs far more than a cut.
+        """
+        remainder, parts = self.loop.remainder(cell)
+        frames = self._frames(cell) if remainder.groups[0][1] <= self.effort.remainder else None
+        if frames is None:
+            return self._cut(cell, parts)
+        steps = self.loop.steps(cell_corners(cell))
+        links = _Links(self.loop.update()[np.newaxis], steps, self.loop.ratio)
+        found = Contraction(corners=False, whole=False)
+        for proposal in (_of_middle, _proposed):
+            chain = proposal(links, frames)
+            found = found if chain is None else _falls(chain, links, remainder)
+            if chain is not None and found.whole:
+                return Proven(chain)
+        return self._cut(cell, parts if found.corners else self._reach(cell, frames))
+
+    def _cut(self, cell: Cell, sizes: FloatArray) -> Verdict[Chain]:
+        root = self.box.root()
+        relative = cell.width / np.where(root.width > 0.0, root.width, 1.0)
+        if float(np.max(relative)) < _SMALLEST:
+            return Open(cell)
+        axis = int(np.argmax(np.where(cell.width > 0.0, sizes, -1.0)))
+        return Cut(axis, float(cell.middle[axis]), cell)
+
+    def _frames(self, cell: Cell) -> list[FloatArray] | None:
+        """T_k of the loop in the middle, P_k = T_k^T T_k falling by 1 at every step."""
+        from scipy.linalg import solve_discrete_lyapunov
+
+        step = self.loop.steps(cell.middle[np.newaxis])[0]
+        links = _Links(self.loop.update()[np.newaxis], step[np.newaxis], self.loop.ratio).every()
+        whole = np.eye(self.loop.size - 1)
+        weight = np.zeros_like(whole)
+        for _, _, closed in links:
+            weight += whole.T @ whole
+            whole = closed[0] @ whole
+        try:
+            first = solve_discrete_lyapunov(whole.T, weight)
+            matrices = [0.5 * (first + first.T)]
+            for _, _, closed in reversed(links[1:]):
+                back = closed[0].T @ matrices[-1] @ closed[0]
+                matrices.append(back + np.eye(len(back)))
+            ordered = [matrices[0], *reversed(matrices[1:])]
+            return [np.linalg.cholesky(matrix).T for matrix in ordered]
+        except np.linalg.LinAlgError:
+            return None
+
+    def _reach(self, cell: Cell, frames: list[FloatArray]) -> FloatArray:
+        """How far each parameter moves a step, in the frame of the middle."""
+        found = []
+        for axis in range(len(cell.low)):
+            ends = np.stack([cell.middle, cell.middle])
+            ends[0, axis], ends[1, axis] = cell.low[axis], cell.high[axis]
+            low, high = self.loop.steps(ends)
+            found.append(np.linalg.norm(frames[1] @ (high - low) @ np.linalg.inv(frames[1]), 2))
+        return np.array(found)
+
+
+def _falls(chain: Chain, links: _Links, remainder: Remainder) -> Contraction:
+    """Whether x^T P x falls at every step of the cycle; the update itself leaves nothing out."""
+    found = [
+        contracts(chain[a], chain[b], closed, remainder if a > 0 else NOTHING_LEFT)
+        for a, b, closed in links.every()
+    ]
+    return Contraction(all(of.corners for of in found), all(of.whole for of in found))
+
+
+def _of_middle(_: _Links, frames: list[FloatArray]) -> Chain:
+    """The chain of the loop in the middle of the cell, for which nothing needs to be solved."""
+    return tuple(frame.T @ frame for frame in frames)
+
+
+def _proposed(links: _Links, frames: list[FloatArray]) -> Chain | None:
+    backs = [np.linalg.inv(frame) for frame in frames]
+    turned = [(a, b, frames[b] @ closed @ backs[a]) for a, b, closed in links.every()]
+    found = chained_matrices(turned, [back.T @ back for back in backs], count=len(frames))
+    if found is None or found.scalar <= 1e-7:
+        return None
+    pairs = zip(frames, found.matrices, strict=True)
+    chain = [frame.T @ matrix @ frame for frame, matrix in pairs]
+    return tuple(0.5 * (matrix + matrix.T) for matrix in chain)

@@ -1,0 +1,147 @@
+"""Steps of the speed loop over one current sample, over cells of its box.
+
+In flux linkage over voltage, phi = i L/(g t_s), speed w = omega L' kp_s/(t_s K sigma), torque
+command T L'/(t_s K):
+
+    d phi = -rho' c phi - e eta w + v
+    d w   = h j b phi - (B t_s/J') (J'/J) w
+    d w_f = (w - w_f) t_s/T_f
+    v+ = I + (p + q) (T - b phi),   I+ = I + q (T - b phi)
+    T+ = S - (1 + r) sigma y,       S+ = S - r sigma y       y = w or w_f
+
+the last line every ratio-th sample only. K is the torque constant that the controller assumes, and
+
+    rho' = R' t_s/L',  p = kp t_s/L',  q = ki t_s^2/L',  r = ki_s ratio t_s/kp_s
+    h = kp_s t_s/(J' sigma),   eta = t_s K sigma/(L' kp_s)
+
+with a scale sigma of the speed that makes h and e eta of one size.
+
+This is affine in each of b, c, j, e alone but for the exponential, which over a cell errs by at
+most w^2/8 times its second derivatives from the interpolation of its corners. Those are the square
+of the flow's derivative, but by e: the back-EMF meets itself again only by way of h j b, and that
+takes time (a third of it). Where the friction meets J'/J = j/f, f is taken as 1 and the rest
+belongs to the error.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.box_proofs.cell_queue import Cell
+from dqforge.optimizer.box_proofs.contraction import Remainder
+
+_MORE = 1.0 + 1e-12
+
+"""Makes up for the rounding of a bound."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLoopNumbers:
+    """The design's loop without unit, as above.
+
+    ``friction`` is B t_s/J', ``filtering`` t_s/T_f (0 without a filter), ``integral`` r,
+    ``uneven`` the largest |1/f - 1|, ``scale`` sigma.
+    """
+
+    rho: float
+    h: float
+    p: float
+    q: float
+    eta: float
+    integral: float
+    friction: float
+    filtering: float
+    ratio: int
+    uneven: float
+    scale: float = 1.0
+
+    @property
+    def moving(self) -> int:
+        """States of the drive: phi, w and, with a filter, w_f."""
+        return 3 if self.filtering > 0.0 else 2
+
+    @property
+    def size(self) -> int:
+        """States in all: those of the drive, v, I, T and S."""
+        return self.moving + 4
+
+    def update(self) -> FloatArray:
+        """The speed controller, from all states but T to all, shape (n, n - 1)."""
+        n, last = self.size, self.moving - 1
+        matrix = np.zeros((n, n - 1))
+        matrix[: n - 2, : n - 2] = np.eye(n - 2)
+        matrix[n - 2, n - 2] = matrix[n - 1, n - 2] = 1.0
+        matrix[n - 2, last] = -(1.0 + self.integral) * self.scale
+        matrix[n - 1, last] = -self.integral * self.scale
+        return matrix
+
+    def flow(self, parameters: FloatArray) -> FloatArray:
+        """The drive over time in samples, with v as its last column, shape (N, k + 1, k + 1)."""
+        b, c, j, e = parameters.T
+        k = self.moving
+        flow = np.zeros((len(parameters), k + 1, k + 1))
+        flow[:, 0, 0], flow[:, 0, 1], flow[:, 0, k] = -c * self.rho, -e * self.eta, 1.0
+        flow[:, 1, 0], flow[:, 1, 1] = self.h * j * b, -self.friction * j
+        if k == 3:
+            flow[:, 2, 1], flow[:, 2, 2] = self.filtering, -self.filtering
+        return flow
+
+    def steps(self, parameters: FloatArray) -> FloatArray:
+        """Steps of one current sample at parameters (b, c, j, e), shape (N, 4) -> (N, n, n)."""
+        from scipy.linalg import expm
+
+        b, k, n = parameters[:, 0], self.moving, self.size
+        matrix = np.zeros((len(parameters), n, n))
+        matrix[:, :k, : k + 1] = expm(self.flow(parameters))[:, :k]
+        v, i, torque, total = range(k, n)
+        matrix[:, v, 0], matrix[:, i, 0] = -(self.p + self.q) * b, -self.q * b
+        matrix[:, v, i] = matrix[:, i, i] = 1.0
+        matrix[:, v, torque], matrix[:, i, torque] = self.p + self.q, self.q
+        matrix[:, torque, torque] = matrix[:, total, total] = 1.0
+        return matrix
+
+    def cycle(self, step: FloatArray) -> FloatArray:
+        """One sample of the speed controller with one step ``ratio`` times, (n - 1, n - 1)."""
+        whole = np.linalg.matrix_power(step, self.ratio) @ self.update()
+        return np.asarray(np.delete(whole, self.size - 2, axis=0), dtype=np.float64)
+
+    def curvatures(self, cell: Cell) -> FloatArray:
+        """Bounds of the second derivatives of the exponential by b, c, j and e over a cell."""
+        b, j = float(cell.high[0]), float(cell.high[2])
+        by_e = self.eta**2 * self.h * j * b / 3.0
+        squares = ((self.h * j) ** 2, self.rho**2, (self.h * b) ** 2 + self.friction**2, by_e)
+        return np.array(squares) * self._growth(cell) ** 2
+
+    def remainder(self, cell: Cell) -> tuple[Remainder, FloatArray]:
+        """What the corners of a cell leave out, and the part of each parameter in it."""
+        parts = cell.width**2 * self.curvatures(cell)
+        rest = self.friction * float(cell.high[2]) * self.uneven * self._growth(cell)
+        total = float(np.sum(parts)) * _MORE
+        k = self.moving
+        rows = tuple(range(k))
+        return Remainder(rows, ((rows, total / 8.0 + rest), ((k,), total / 24.0 + rest))), parts
+
+    def _growth(self, cell: Cell) -> float:
+        """Largest norm of the exponential over a cell, with and without h: by the symmetric part
+        of the flow, whose largest eigenvalue is convex in each parameter, at the corners.
+        """
+        flow = self.flow(cell_corners(cell))[:, : self.moving, : self.moving]
+        apart = flow.copy()
+        apart[:, 1, 0] = 0.0
+        both = np.concatenate([flow, apart])
+        most = float(np.max(np.linalg.eigvalsh(0.5 * (both + np.swapaxes(both, 1, 2)))))
+        most += self.friction * self.uneven * float(cell.high[2])
+        return float(np.exp(max(most, 0.0))) * _MORE
+
+
+def cell_corners(cell: Cell) -> FloatArray:
+    """Corners of a cell, those of no width once, shape (V, D)."""
+    sides = [
+        (low,) if low == high else (low, high)
+        for low, high in zip(cell.low.tolist(), cell.high.tolist(), strict=True)
+    ]
+    return np.array(list(itertools.product(*sides)))
