@@ -25,6 +25,8 @@ from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     solve_fixed_observers,
 )
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
+from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
+from dqforge.optimizer.fixed_reference.solve import solve_fixed_references
 from dqforge.optimizer.frame_tables.fit import FrameTables, solve_frame_tables
 from dqforge.optimizer.losses.mission_budget import MissionComparison
 from dqforge.optimizer.losses.point_comparison import LossComparison
@@ -55,9 +57,11 @@ class Solution:
     is None where no two-dimensional reference, ``choice`` where no choice of modulator and
     switching frequency, ``mission`` where no mission is asked for. ``fixed`` are control functions
     in fixed point, ``fixed_observers`` its position observer. ``data`` says where the reference is
-    held by the data of a flux map, or leaves them. ``loops`` is None where none are wanted, or where a design without a section ``control``
+    held by the data of a flux map, or leaves them. ``loops`` is None where none are wanted, or
+    where a design without a section ``control``
     has none that hold; ``gains_left_out`` then says why. ``negative`` is None where one reference
     serves torques of both signs; else ``fit`` and ``certificate`` are those of positive ones.
+    ``fixed_references`` lead from torque, dc link and speed to currents in fixed point.
     ``frame_tables`` and ``overmodulation`` are None where they are not asked for.
     ``observer_errors`` are those of the speed observer at half the base speed, without load and
     with half the largest torque; empty without that observer.
@@ -84,6 +88,7 @@ class Solution:
     observer_errors: tuple[ErrorsAtLoad, ...] = ()
     frame_tables: FrameTables | None = None
     overmodulation: Overmodulation | None = None
+    fixed_references: tuple[FixedReferenceFit, ...] = ()
 
     @property
     def positive(self) -> Design:
@@ -124,6 +129,15 @@ def _observer_errors(
     return errors_at_loads(design.machine, gains.observer, speed, loads)
 
 
+def _fixed_references(
+    design: Design, gains: GainSet | None, fit: ReferenceFit, weakening: WeakeningFit | None
+) -> tuple[FixedReferenceFit, ...]:
+    """References for the control in rotor coordinates; none where there is none."""
+    if gains is None or gains.phases is not None:
+        return ()
+    return solve_fixed_references(design, fit, weakening)
+
+
 @on_design("machine")
 def solve(design: Design) -> Solution:
     """Solve everything that the design asks for.
@@ -136,6 +150,7 @@ def solve(design: Design) -> Solution:
     positive = signed_designs(design)[0]
     chosen = solve_fit(positive)
     fit, (gains, left_out) = chosen.fit, gains_or_reason(design)
+    weakening = solve_weakening(design)
     return Solution(
         design=design,
         curves=solve_curves(positive),
@@ -147,7 +162,7 @@ def solve(design: Design) -> Solution:
         losses=solve_losses(design),
         waveforms=None if design.phase_machine is None else compare_waveforms(design),
         phases=None if design.phase_machine is None else solve_phases(design),
-        weakening=solve_weakening(design),
+        weakening=weakening,
         choice=solve_choice(design),
         mission=solve_mission(design),
         fixed=() if gains is None else solve_integers(design, gains),
@@ -158,4 +173,5 @@ def solve(design: Design) -> Solution:
         observer_errors=_observer_errors(design, gains, fit.torque_max),
         frame_tables=solve_frame_tables(design),
         overmodulation=solve_overmodulation(design),
+        fixed_references=_fixed_references(design, gains, fit, weakening),
     )

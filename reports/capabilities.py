@@ -12,6 +12,7 @@ from dqforge.reports.current_reference.capability import (
 )
 from dqforge.reports.field_weakening.capability import WEAKENING
 from dqforge.reports.fixed_observers.capability import FIXED_OBSERVER
+from dqforge.reports.fixed_reference.capability import FIXED_REFERENCE
 from dqforge.reports.frame_tables.capability import FRAME_TABLES
 from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS, STABILITY
 from dqforge.reports.losses.capability import LOSSES, MISSION
@@ -37,6 +38,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     PHASE_REFERENCE,
     FRAME_TABLES,
     WEAKENING,
+    FIXED_REFERENCE,
     FLOAT32_CONTROL,
     FIXED_CONTROL,
     MODULATION_CHOICE,

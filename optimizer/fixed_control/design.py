@@ -120,12 +120,13 @@ def fit_control(
         if loop is not None:
             further = feed_reach(decoupled, width).get(loop.loop, 0)
             found[loop.loop], forms[loop.loop] = _loop(design, loop, width, loops[1], further)
+    dc_scale, dc_least = dc_link(design, width)
     control = FixedControl(
         width=width,
         bases=_bases(design),
         modulation=design.operation.modulation,
-        dc_scale=_dc_scale(design),
-        dc_least=round(0.5 * design.inverter.v_dc / _dc_base(design) * 2 ** (width - 1)),
+        dc_scale=dc_scale,
+        dc_least=dc_least,
         limit=precise_gain("voltage limit", _limit(design), width, 2 ** (width - 1)),
         advance=precise_gain("angle advance", _advance(design), width, 2 ** (width - 1)),
         i_d=forms["i_d"],
@@ -221,6 +222,12 @@ def _dc_scale(design: Design) -> int:
 
 def _dc_base(design: Design) -> float:
     return design.control.bases.voltage * 2.0 ** _dc_scale(design)
+
+
+def dc_link(design: Design, width: int) -> tuple[int, int]:
+    """Scale of the dc link as a power of two, and the code below which it is taken as that."""
+    half = 0.5 * design.inverter.v_dc / _dc_base(design)
+    return _dc_scale(design), round(half * 2 ** (width - 1))
 
 
 def _limit(design: Design) -> float:
