@@ -138,6 +138,14 @@ def _fixed_references(
     return solve_fixed_references(design, fit, weakening)
 
 
+def _integers(
+    design: Design, gains: GainSet, fit: ReferenceFit, references: tuple[FixedReferenceFit, ...]
+) -> tuple[IntegerFit, ...]:
+    """Control functions in fixed point, with their references."""
+    known = {found.reference.width: found.reference for found in references}
+    return solve_integers(design, gains, fit.torque_max, known)
+
+
 @on_design("machine")
 def solve(design: Design) -> Solution:
     """Solve everything that the design asks for.
@@ -151,6 +159,7 @@ def solve(design: Design) -> Solution:
     chosen = solve_fit(positive)
     fit, (gains, left_out) = chosen.fit, gains_or_reason(design)
     weakening = solve_weakening(design)
+    references = _fixed_references(design, gains, fit, weakening)
     return Solution(
         design=design,
         curves=solve_curves(positive),
@@ -165,7 +174,7 @@ def solve(design: Design) -> Solution:
         weakening=weakening,
         choice=solve_choice(design),
         mission=solve_mission(design),
-        fixed=() if gains is None else solve_integers(design, gains),
+        fixed=() if gains is None else _integers(design, gains, fit, references),
         fixed_observers=(() if gains is None else solve_fixed_observers(design, gains.position)),
         data=chosen.data,
         gains_left_out=left_out,
@@ -173,5 +182,5 @@ def solve(design: Design) -> Solution:
         observer_errors=_observer_errors(design, gains, fit.torque_max),
         frame_tables=solve_frame_tables(design),
         overmodulation=solve_overmodulation(design),
-        fixed_references=_fixed_references(design, gains, fit, weakening),
+        fixed_references=references,
     )

@@ -22,6 +22,7 @@ from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.field_weakening.header import weakening_files
+from dqforge.reports.fixed_reference.header import reference_files
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
@@ -166,7 +167,13 @@ def emitted_files(solution: Solution, number_format: NumberFormat) -> dict[str, 
     fits = [fit for fit in solution.fixed if fit.control.format == number_format]
     if not fits:
         raise ValueError(f"the design emits no control functions in {number_format}")
-    return integer_files(solution.design, fits[0])
+    references = [
+        found for found in solution.fixed_references if found.reference.format == number_format
+    ]
+    files = integer_files(solution.design, fits[0])
+    for found in references:
+        files |= reference_files(solution.design, found)
+    return files
 
 
 def controller_files(solution: Solution) -> dict[str, bytes]:
