@@ -105,11 +105,19 @@ def _functions() -> list[str]:
         for name in ("horner", "powers_double", "powers_single")
         for degree in PRINTED_TABLE_1
     ]
-    return ["direct", "morimoto_double", "morimoto_single", *polynomials, "emitted"]
+    # the last takes codes
+    return [
+        "direct",
+        "morimoto_double",
+        "morimoto_single",
+        *polynomials,
+        "emitted",
+        "emitted_q15",
+    ]
 
 
 def method_sources(
-    machine: LinearMachine, header: Mapping[str, bytes], prefix: str
+    machine: LinearMachine, headers: Mapping[str, bytes], prefix: str, fixed_prefix: str
 ) -> dict[str, bytes]:
     """C files of all functions and of the program that calls them.
 
@@ -117,10 +125,10 @@ def method_sources(
     ----------
     machine:
         For bases and breakpoints.
-    header:
-        The emitted header of the printed polynomials with its vectors, by name.
-    prefix:
-        Its prefix.
+    headers:
+        The emitted headers of the printed polynomials and of a reference in Q15, by name.
+    prefix, fixed_prefix:
+        Their prefixes.
     """
     base = per_unit_base(machine)
     parts = [
@@ -137,16 +145,18 @@ def method_sources(
         for degree in PRINTED_TABLE_1
     ]
     context = {
-        "header": f"{prefix}.h",
         "prefix": prefix,
+        "fixed_prefix": fixed_prefix,
         "gain": 1.0 / machine.torque_per_ampere,
         "base": base.current,
         "polynomials": parts,
     }
-    calls = {"names": _functions(), "torques": _TORQUES}
+    codes = [int(torque / _TORQUES[-1] * 16_000.0) for torque in _TORQUES]
+    calls = {"names": _functions()[:-1], "torques": _TORQUES, "codes": codes}
     room = "papers/paper000"
     return {
-        f"{prefix}.h": header[f"{prefix}.h"],
+        f"{prefix}.h": headers[f"{prefix}.h"],
+        f"{fixed_prefix}.h": headers[f"{fixed_prefix}.h"],
         "methods.c": render(f"{room}/mtpa_methods.c.j2", context).encode("ascii"),
         "method_calls.c": render(f"{room}/method_calls.c.j2", calls).encode("ascii"),
     }
@@ -225,18 +235,23 @@ def _rows(core: str, plain: dict[str, Cost], optimised: dict[str, Cost]) -> list
                 core, f"powers_{degree}", plain[double], optimised[double], optimised[single]
             )
         )
-    return [*rows, MethodCost(core, "emitted", None, None, optimised["emitted"])]
+    emitted = (
+        MethodCost(core, name, None, None, optimised[name]) for name in ("emitted", "emitted_q15")
+    )
+    return [*rows, *emitted]
 
 
-def core_costs(machine: LinearMachine, header: Mapping[str, bytes], prefix: str) -> CoreCosts:
+def core_costs(
+    machine: LinearMachine, headers: Mapping[str, bytes], prefix: str, fixed_prefix: str
+) -> CoreCosts:
     """Costs on every core; what cannot be run is left out with its reason.
 
     Parameters
     ----------
-    machine, header, prefix:
+    machine, headers, prefix, fixed_prefix:
         As `method_sources`.
     """
-    sources = method_sources(machine, header, prefix)
+    sources = method_sources(machine, headers, prefix, fixed_prefix)
     jobs = [(core, level) for core in CORES for level in ("-O0", "-O2")]
 
     def measure(job: tuple[str, str]) -> dict[str, Cost] | str:

@@ -35,6 +35,7 @@ _METHODS = {
     "powers_3": "degree 3, powers",
     "powers_4": "degree 4, powers",
     "emitted": "degree 4, emitted",
+    "emitted_q15": "degree 4, emitted in Q15",
 }
 
 
@@ -196,7 +197,7 @@ def _cost_notes(found: CoreCosts) -> list[str]:
         (
             "Instructions are counted on the emulated core, cycles estimated (lo to hi, no wait "
             "states). -O0 and -O2: the root and the powers of the library in double precision, in "
-            "software; float32: -O2, sqrtf, products for powers."
+            "software; float32: -O2, sqrtf, products for powers, integers in the last line of each."
         )
     ]
     if CORES[0] in found.left_out:

@@ -14,6 +14,7 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
+from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.forms import (
     CurrentReference,
     Polynomials,
@@ -31,6 +32,9 @@ from dqforge.reports.papers.paper000.stated_method import CURVE_END, DOMAIN, edg
 from dqforge.reports.verification.host import verify_files
 
 PREFIX = "paper000_mtpa"
+
+
+FIXED_PREFIX = "paper000_q15"
 
 
 DEGREE = 4
@@ -62,6 +66,8 @@ class PrintedPolynomial:
 
     ``torque_max`` in N m is 5 per unit; ``breakpoints`` in N m are those of d and q; ``compared``
     results equalled the model bit for bit, 0 where no compiler is there, which ``missing`` says.
+    ``fixed`` are the files of a reference of the same degree in Q15, with coefficients of ours, for
+    what it costs.
     """
 
     degree: int
@@ -71,6 +77,7 @@ class PrintedPolynomial:
     compared: int
     missing: str
     files: dict[str, bytes]
+    fixed: dict[str, bytes]
 
 
 def printed_piecewise(axis: str, degree: int, machine: LinearMachine) -> PiecewisePolynomial:
@@ -114,6 +121,28 @@ def _with_printed(solution: Solution, degree: int) -> Solution:
     return replace(solution, fit=fit, certificate=None, alternatives=(), trials=())
 
 
+def _in_q15(solution: Solution) -> dict[str, bytes]:
+    """Header and vectors of a reference of the same degree in Q15, fitted to the limits of the
+    drive.
+    """
+    design = solution.design
+    settings = replace(
+        design.fit,
+        form="polynomial",
+        degree=DEGREE,
+        format="q15",
+        full_scale=(CURVE_END, design.i_max),
+    )
+    export = replace(design.export, prefix=FIXED_PREFIX)
+    fitted = replace(
+        solution,
+        design=replace(design, fit=settings, export=export),
+        fit=fit_reference(current_choice(design), settings),
+        certificate=None,
+    )
+    return header_files(fitted)
+
+
 def _errors(reference: CurrentReference, machine: LinearMachine) -> tuple[AxisErrors, ...]:
     torque = np.linspace(0.0, float(reference.torque_max), _SAMPLES)
     exact, found = mtpa_currents(machine, torque), reference.currents(torque)
@@ -144,7 +173,8 @@ def printed_header(design: Design) -> PrintedPolynomial:
         modulation_choice=None,
         weakening=None,
     )
-    solution = _with_printed(solve(plain), DEGREE)
+    solved = solve(plain)
+    solution = _with_printed(solved, DEGREE)
     reference = solution.fit.reference
     assert isinstance(reference, CurrentReference)
     files, compared, missing = header_files(solution), 0, ""
@@ -164,4 +194,5 @@ def printed_header(design: Design) -> PrintedPolynomial:
         compared=compared,
         missing=missing,
         files=files,
+        fixed=_in_q15(solved),
     )

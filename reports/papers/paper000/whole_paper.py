@@ -18,6 +18,7 @@ from dqforge.reports.papers.paper000.ipmsm_tables import (
 )
 from dqforge.reports.papers.paper000.load_test import LoadTest, load_tests
 from dqforge.reports.papers.paper000.printed_polynomial import (
+    FIXED_PREFIX,
     PREFIX,
     PrintedPolynomial,
     printed_header,
@@ -54,7 +55,7 @@ def reproduce_whole() -> WholePaper:
         tables=reproduce_paper(),
         stated=by_stated_method(machine),
         header=header,
-        costs=core_costs(machine, header.files, PREFIX),
+        costs=core_costs(machine, header.files | header.fixed, PREFIX, FIXED_PREFIX),
         load_tests=tests,
         heat=heat_curves(design, tests),
         left_out=left_out,

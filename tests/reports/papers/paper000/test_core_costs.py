@@ -15,11 +15,15 @@ from dqforge.reports.papers.paper000 import core_costs, method_tables
 from dqforge.reports.papers.paper000.core_costs import CORES, PRINTED_MICROSECONDS, CoreCosts
 from dqforge.reports.papers.paper000.ipmsm_tables import PRINTED_TABLE_2
 
-_HEADER = {
+_HEADERS = {
     "only.h": (
         b"static inline void only_current_reference(float t, float *i_d, float *i_q)\n"
         b"{\n    *i_d = 0.0F;\n    *i_q = t;\n}\n"
-    )
+    ),
+    "fixed.h": (
+        b"static inline void fixed_current_reference_q15(int16_t t, int16_t *i_d, int16_t *i_q)\n"
+        b"{\n    *i_d = 0;\n    *i_q = t;\n}\n"
+    ),
 }
 
 MACHINE = linearised(catalogue.load("paper000-ipmsm-100kw").machine)
@@ -32,7 +36,7 @@ needs_target = pytest.mark.skipif(
 
 def test_all_ways_give_the_currents_that_they_should(tmp_path: Path) -> None:
     """Compiled for the host: polynomials by Horner and by powers alike, Morimoto by (15)."""
-    for name, content in core_costs.method_sources(MACHINE, _HEADER, "only").items():
+    for name, content in core_costs.method_sources(MACHINE, _HEADERS, "only", "fixed").items():
         (tmp_path / name).write_bytes(content)
     names = [
         "direct",
@@ -65,7 +69,7 @@ def test_all_ways_give_the_currents_that_they_should(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def found() -> CoreCosts:
-    return core_costs.core_costs(MACHINE, _HEADER, "only")
+    return core_costs.core_costs(MACHINE, _HEADERS, "only", "fixed")
 
 
 @needs_target
@@ -89,7 +93,7 @@ def test_the_printed_times_are_those_of_a_build_without_optimisation(found: Core
 @pytest.mark.slow
 def test_every_core_has_every_method(found: CoreCosts) -> None:
     assert {row.core for row in found.rows} == set(CORES)
-    assert len(found.rows) == len(CORES) * 9
+    assert len(found.rows) == len(CORES) * 10
     costs = {(row.core, row.method): row for row in found.rows}
     for row in found.rows:
         if row.plain is not None and row.optimised is not None and row.single is not None:
@@ -106,7 +110,7 @@ def test_every_core_has_every_method(found: CoreCosts) -> None:
 
 def test_without_tools_the_lines_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "/nowhere")
-    found = core_costs.core_costs(MACHINE, _HEADER, "only")
+    found = core_costs.core_costs(MACHINE, _HEADERS, "only", "fixed")
     assert found.rows == ()
     assert set(found.left_out) == set(CORES)
     table = method_tables.cost_table(found)

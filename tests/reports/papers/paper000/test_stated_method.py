@@ -12,6 +12,7 @@ from dqforge.reports.papers.paper000 import method_tables, stated_method
 from dqforge.reports.papers.paper000.figures import plot_errors_over_torque, plot_split
 from dqforge.reports.papers.paper000.ipmsm_tables import PRINTED_TABLE_1, PRINTED_TABLE_2
 from dqforge.reports.papers.paper000.printed_polynomial import (
+    FIXED_PREFIX,
     PREFIX,
     PrintedPolynomial,
     printed_header,
@@ -131,6 +132,10 @@ def test_the_header_holds_the_printed_digits_and_runs(header: PrintedPolynomial)
     assert "(((8.0e-8F * t - 2.19e-5F) * t - 7.17e-5F) * t + 1.59F) * torque_Nm" in text
     assert "132.48" in text
     assert "99.418" in text
+    assert (
+        f"{FIXED_PREFIX}_current_reference_q15(int16_t"
+        in header.fixed[f"{FIXED_PREFIX}.h"].decode()
+    )
     assert header.missing == ""
     assert header.compared > 20_000
 
