@@ -71,8 +71,7 @@ def _evidence(fit: FixedReferenceFit) -> PlainData:
             "samples": errors.samples,
         },
         "ranges": [
-            {"name": reach.name, **asdict(reach.range), "bits": reach.bits}
-            for reach in fit.reaches
+            {"name": reach.name, **asdict(reach.range), "bits": reach.bits} for reach in fit.reaches
         ],
         "fullest": {"name": fullest.name, "share": fullest.share},
     }

@@ -38,9 +38,7 @@ def preamble_lines(design: Design, fit: FixedReferenceFit) -> list[str]:
     mesh, fullest = fit.reference, fit.fullest
     current, voltage, speed, torque = mesh.bases
     bits = mesh.width
-    scales = (
-        f"{torque:.6g} N m of torque, {current:.6g} A (peak) of current, {speed:.6g} rad/s of"
-    )
+    scales = f"{torque:.6g} N m of torque, {current:.6g} A (peak) of current, {speed:.6g} rad/s of"
     return [
         f"Codes are int{bits}_t, 2^{bits - 1} of them full scale: {scales}",
         f"mechanical speed, and the dc link as in {design.export.prefix}_control_{mesh.format}.h",
