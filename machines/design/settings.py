@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -147,6 +148,13 @@ class CurrentLoopSettings:
     axis_gains: AxisGainRule = "own"
     harmonic_integrators: bool = True
     limited_waveforms: bool = False
+
+
+def filter_share(filter_time: float, t_s: float) -> float:
+    """Share of a new sample in the sampled first-order filter of a time constant in s, sampled
+    every ``t_s`` in s: 1 - exp(-t_s/filter_time); 1 without a filter.
+    """
+    return 1.0 if filter_time <= 0.0 else -math.expm1(-t_s / filter_time)
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,7 @@ def fixed_control_from(plain: Mapping[str, Any], width: int) -> FixedControl:
             bases=(current, voltage, speed, torque),
             modulation=one_of(
                 plain["modulation"],
-                tuple(name for name in MODULATORS if MODULATORS[name].in_integers),
+                tuple(MODULATORS),
             ),
             dc_scale=whole(plain["dc_scale"], 0, 8),
             dc_least=whole(plain["dc_least"], 1, full_scale(width)),
@@ -55,6 +55,9 @@ def fixed_control_from(plain: Mapping[str, Any], width: int) -> FixedControl:
                 **{k: gain_from(v, width) for k, v in plain["decoupling"].items()}
             ),
             observer=None if plain["observer"] is None else _observer(plain["observer"], width),
+            speed_filter=gain_from(plain["speed_filter"], width),
+            torque_max=whole(plain["torque_max"], 0, full_scale(width)),
+            ratio=whole(plain["ratio"], 1, 2**31 - 1),
         )
         control_ranges(found)
     except (KeyError, TypeError, ValueError, AttributeError, NoSolutionError):

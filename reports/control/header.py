@@ -4,13 +4,13 @@ and the run that proves it.
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from dqforge.machines.design.settings import filter_share
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.optimizer.current_reference.integer_form import FixedReference
@@ -114,7 +114,7 @@ def speed_filter(filter_time: float, t_s: float) -> float:
     """Share of a new sample in the sampled first-order filter of a time constant in s: 1 -
     exp(-t_s/filter_time).
     """
-    return 1.0 if filter_time <= 0.0 else -math.expm1(-t_s / filter_time)
+    return filter_share(filter_time, t_s)
 
 
 def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> ControlModel:

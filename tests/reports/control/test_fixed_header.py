@@ -48,7 +48,7 @@ STRICT = (
 
 
 # Those whose code differs most; the others in the long run.
-_FIRST = {"svpwm", "thipwm6", "dpwm0", "ddt-gdpwm"}
+_FIRST = {"svpwm", "thipwm6", "dpwm0", "gdpwm", "ddt-gdpwm"}
 MODULATIONS = [
     pytest.param(name, marks=[] if name in _FIRST else [pytest.mark.slow])
     for name in FIXED_MODULATORS
@@ -179,8 +179,8 @@ def test_a_design_that_asks_gets_both_headers(written: tuple[Path, str]) -> None
         assert (folder / f"{prefix}_{name}.h").exists()
         assert (folder / f"{prefix}_{name}_vectors.h").exists()
     text = (folder / f"{prefix}_control_q15.h").read_text()
-    assert "{ 136, 10U }" in text  # Table 8.1 of paper 001
-    assert "{ 20000, 10U }" in text
+    assert "{ 136, 10U, 512 }" in text  # Table 8.1 of paper 001
+    assert "{ 20000, 10U, 512 }" in text
     assert "ki t_s 26 / 2^15" in text
     assert "float" not in text.replace("float32", "")
     assert verify_folder(folder).sweep > 80_000
@@ -195,8 +195,8 @@ def test_a_changed_integer_is_found(written: tuple[Path, str], tmp_path: Path) -
         (tmp_path / path.name).write_bytes(path.read_bytes())
     header = tmp_path / f"{prefix}_control_q15.h"
     text = header.read_text()
-    assert text.count("{ 136, 10U }") == 6  # two loops, two forms, and the whole step
-    header.write_text(text.replace("{ 136, 10U }", "{ 137, 10U }"))
+    assert text.count("{ 136, 10U, 512 }") == 6  # two loops, two forms, and the whole step
+    header.write_text(text.replace("{ 136, 10U, 512 }", "{ 137, 10U }"))
     with pytest.raises(VerificationError, match="does not give the results of its test vectors"):
         verify_folder(tmp_path)
 
@@ -225,7 +225,7 @@ def test_plain_data_come_back(width: int) -> None:
     "damage",
     [
         {"width": 32},
-        {"modulation": "gdpwm"},
+        {"modulation": "ninefold"},
         {"bases": [1.0, 2.0, 3.0]},
         {"bases": [1.0, 2.0, -3.0, 1.0]},
         {"dc_least": 0},
