@@ -55,10 +55,10 @@ class Solution:
     them. ``loops`` is None where none are wanted, or where a design without a section ``control``
     has none that hold; ``gains_left_out`` then says why. ``negative`` is None where one reference
     serves torques of both signs; else ``fit`` and ``certificate`` are those of positive ones.
-    ``fixed_references`` lead from torque, dc link and speed to currents in
-    fixed point. ``frame_tables`` is None where none are asked for. ``observer_errors`` are those of the speed
+    ``frame_tables`` is None where none are asked for. ``observer_errors`` are those of the speed
     observer at half the base speed, without load and with half the largest torque; empty without
-    that observer.
+    that observer. ``fixed_references`` lead from torque, dc link and speed to currents in fixed
+    point.
     """
 
     design: Design
@@ -143,6 +143,7 @@ def solve(design: Design) -> Solution:
     chosen = solve_fit(positive)
     fit, (gains, left_out) = chosen.fit, gains_or_reason(design)
     weakening = solve_weakening(design)
+    references = _fixed_references(design, gains, fit, weakening)
     return Solution(
         design=design,
         curves=solve_curves(positive),
@@ -163,5 +164,5 @@ def solve(design: Design) -> Solution:
         negative=solve_negative(design),
         observer_errors=_observer_errors(design, gains, fit.torque_max),
         frame_tables=solve_frame_tables(design),
-        fixed_references=_fixed_references(design, gains, fit, weakening),
+        fixed_references=references,
     )
