@@ -12,7 +12,7 @@ from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.tolerance_box import DriveBox
 from dqforge.optimizer.speed_box.speed_parameters import Interval, SpeedBox
 from dqforge.optimizer.speed_box.speed_search import Chain, Effort, SpeedSearch
-from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers, cell_corners
+from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers, cell_corners, speed_scale
 
 _ROUNDED = 1e-12
 
@@ -127,7 +127,7 @@ def speed_numbers(
     t_s, constant = control.t_s, machine.torque_per_ampere
     h, eta = gains.kp * t_s / inertia, t_s * constant / (l_q * gains.kp)
     emf = max(abs(side) for side in drives.back_emf) / drives.gain[0]
-    scale = float(np.sqrt(h / (eta * emf))) if emf > 0.0 else 1.0
+    scale = speed_scale(h, eta * emf)
     return SpeedLoopNumbers(
         rho=machine.r_s * t_s / l_q,
         h=h / scale,

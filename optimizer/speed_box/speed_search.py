@@ -91,11 +91,12 @@ class SpeedSearch:
         kept = self.box.contracted(cell)
         if kept is None:
             return Empty()
-        if self._radius(kept.middle) >= 1.0:
-            point = self.box.drive(kept)
-            if point is not None and self._radius(point) >= 1.0:
-                return Refuted(point)
-        return self._tried(kept)
+        if self._radius(kept.middle) < 1.0:
+            return self._tried(kept)
+        point = self.box.drive(kept)
+        if point is not None and self._radius(point) >= 1.0:
+            return Refuted(point)
+        return self._cut(kept, self.loop.remainder(kept)[1])
 
     def _tried(self, cell: Cell) -> Verdict[Chain]:
         """The chain of a cell, or where to cut it.
@@ -127,8 +128,6 @@ class SpeedSearch:
 
     def _frames(self, cell: Cell) -> list[FloatArray] | None:
         """T_k of the loop in the middle, P_k = T_k^T T_k falling by 1 at every step."""
-        from scipy.linalg import solve_discrete_lyapunov
-
         step = self.loop.steps(cell.middle[np.newaxis])[0]
         links = _Links(self.loop.update()[np.newaxis], step[np.newaxis], self.loop.ratio).every()
         whole = np.eye(self.loop.size - 1)
@@ -137,7 +136,7 @@ class SpeedSearch:
             weight += whole.T @ whole
             whole = closed[0] @ whole
         try:
-            first = solve_discrete_lyapunov(whole.T, weight)
+            first = _summed(whole, weight)
             matrices = [0.5 * (first + first.T)]
             for _, _, closed in reversed(links[1:]):
                 back = closed[0].T @ matrices[-1] @ closed[0]
@@ -148,14 +147,31 @@ class SpeedSearch:
             return None
 
     def _reach(self, cell: Cell, frames: list[FloatArray]) -> FloatArray:
-        """How far each parameter moves a step, in the frame of the middle."""
-        found = []
+        """How far each parameter moves a whole cycle, in the frame of the middle."""
+        found, back = [], np.linalg.inv(frames[0])
         for axis in range(len(cell.low)):
             ends = np.stack([cell.middle, cell.middle])
             ends[0, axis], ends[1, axis] = cell.low[axis], cell.high[axis]
-            low, high = self.loop.steps(ends)
-            found.append(np.linalg.norm(frames[1] @ (high - low) @ np.linalg.inv(frames[1]), 2))
+            low, high = (self.loop.cycle(step) for step in self.loop.steps(ends))
+            found.append(np.linalg.norm(frames[0] @ (high - low) @ back, 2))
         return np.array(found)
+
+
+def _summed(closed: FloatArray, weight: FloatArray) -> FloatArray:
+    """Sum of A^T^k W A^k over all k: twice as many terms at every turn, while A^k is not small.
+
+    Raises
+    ------
+    LinAlgError
+        A is not stable enough for that.
+    """
+    total = weight
+    for _ in range(40):
+        total = total + closed.T @ total @ closed
+        closed = closed @ closed
+        if np.linalg.norm(closed) < 1e-12:
+            return total
+    raise np.linalg.LinAlgError
 
 
 def _falls(chain: Chain, links: _Links, remainder: Remainder) -> Contraction:

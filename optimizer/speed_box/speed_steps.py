@@ -14,13 +14,13 @@ the last line every ratio-th sample only. K is the torque constant that the cont
     rho' = R' t_s/L',  p = kp t_s/L',  q = ki t_s^2/L',  r = ki_s ratio t_s/kp_s
     h = kp_s t_s/(J' sigma),   eta = t_s K sigma/(L' kp_s)
 
-with a scale sigma of the speed that makes h and e eta of one size.
+with a scale sigma of the speed by which h is no smaller than a tenth and no smaller than e eta.
 
 This is affine in each of b, c, j, e alone but for the exponential, which over a cell errs by at
-most w^2/8 times its second derivatives from the interpolation of its corners. Those are the square
-of the flow's derivative, but by e: the back-EMF meets itself again only by way of h j b, and that
-takes time (a third of it). Where the friction meets J'/J = j/f, f is taken as 1 and the rest
-belongs to the error.
+most w^2/8 times its second derivatives from the interpolation of its corners. By c that is rho'^2.
+By b, j and e it is far less than the square of the flow's derivative: torque and back-EMF meet
+themselves again only by way of each other, and that takes time (a third of it). Where the friction
+meets J'/J = j/f, f is taken as 1 and the rest belongs to the error.
 """
 
 from __future__ import annotations
@@ -33,6 +33,11 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.box_proofs.cell_queue import Cell
 from dqforge.optimizer.box_proofs.contraction import Remainder
+
+_COUPLED = 0.1
+
+"""What the torque moves the speed by in a sample at least, in the scale of the speed: less would
+make the speed matter as much as the currents, whose errors are larger."""
 
 _MORE = 1.0 + 1e-12
 
@@ -57,7 +62,7 @@ class SpeedLoopNumbers:
     filtering: float
     ratio: int
     uneven: float
-    scale: float = 1.0
+    scale: float
 
     @property
     def moving(self) -> int:
@@ -112,9 +117,11 @@ class SpeedLoopNumbers:
     def curvatures(self, cell: Cell) -> FloatArray:
         """Bounds of the second derivatives of the exponential by b, c, j and e over a cell."""
         b, j = float(cell.high[0]), float(cell.high[2])
+        emf = self.eta * float(max(abs(cell.low[3]), abs(cell.high[3]))) / 3.0
+        by_b, by_j = (self.h * j) ** 2 * emf, (self.h * b) ** 2 * emf
+        by_j += self.friction * (self.h * b * (1.0 + emf) + self.friction)
         by_e = self.eta**2 * self.h * j * b / 3.0
-        squares = ((self.h * j) ** 2, self.rho**2, (self.h * b) ** 2 + self.friction**2, by_e)
-        return np.array(squares) * self._growth(cell) ** 2
+        return np.array([by_b, self.rho**2, by_j, by_e]) * self._growth(cell) ** 2
 
     def remainder(self, cell: Cell) -> tuple[Remainder, FloatArray]:
         """What the corners of a cell leave out, and the part of each parameter in it."""
@@ -126,16 +133,30 @@ class SpeedLoopNumbers:
         return Remainder(rows, ((rows, total / 8.0 + rest), ((k,), total / 24.0 + rest))), parts
 
     def _growth(self, cell: Cell) -> float:
-        """Largest norm of the exponential over a cell, with and without h: by the symmetric part
-        of the flow, whose largest eigenvalue is convex in each parameter, at the corners.
+        """Largest norm of the exponential over a cell, also without h or without e: by the
+        symmetric part of the flow, whose largest eigenvalue is convex in each parameter, at the
+        corners.
         """
         flow = self.flow(cell_corners(cell))[:, : self.moving, : self.moving]
-        apart = flow.copy()
-        apart[:, 1, 0] = 0.0
-        both = np.concatenate([flow, apart])
-        most = float(np.max(np.linalg.eigvalsh(0.5 * (both + np.swapaxes(both, 1, 2)))))
+        idle, still = flow.copy(), flow.copy()
+        idle[:, 1, 0] = still[:, 0, 1] = 0.0
+        every = np.concatenate([flow, idle, still])
+        most = float(np.max(np.linalg.eigvalsh(0.5 * (every + np.swapaxes(every, 1, 2)))))
         most += self.friction * self.uneven * float(cell.high[2])
         return float(np.exp(max(most, 0.0))) * _MORE
+
+
+def speed_scale(h: float, emf: float) -> float:
+    """The scale sigma of the speed, from h and the largest e eta at sigma = 1.
+
+    Parameters
+    ----------
+    h:
+        kp_s t_s/J'.
+    emf:
+        Largest e eta.
+    """
+    return float(h / max(_COUPLED, np.sqrt(h * emf)))
 
 
 def cell_corners(cell: Cell) -> FloatArray:
