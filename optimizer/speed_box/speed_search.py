@@ -25,13 +25,9 @@ from dqforge.optimizer.box_proofs.cell_queue import (
     Verdict,
     search,
 )
-from dqforge.optimizer.box_proofs.contraction import (
-    NOTHING_LEFT,
-    Contraction,
-    Remainder,
-    contracts,
-)
+from dqforge.optimizer.box_proofs.contraction import Contraction
 from dqforge.optimizer.box_proofs.matrix_inequalities import chained_matrices
+from dqforge.optimizer.speed_box.cycle_contraction import step_contracts
 from dqforge.optimizer.speed_box.speed_parameters import SpeedBox
 from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers, cell_corners
 
@@ -96,7 +92,7 @@ class SpeedSearch:
         point = self.box.drive(kept)
         if point is not None and self._radius(point) >= 1.0:
             return Refuted(point)
-        return self._cut(kept, self.loop.remainder(kept)[1])
+        return self._cut(kept, np.max(self.loop.left_out(kept)[:-1], axis=(1, 2)))
 
     def _tried(self, cell: Cell) -> Verdict[Chain]:
         """The chain of a cell, or where to cut it.
@@ -104,19 +100,22 @@ class SpeedSearch:
         The corners are asked for one only where what they leave out is small, since an inequality
         costs far more than a cut.
         """
-        remainder, parts = self.loop.remainder(cell)
-        frames = self._frames(cell) if remainder.groups[0][1] <= self.effort.remainder else None
+        parts = self.loop.left_out(cell)
+        whole = np.sum(parts, axis=0)
+        frames = self._frames(cell) if np.max(whole) <= self.effort.remainder else None
         if frames is None:
-            return self._cut(cell, parts)
+            return self._cut(cell, np.max(parts[:-1], axis=(1, 2)))
         steps = self.loop.steps(cell_corners(cell))
         links = _Links(self.loop.update()[np.newaxis], steps, self.loop.ratio)
         found = Contraction(corners=False, whole=False)
         for proposal in (_of_middle, _proposed):
             chain = proposal(links, frames)
-            found = found if chain is None else _falls(chain, links, remainder)
+            found = found if chain is None else _falls(chain, links, whole)
             if chain is not None and found.whole:
                 return Proven(chain)
-        return self._cut(cell, parts if found.corners else self._reach(cell, frames))
+        if found.corners:
+            return self._cut(cell, _weighed(parts[:-1], frames[1]))
+        return self._cut(cell, self._reach(cell, frames))
 
     def _cut(self, cell: Cell, sizes: FloatArray) -> Verdict[Chain]:
         root = self.box.root()
@@ -174,10 +173,18 @@ def _summed(closed: FloatArray, weight: FloatArray) -> FloatArray:
     raise np.linalg.LinAlgError
 
 
-def _falls(chain: Chain, links: _Links, remainder: Remainder) -> Contraction:
+def _weighed(parts: FloatArray, frame: FloatArray) -> FloatArray:
+    """What each parameter leaves out, in the frame of the middle."""
+    _, rows, columns = parts.shape
+    heights = np.linalg.norm(frame[:, :rows], axis=0)
+    widths = np.linalg.norm(np.linalg.inv(frame)[:columns], axis=1)
+    return np.asarray(np.einsum("prc,r,c->p", parts, heights, widths), dtype=np.float64)
+
+
+def _falls(chain: Chain, links: _Links, left_out: FloatArray) -> Contraction:
     """Whether x^T P x falls at every step of the cycle; the update itself leaves nothing out."""
     found = [
-        contracts(chain[a], chain[b], closed, remainder if a > 0 else NOTHING_LEFT)
+        step_contracts(chain[a], chain[b], closed, left_out if a > 0 else 0.0 * left_out)
         for a, b, closed in links.every()
     ]
     return Contraction(all(of.corners for of in found), all(of.whole for of in found))
