@@ -12,7 +12,7 @@ from dqforge.reports.current_reference.capability import (
 )
 from dqforge.reports.field_weakening.capability import WEAKENING
 from dqforge.reports.frame_tables.capability import FRAME_TABLES
-from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS
+from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS, STABILITY
 from dqforge.reports.losses.capability import LOSSES, MISSION
 from dqforge.reports.modulation_choice.capability import MODULATION_CHOICE
 from dqforge.reports.observers.capability import POSITION_OBSERVER, SPEED_OBSERVER
@@ -28,6 +28,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     NEGATIVE_REFERENCE,
     LOOPS,
     NO_LOOPS,
+    STABILITY,
     LOSSES,
     MISSION,
     WAVEFORMS,

@@ -11,6 +11,7 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import ControlSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
+from dqforge.optimizer.control_design.turning_proof import turning_proof
 from dqforge.optimizer.loops.gains import tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loops.inductances import inductance_range
 from dqforge.optimizer.loops.integer_gains import PerUnitGains, per_unit_gains
@@ -120,6 +121,7 @@ def solve_gains(design: Design) -> GainSet:
             turning_robustness(box, i_d, i_q) if phases is None else None,
             box.named_limits(),
             None if zero is None else zero_robustness(box, zero),
+            turning_proof(box, i_d, i_q) if phases is None else None,
         )
     phases = None if phases is None else judged(design, box, phases)
     wanted = control.current_loop.schedule

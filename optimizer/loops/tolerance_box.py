@@ -137,7 +137,8 @@ class DriveBox:
     nominal: tuple[float, float]
     spread: tuple[float, float] = (1.0, 1.0)
 
-    def _inductance_limits(self, axis: Axis) -> tuple[float, float]:
+    def inductance_limits(self, axis: Axis) -> tuple[float, float]:
+        """Least and largest deviation of an axis's inductance, with what saturation adds."""
         low, high = self.tolerances.limits("l_d" if axis == "i_d" else "l_q")
         spread = self.spread[0 if axis == "i_d" else 1]
         return low, spread * (1.0 + high) - 1.0
@@ -146,7 +147,7 @@ class DriveBox:
         t = self.tolerances
         return {
             "r_s": t.limits("r_s"),
-            "l_d" if axis == "i_d" else "l_q": self._inductance_limits(axis),
+            "l_d" if axis == "i_d" else "l_q": self.inductance_limits(axis),
             "v_dc": t.limits("v_dc"),
             "dead_time": t.limits("dead_time"),
         }
@@ -220,6 +221,14 @@ class DriveBox:
         limits |= {"l_d": t.limits("l_d")} if salient else {}
         limits |= {"psi_pm": t.limits("psi_pm"), "inertia": t.limits("inertia")}
         return box_points(limits, loads=both)
+
+    @property
+    def dead_time_resistance(self) -> float:
+        """Resistance in Ohm that each second of the dead time's rest adds at the smallest current
+        and a voltage gain of 1.
+        """
+        inverter = self.design.inverter
+        return 4.0 / np.pi * inverter.f_sw * inverter.v_dc / self.tolerances.low_current
 
     def resistance(self, points: BoxPoints) -> FloatArray:
         """Resistance in Ohm at points, with what the dead time adds, shape (M,)."""

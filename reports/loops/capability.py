@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
 from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution
@@ -19,6 +20,7 @@ from dqforge.reports.loops.header import (
 from dqforge.reports.loops.html import LOOP_TEXT, judged_tables, loop_table, tolerance_tables
 from dqforge.reports.loops.judged_text import judged_sentence, judged_words
 from dqforge.reports.loops.plain import plain_gains
+from dqforge.reports.loops.stability_text import CERTIFICATE, certificate_bytes, proof_summary
 from dqforge.reports.loops.tables import gains_tables
 from dqforge.reports.observers.speed_loop_text import left_words, loop_words
 from dqforge.reports.pages.chapters import LOOPS as CHAPTER
@@ -69,8 +71,9 @@ def _plain(solution: Solution, gains: GainSet) -> PlainData:
     return plain_gains(solution.design, gains, solution.observer_errors)
 
 
-def _parts(_: Solution, gains: GainSet) -> list[ReportPart]:
-    tables = [loop_table(gains), *judged_tables(gains), *tolerance_tables(gains)]
+def _parts(solution: Solution, gains: GainSet) -> list[ReportPart]:
+    pole_pairs = solution.design.machine.pole_pairs
+    tables = [loop_table(gains), *judged_tables(gains), *tolerance_tables(gains, pole_pairs)]
     return [ReportPart(CHAPTER, "loops/report.html.j2", {"tables": tables})]
 
 
@@ -128,6 +131,25 @@ LOOPS = Capability(
         ),
     ),
 )
+
+
+def _certified(outcome: Outcome) -> CurrentLoopProof | None:
+    loops = outcome.solution.loops
+    proof = None if loops is None or loops.robust is None else loops.robust.proof
+    return None if proof is None or proof.certificate is None else proof
+
+
+STABILITY = Capability(
+    name="stability",
+    title="proof of the current loops",
+    of=_certified,
+    summary=lambda _, proof: [("current loops", proof_summary(proof))],
+    files=lambda solution, proof: {
+        f"{solution.design.export.prefix}{CERTIFICATE}": certificate_bytes(proof)
+    },
+)
+
+"""Its words and its JSON stand with those of the loops; a run stores its certificate."""
 
 
 def _left_out(outcome: Outcome) -> str | None:

@@ -16,6 +16,7 @@ from dqforge.reports.loops.judged_text import (
 )
 from dqforge.reports.loops.robustness_text import ROBUST_COLUMNS, robust_notes, robust_rows
 from dqforge.reports.loops.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
+from dqforge.reports.loops.stability_text import stability_notes
 from dqforge.reports.observers.speed_loop_text import observed_notes
 from dqforge.reports.pages.html_table import HtmlTable, Row, heading_cells
 from dqforge.reports.pages.html_text import (
@@ -137,14 +138,15 @@ def judged_tables(gains: GainSet) -> list[HtmlTable]:
     return [_table(caption, judged_columns(judged), judged_rows(judged), 1)]
 
 
-def tolerance_tables(gains: GainSet) -> list[HtmlTable]:
+def tolerance_tables(gains: GainSet, pole_pairs: int) -> list[HtmlTable]:
     """Worst margins within the tolerances, and scheduled beside constant gains.
 
     None where none are asked for.
     """
     tables = []
     if gains.robust is not None:
-        caption = f"Worst within control.tolerances; {'; '.join(robust_notes(gains.robust))}"
+        notes = (*robust_notes(gains.robust), *stability_notes(gains, pole_pairs))
+        caption = f"Worst within control.tolerances; {'; '.join(notes)}"
         tables.append(
             _table(caption, ROBUST_COLUMNS, robust_rows(gains.robust), len(ROBUST_COLUMNS))
         )

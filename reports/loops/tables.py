@@ -23,6 +23,7 @@ from dqforge.reports.loops.robustness_text import (
     robust_rows,
 )
 from dqforge.reports.loops.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
+from dqforge.reports.loops.stability_text import stability_notes
 from dqforge.reports.observers.speed_loop_text import margin_words, observed_notes
 from dqforge.reports.observers.tables import observer_table
 from dqforge.reports.observers.text import position_parts
@@ -89,7 +90,11 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
         heads, found = judged_columns(judged), judged_rows(judged)
         tables.append(Table(JUDGED_TITLE, heads, found, notes))
     if gains.robust is not None:
-        rows_, notes = robust_rows(gains.robust), robust_notes(gains.robust)
+        rows_ = robust_rows(gains.robust)
+        notes = (
+            *robust_notes(gains.robust),
+            *stability_notes(gains, design.machine.pole_pairs),
+        )
         tables.append(Table("Worst within control.tolerances", ROBUST_COLUMNS, rows_, notes))
     if gains.schedule is not None:
         rows_, notes = schedule_rows(gains.schedule), schedule_notes(gains.schedule)
