@@ -48,7 +48,8 @@ class LoopRange:
         """Steps of (phi, v, I) at the corners, shape (V, 3, 3)."""
         alpha, beta = self.shares()
         found = [
-            parallel_step(a, b, p, q) for a, b, (p, q) in itertools.product(alpha, beta, self.products)
+            parallel_step(a, b, p, q)
+            for a, b, (p, q) in itertools.product(alpha, beta, self.products)
         ]
         return np.array(found)
 
