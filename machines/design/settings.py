@@ -207,7 +207,7 @@ class Tolerances:
     voltage that acts from the one that duty cycles are computed with. ``dead_time`` in s is what
     the compensation of the dead time leaves over (positive), or does too much (negative), and
     ``low_current`` in A (peak of phase) the smallest current at which the loops must hold in spite
-    of it.
+    of it. ``thorough`` asks for proofs that take longer than every run can afford.
     """
 
     r_s: Deviation = 0.0
@@ -218,6 +218,7 @@ class Tolerances:
     v_dc: Deviation = 0.0
     dead_time: Deviation = 0.0
     low_current: float = 0.0
+    thorough: bool = False
 
     def limits(self, name: ToleranceName) -> tuple[float, float]:
         """Least (zero or negative) and largest (zero or positive) deviation of one parameter."""
