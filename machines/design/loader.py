@@ -44,6 +44,7 @@ from dqforge.machines.design.sections.phase_control import (
     check_phase_control,
     phase_control_remarks,
 )
+from dqforge.machines.design.sections.references import check_references
 from dqforge.machines.design.sections.simulation.reading import read_scenario
 from dqforge.machines.design.sections.topology import check_topology
 from dqforge.machines.design.sections.waveform import check_waveform, read_waveform
@@ -125,6 +126,9 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     check_sampling(file.control, file.inverter.switching_frequency.si, document)
     check_losses(file.losses, file.inverter.device is not None, machine, document)
     check_loops(file.control, machine, document)
+    check_references(
+        file.control.references, machine, document, any_back_emf=found.phases is not None
+    )
     inverter = read_inverter(file.inverter, machine.i_max, reading)
     i_max = machine.i_max if inverter.i_max is None else min(machine.i_max, inverter.i_max)
     check_halves(file.machine, file.fit, document)
