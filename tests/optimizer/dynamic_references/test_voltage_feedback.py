@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from drives import make_design
 
+from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import (
     CurrentLoopSettings,
@@ -33,6 +34,8 @@ from dqforge.optimizer.loops.inductances import inductance_range
 from dqforge.optimizer.loops.tolerance_box import drive_box
 
 T_S = 1e-4
+OMEGA = 2400.0  # electrical
+FLOW = np.array([0.3e-3, 0.7e-3])
 MACHINE = LinearMachine(
     pole_pairs=4, r_s=0.05, l_d=0.3e-3, l_q=0.7e-3, psi_pm=0.06, i_max=100.0, omega_m_max=800.0
 )
@@ -74,14 +77,25 @@ def test_operating_points_take_all_of_the_voltage_and_no_more() -> None:
     assert (np.sign(points.torque).min(), np.sign(points.torque).max()) == (-1.0, 1.0)
 
 
-def stepped(gain: float, steps: int) -> np.ndarray:
-    """|v*| of a simulation of winding, delay, controllers and feedback, in steps of t_s/400."""
-    omega, i = 2400.0, np.array([-80.0, 40.0])
-    flow = np.array([[0.3e-3, 0.7e-3]])
+PARTS = 20
+
+
+def slope(held: FloatArray, current: FloatArray, place: float) -> FloatArray:
+    """Slope of the currents under a voltage that rests in the stator, at a place of its period."""
+    turn = OMEGA * T_S * (0.5 - place / PARTS)
+    c, s = math.cos(turn), math.sin(turn)
+    back = np.array([0.7e-3 * current[1], -0.3e-3 * current[0] - 0.06])
+    v = np.array([c * held[0] - s * held[1], s * held[0] + c * held[1]])
+    return np.asarray((v - 0.05 * current + OMEGA * back) / FLOW)
+
+
+def stepped(gain: float, steps: int) -> FloatArray:
+    """Currents, voltages asked for, and what the feedback adds, by a simulation, shape (steps, 5)."""
+    omega, i = OMEGA, np.array([-80.0, 40.0])
     v_0 = np.array(
         [0.05 * i[0] - omega * 0.7e-3 * i[1], 0.05 * i[1] + omega * (0.06 + 0.3e-3 * i[0])]
     )
-    kp, ki = flow[0] / (3.0 * T_S), np.array([0.05, 0.05]) / 3.0
+    kp, ki = FLOW / (3.0 * T_S), np.array([0.05, 0.05]) / 3.0
     limit = float(np.hypot(*v_0))
     reference = i + np.array([1.0, 0.0])  # the map asks for one ampere too little
     current, acting, asked = i.copy(), v_0.copy(), v_0.copy()
@@ -94,16 +108,9 @@ def stepped(gain: float, steps: int) -> np.ndarray:
         held, acting = acting, kp * error + integral + ki * error + feed
         integral = integral + ki * error
         asked = acting
-        for place in range(400):
-            turn = omega * T_S * (0.5 - (place + 0.5) / 400)  # from the middle of the period
-            c, s = math.cos(turn), math.sin(turn)
-            v = np.array([c * held[0] - s * held[1], s * held[0] + c * held[1]])
-            slope = (
-                v
-                - 0.05 * current
-                + omega * np.array([0.7e-3 * current[1], -0.3e-3 * current[0] - 0.06])
-            ) / flow[0]
-            current = current + slope * T_S / 400
+        for place in range(PARTS):
+            half = current + 0.5 * slope(held, current, place) * T_S / PARTS
+            current = current + slope(held, half, place + 0.5) * T_S / PARTS
         found.append([*current, *asked, added])
     return np.array(found)
 
@@ -111,7 +118,7 @@ def stepped(gain: float, steps: int) -> np.ndarray:
 def test_the_sampled_loop_is_that_of_its_equations() -> None:
     """The decay of a simulation of the nonlinear equations is the slowest pole of the matrix."""
     gain = 2.0 * math.pi * 40.0 * T_S / (2400.0 * 0.3e-3)
-    omega = 2400.0
+    omega = OMEGA
     i = np.array([-80.0, 40.0])
     v_0 = np.array(
         [0.05 * i[0] - omega * 0.7e-3 * i[1], 0.05 * i[1] + omega * (0.06 + 0.3e-3 * i[0])]
