@@ -10,6 +10,7 @@ from dqforge.reports.current_reference.capability import (
     NEGATIVE_POINTS,
     NEGATIVE_REFERENCE,
 )
+from dqforge.reports.dynamic_references.capability import DYNAMIC_REFERENCES
 from dqforge.reports.field_weakening.capability import WEAKENING
 from dqforge.reports.frame_tables.capability import FRAME_TABLES
 from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS
@@ -28,6 +29,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     NEGATIVE_REFERENCE,
     LOOPS,
     NO_LOOPS,
+    DYNAMIC_REFERENCES,
     LOSSES,
     MISSION,
     WAVEFORMS,

@@ -11,6 +11,7 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import ControlSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
+from dqforge.optimizer.dynamic_references.solve import DynamicReferences, dynamic_references
 from dqforge.optimizer.loops.gains import tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loops.inductances import inductance_range
 from dqforge.optimizer.loops.integer_gains import PerUnitGains, per_unit_gains
@@ -47,7 +48,8 @@ class GainSet:
     ``robust`` is what they keep over the tolerances (the speed loop only without an observer), None
     where the design names none; ``schedule`` the current loops' gains over the current, None where
     it asks for none. ``phases`` is the current control of a machine whose back-EMF is not
-    sinusoidal, None for all others.
+    sinusoidal, None for all others. ``references`` are slopes of the references and voltage
+    feedback, None where the design asks for none.
     """
 
     i_d: LoopGains
@@ -60,6 +62,7 @@ class GainSet:
     schedule: GainSchedule | None = None
     position: PositionObserver | None = None
     phases: PhaseLoops | None = None
+    references: DynamicReferences | None = None
 
     @property
     def loops(self) -> tuple[LoopGains, ...]:
@@ -131,7 +134,20 @@ def solve_gains(design: Design) -> GainSet:
     slopes = (
         None if observer is None else speed_error_slopes(machine, observer, control.bases.speed)
     )
-    return GainSet(i_d, i_q, speed, scaled, observer, slopes, robust, schedule, position, phases)
+    references = dynamic_references(design, box, (i_d, i_q))
+    return GainSet(
+        i_d,
+        i_q,
+        speed,
+        scaled,
+        observer,
+        slopes,
+        robust,
+        schedule,
+        position,
+        phases,
+        references,
+    )
 
 
 def _per_unit(
