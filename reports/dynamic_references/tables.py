@@ -23,19 +23,27 @@ def reference_rows(found: DynamicReferences) -> list[tuple[str, str]]:
         rows.append(
             (
                 "torque slope",
-                f"{settings.torque_slope:.4g} N m/s; {format_quantity(found.torque_time, 's', 3)} "
-                "to the largest torque",
+                (
+                    f"{settings.torque_slope:.4g} N m/s; {format_quantity(found.torque_time, 's', 3)} "
+                    "to the largest torque"
+                ),
             )
         )
     if settings.current_slope is not None:
         rows.append(
             (
                 "current slope",
-                f"{settings.current_slope:.4g} A/s; the voltage permits "
-                f"{found.slope_at_rest:.3g} A/s of i_q at rest",
+                (
+                    f"{_slope(settings.current_slope)}; the voltage permits "
+                    f"{_slope(found.slope_at_rest)} of i_q at rest"
+                ),
             )
         )
     return rows if found.feedback is None else [*rows, *_feedback_rows(found.feedback)]
+
+
+def _slope(value: float) -> str:
+    return f"{1e-3 * value:.4g} kA/s" if value >= 1e3 else f"{value:.4g} A/s"
 
 
 def _feedback_rows(found: VoltageFeedback) -> list[tuple[str, str]]:
