@@ -23,6 +23,7 @@ import figures_operating_points
 import figures_overmodulation
 import figures_phase_control
 import figures_phase_design
+import figures_references
 import figures_simulation
 import figures_stability
 import figures_waveforms
@@ -69,6 +70,7 @@ def main() -> None:
     figures_measured_drive.capture(folder / "measured-drive-capture.svg")
     figures_measured_drive.running(folder / "measured-drive-running.svg")
     figures_phase_design.torque_and_currents(folder / "phase-design.svg")
+    figures_references.voltage_feedback(folder / "voltage-feedback.svg")
     figures_weakening.weakening_errors(folder / "weakening-errors.svg")
     figures_certificates.proven_bounds(folder / "certificate.svg")
 
