@@ -155,7 +155,9 @@ def test_the_results_depend_on_their_inputs() -> None:
         results = row_results(control, rows)
         assert results.shape[1] == len(output_names(control))
         for name, column in zip(output_names(control), results.T, strict=True):
-            least = control.ratio - 1 if name == "speed_loop_count" else 20 if "duty" in name else 100
+            least = (
+                control.ratio - 1 if name == "speed_loop_count" else 20 if "duty" in name else 100
+            )
             assert np.unique(column).size > least, name
 
 
