@@ -44,7 +44,12 @@ def _draw_angle(axes: Axes, name: OvermodulationName) -> None:
     for index, colour in zip(_INDICES, _COLOURS, strict=True):
         vector = _vectors(name, index, angle)
         axes.plot(
-            vector.real, vector.imag, ".", color=colour, markersize=2.5, label=f"{100 * index:.3g} %"
+            vector.real,
+            vector.imag,
+            ".",
+            color=colour,
+            markersize=2.5,
+            label=f"{100 * index:.3g} %",
         )
     corners = 2.0 / 3.0 * np.exp(1j * np.array([0.0, math.pi / 3.0]))
     axes.plot(corners.real, corners.imag, color="#d1d5db", linewidth=0.8, zorder=0)

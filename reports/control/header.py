@@ -28,6 +28,7 @@ from dqforge.reports.c_code.title import title
 from dqforge.reports.control.float32_model import ControlModel, ControlState
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.field_weakening.header import weakening_from
+from dqforge.reports.loops.proven_text import proven_lines
 from dqforge.reports.loops.stability_text import stability_lines
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
@@ -313,6 +314,7 @@ def control_files(solution: Solution) -> dict[str, bytes]:
             ),
             "Compile with -ffp-contract=off to equal the model bit for bit.",
             *stability_lines(solution.loops, solution.design.machine.pole_pairs),
+            *proven_lines(solution.loops),
         ],
     }
     return {f"{prefix}_control.h": render("control/control.h.j2", context).encode("ascii")}
