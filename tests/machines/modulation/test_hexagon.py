@@ -35,7 +35,9 @@ def made(
     name: OvermodulationName, index: float, angle: FloatArray, number: type = np.float64
 ) -> NDArray[np.complex128]:
     """Vectors over v_dc for a turning one of an asked amplitude over v_dc."""
-    axes = [np.asarray(index * V_DC * part(angle), dtype=number) for part in (np.cos, np.sin)]
+    axes: list[Any] = [
+        np.asarray(index * V_DC * part(angle), dtype=number) for part in (np.cos, np.sin)
+    ]
     x, y = overmodulated(name, Pair(axes[0], axes[1]), np.full(angle.shape, V_DC, dtype=number))
     assert x.dtype == number
     return np.asarray((x.astype(np.float64) + 1j * y) / V_DC)
