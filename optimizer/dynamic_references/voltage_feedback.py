@@ -74,6 +74,8 @@ class VoltageFeedback:
         Largest d current in A that it adds.
     i_max:
         Current limit in A (peak).
+    voltage:
+        Largest amplitude of the phase voltage in V at the nominal link.
     bandwidth:
         Slowest and fastest bandwidth in rad/s at the operating points.
     largest_pole:
@@ -90,6 +92,7 @@ class VoltageFeedback:
     gain: float
     current: float
     i_max: float
+    voltage: float
     bandwidth: tuple[float, float]
     largest_pole: float
     gain_margin: float
@@ -207,6 +210,7 @@ def voltage_feedback(
         gain=gain,
         current=current,
         i_max=design.i_max,
+        voltage=voltage,
         bandwidth=(float(np.min(rates)), float(np.max(rates))),
         largest_pole=largest,
         gain_margin=around.gain_margin(gain),
