@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import figures_box_proofs
 import figures_certificates
 import figures_current_feedback
 import figures_estimators
@@ -42,6 +43,7 @@ def main() -> None:
     folder.mkdir(exist_ok=True)
     design = catalogue.load("paper000-ipmsm-100kw")
     save(plot_mtpa(design, solve_curves(design)), folder / "mtpa.svg")
+    figures_box_proofs.box_proof(folder / "box-proof.svg")
     save(plot_fit(design, solve_fit(design).fit), folder / "fit.svg")
     figures_fixed_point.sixteen_bits(folder / "fixed-point.svg")
     figures_fixed_control.integers_of_a_loop(folder / "fixed-control.svg")
