@@ -14,7 +14,11 @@ import pytest
 from dqforge.machines.plants.scenario import Profile
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.papers.paper001 import program_figures, program_runs, program_tables
-from dqforge.reports.papers.paper001.bench_transients import PRINTED_INTEGERS, bench_design
+from dqforge.reports.papers.paper001.bench_transients import (
+    PRINTED_INTEGERS,
+    Reproduction,
+    bench_design,
+)
 from dqforge.reports.papers.paper001.program_runs import Program
 from dqforge.reports.papers.paper001.thesis_program import (
     LISTED_LINE,
@@ -29,8 +33,8 @@ from dqforge.reports.papers.transients import RPM
 
 
 @pytest.fixture(scope="module")
-def found() -> Program:
-    return program_runs.program_results(bench_design())
+def found(reproduced: Reproduction) -> Program:
+    return reproduced.program
 
 
 def test_the_integers_are_those_of_table_8_1() -> None:
