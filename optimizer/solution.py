@@ -58,13 +58,12 @@ class Solution:
     switching frequency, ``mission`` where no mission is asked for. ``fixed`` are control functions
     in fixed point, ``fixed_observers`` its position observer. ``data`` says where the reference is
     held by the data of a flux map, or leaves them. ``loops`` is None where none are wanted, or
-    where a design without a section ``control``
-    has none that hold; ``gains_left_out`` then says why. ``negative`` is None where one reference
-    serves torques of both signs; else ``fit`` and ``certificate`` are those of positive ones.
-    ``fixed_references`` lead from torque, dc link and speed to currents in fixed point.
-    ``frame_tables`` and ``overmodulation`` are None where they are not asked for.
-    ``observer_errors`` are those of the speed observer at half the base speed, without load and
-    with half the largest torque; empty without that observer.
+    where a design without a section ``control`` has none that hold; ``gains_left_out`` then says
+    why. ``negative`` is None where one reference serves torques of both signs; else ``fit`` and
+    ``certificate`` are those of positive ones. ``fixed_references`` lead from torque, dc link and
+    speed to currents in fixed point. ``frame_tables`` and ``overmodulation`` are None where they
+    are not asked for. ``observer_errors`` are those of the speed observer at half the base speed,
+    without load and with half the largest torque; empty without that observer.
     """
 
     design: Design

@@ -48,6 +48,7 @@ from dqforge.machines.design.sections.phase_control import (
     check_phase_control,
     phase_control_remarks,
 )
+from dqforge.machines.design.sections.references import check_references
 from dqforge.machines.design.sections.simulation.reading import read_scenario
 from dqforge.machines.design.sections.topology import check_topology
 from dqforge.machines.design.sections.waveform import check_waveform, read_waveform
@@ -129,6 +130,9 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     check_sampling(file.control, file.inverter.switching_frequency.si, document)
     check_losses(file.losses, file.inverter.device is not None, machine, document)
     check_loops(file.control, machine, document)
+    check_references(
+        file.control.references, machine, document, any_back_emf=found.phases is not None
+    )
     inverter = read_inverter(file.inverter, machine.i_max, reading)
     check_overmodulation(
         file.operation, inverter, file.export.control, found.phases is not None, document

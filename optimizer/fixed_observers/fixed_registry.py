@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.fixed_observers import (
+    fixed_ekf,
     fixed_extended_emf,
     fixed_flux,
     fixed_matsui_current,
@@ -24,6 +25,7 @@ FIXED_METHODS: Mapping[str, FixedMethod] = MappingProxyType(
             fixed_open_loop_flux.METHOD,
             fixed_matsui_voltage.METHOD,
             fixed_matsui_current.METHOD,
+            fixed_ekf.METHOD,
         )
     }
 )

@@ -74,12 +74,12 @@ def entries_at(o: Arithmetic[N, Any], entries: FixedPolynomials, x: N) -> list[N
     return even + [odd_value_of(o, row, square, x) for row in entries.rows[EVEN:]]
 
 
-def next_currents(o: Arithmetic[N, Any], shift: int, e: list[N], i: Pair[N], v: Pair[N]) -> Pair[N]:
-    """Currents one sample after ``i`` under the voltage ``v``, saturated; ``e`` are mantissas."""
+def combined_currents(o: Arithmetic[N, Any], e: list[N], i: Pair[N], v: Pair[N]) -> Pair[N]:
+    """Phi i + Gamma v + h of ten mantissas: codes times their scale."""
     one = o.const(ONE)
 
     def row(along: N, across: N, own: N, other: N, rest: N) -> N:
-        total = o.total(
+        return o.total(
             "next current",
             o.product("entry i", along, i.x),
             o.product("entry i", across, i.y),
@@ -87,6 +87,14 @@ def next_currents(o: Arithmetic[N, Any], shift: int, e: list[N], i: Pair[N], v: 
             o.product("entry v", other, v.y),
             o.product("entry", rest, one),
         )
-        return saturated(o, rounded(o, "next current", total, shift))
 
     return Pair(row(e[0], e[5], e[2], e[7], e[4]), row(e[6], e[1], e[8], e[3], e[9]))
+
+
+def next_currents(o: Arithmetic[N, Any], shift: int, e: list[N], i: Pair[N], v: Pair[N]) -> Pair[N]:
+    """Currents one sample after ``i`` under the voltage ``v``, saturated; ``e`` are mantissas."""
+    found = combined_currents(o, e, i, v)
+    return Pair(
+        saturated(o, rounded(o, "next current", found.x, shift)),
+        saturated(o, rounded(o, "next current", found.y, shift)),
+    )

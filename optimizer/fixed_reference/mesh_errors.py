@@ -71,7 +71,7 @@ class CodePoints:
 
 def physical(mesh: CurrentMesh, codes: CodeArray, base: float) -> FloatArray:
     """What codes stand for, in the unit of the base."""
-    return np.multiply(codes, base / 2 ** (mesh.width - 1), dtype=np.float64)
+    return np.asarray(codes * (base / 2 ** (mesh.width - 1)), dtype=np.float64)
 
 
 def mesh_currents(mesh: CurrentMesh, points: CodePoints) -> tuple[FloatArray, FloatArray]:
@@ -98,7 +98,7 @@ def weakened_points(design: Design, mesh: CurrentMesh, speed: float) -> CodePoin
     """Torques and speeds of both signs, at several voltages; the largest speed in rad/s
     (mechanical) goes with the voltage.
     """
-    _, voltage, omega, torque = mesh.bases
+    _, voltage, omega, _ = mesh.bases
     one, scale = 2 ** (mesh.width - 1), mesh.voltage
     assert scale is not None
     share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _TORQUES))

@@ -8,7 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.box_proofs.current_loop_checker import Confirmation, confirm
+from dqforge.optimizer.box_proofs.current_loop_checker import (
+    Confirmation,
+    confirm,
+    confirm_sensitivity,
+)
 from dqforge.reports.loops.stability_text import CERTIFICATE
 from dqforge.reports.pages.files import LARGEST_JSON, read_output
 
@@ -36,12 +40,29 @@ def check_stored_proof(folder: Path) -> Confirmation | None:
     path = folder / f"{result['header']['prefix']}{CERTIFICATE}"
     if stated is None or not path.is_file():
         return None
-    confirmation = confirm(_load(path), stated["inputs"])
+    certificate = _load(path)
+    confirmation = confirm(certificate, stated["inputs"])
     if confirmation.fault:
         raise VerificationError(f"{path}: {confirmation.fault}")
+    _check_sensitivity(path, certificate, stated)
     if confirmation.proven != stated["proven"]:
         raise VerificationError(f"{path}: it leaves open what result.json states as proven")
     return confirmation
+
+
+def _check_sensitivity(
+    path: Path, certificate: Mapping[str, Any], stated: Mapping[str, Any]
+) -> None:
+    """Raises unless the certificate proves the bound of the sensitivity that is stated."""
+    bound = (stated.get("sensitivity") or {}).get("bound")
+    if bound is None:
+        return
+    own = certificate.get("sensitivity")
+    own = own if isinstance(own, Mapping) else {}
+    tree = {"inputs": certificate["inputs"], "tree": own.get("tree")}
+    found = confirm_sensitivity(tree, stated["inputs"], bound)
+    if not found.proven:
+        raise VerificationError(f"{path}: sensitivity: {found.fault or 'it leaves cells open'}")
 
 
 def _load(path: Path) -> dict[str, Any]:

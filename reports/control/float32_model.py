@@ -79,6 +79,8 @@ class ControlModel:
         Current references of torque, voltage and speed, None where there are none.
     overmodulation:
         What becomes of a voltage beyond the circle in the hexagon.
+    reference_share:
+        What the references have of the controllers' voltage; the rest is kept free for control.
     """
 
     gains: Mapping[str, Any]
@@ -87,6 +89,7 @@ class ControlModel:
     reference: FloatReference
     weakening: DropReference | None = None
     overmodulation: OvermodulationName = "none"
+    reference_share: np.float32 = _ONE
 
     def duties(
         self, voltage: Pair[SingleArray], v_dc: SingleArray, current: Pair[SingleArray]
@@ -144,7 +147,7 @@ class ControlModel:
         if self.weakening is None:
             return self.current_control(state, measured, self.reference.currents(torque))
         v_max, omega_e = (
-            self.gains["voltage_share"] * measured[:, 5],
+            self.reference_share * (self.gains["voltage_share"] * measured[:, 5]),
             self.gains["pole_pairs"] * measured[:, 4],
         )
         return self.current_control(

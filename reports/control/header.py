@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import filter_share
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.hexagon import LEAST_HOLD, METHODS, SIX_STEP
@@ -27,6 +28,7 @@ from dqforge.reports.c_code.title import title
 from dqforge.reports.control.float32_model import ControlModel, ControlState
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.field_weakening.header import weakening_from
+from dqforge.reports.loops.proven_text import proven_lines
 from dqforge.reports.loops.stability_text import stability_lines
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
@@ -95,18 +97,16 @@ def plain_control(solution: Solution) -> PlainData:
         "l_d": machine.l_d,
         "l_q": machine.l_q,
         "psi_pm": machine.psi_pm,
-        "voltage_share": fundamental_share(design.inverter, operation.modulation)
-        * (1.0 - operation.voltage_margin),
+        "voltage_share": _controlled_share(design),
         "advance": 1.5 * control.t_s,
         "torque_max": float(solution.reference.torque_max),
         "speed_filter": speed_filter(
             settings.filter_time if settings is not None else 0.0, control.t_s
         ),
     }
-    method = design.inverter.overmodulation
     return {
         "modulation": operation.modulation,
-        **({} if method == "none" else {"overmodulation": method}),
+        **_plain_overmodulation(design),
         "weakening": solution.weakening is not None,
         "ratio": 1 if settings is None else settings.ratio,
         "d": _pi(solution.gains.i_d),
@@ -114,6 +114,26 @@ def plain_control(solution: Solution) -> PlainData:
         "speed": _pi(solution.gains.speed),
         **{name: shortest(np.float32(value)) for name, value in numbers.items()},
     }
+
+
+def _controlled_share(design: Design) -> float:
+    """Largest fundamental of the current controllers over the dc link.
+
+    With overmodulation the margin is kept free for them, who answer its harmonics; else they keep
+    to what the references have.
+    """
+    share = fundamental_share(design.inverter, design.operation.modulation)
+    if design.inverter.overmodulation != "none":
+        return share
+    return share * (1.0 - design.operation.voltage_margin)
+
+
+def _plain_overmodulation(design: Design) -> PlainData:
+    """Method, and what of the controllers' voltage the references get; empty without."""
+    method, margin = design.inverter.overmodulation, design.operation.voltage_margin
+    if method == "none":
+        return {}
+    return {"overmodulation": method, "reference_share": shortest(np.float32(1.0 - margin))}
 
 
 def speed_filter(filter_time: float, t_s: float) -> float:
@@ -138,6 +158,7 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
         gains |= {name: single_from(described[name]) for name in _NUMBERS}
         modulation, ratio = described["modulation"], described["ratio"]
         method = described.get("overmodulation", "none")
+        left = single_from(described.get("reference_share", 1.0))
         reference = from_plain(whole["header"]["reference"])
         weakening = weakening_from(whole["weakening_header"]) if described["weakening"] else None
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -148,7 +169,7 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
         raise _FAULT
     if isinstance(reference, FixedReference) or method not in ("none", *METHODS):
         raise _FAULT
-    return ControlModel(gains, ratio, modulation, reference, weakening, method)
+    return ControlModel(gains, ratio, modulation, reference, weakening, method, left)
 
 
 def control_inputs(model: ControlModel) -> SingleArray:
@@ -274,6 +295,7 @@ def control_files(solution: Solution) -> dict[str, bytes]:
         "weakening": plain["weakening"],
         "modulator": MODULATORS[plain["modulation"]],
         "overmodulation": METHODS.get(plain.get("overmodulation", "none")),
+        "reference_share": plain.get("reference_share", 1.0) != 1.0 and plain["reference_share"],
         "six_step": SIX_STEP,
         "least_hold": LEAST_HOLD,
         "gains": _gain_lines(plain),
@@ -292,6 +314,7 @@ def control_files(solution: Solution) -> dict[str, bytes]:
             ),
             "Compile with -ffp-contract=off to equal the model bit for bit.",
             *stability_lines(solution.loops, solution.design.machine.pole_pairs),
+            *proven_lines(solution.loops),
         ],
     }
     return {f"{prefix}_control.h": render("control/control.h.j2", context).encode("ascii")}

@@ -9,17 +9,17 @@ from textwrap import wrap
 import numpy as np
 
 from dqforge.machines.design.design import Design
-from dqforge.optimizer.fixed_control.transforms import sine_steps
+from dqforge.optimizer.fixed_control.transforms import turn_steps
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FixedObserverFit,
     FixedPositionObserver,
 )
-from dqforge.optimizer.fixed_observers.kit import TOP, WIDTH
+from dqforge.optimizer.fixed_observers.kit import WIDTH
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
-from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.c_code.title import title
+from dqforge.reports.control.fixed_basics import fixed_basics
 from dqforge.reports.fixed_observers.fixed_observer_model import (
     input_names,
     output_names,
@@ -84,9 +84,12 @@ def _preamble(fit: FixedObserverFit, design: Design) -> list[str]:
             110,
         ),
         "",
-        f"Call {prefix}_{code}_start_{observer.format}() once and {prefix}_{code}_step_"
-        f"{observer.format}() at every sample with the voltage",
-        "that acted over the period that ends there; both vectors in codes of the control.",
+        *wrap(
+            f"Call {prefix}_{code}_start_{observer.format}() once and "
+            f"{prefix}_{code}_step_{observer.format}() at every sample with the voltage that acted "
+            "over the period that ends there; both vectors in codes of the control.",
+            110,
+        ),
     ]
 
 
@@ -100,7 +103,7 @@ def fixed_observer_files(design: Design, fit: FixedObserverFit) -> dict[str, byt
         "code": observer.method.code,
         "gains": asdict(observer.gains),
         "preamble": _preamble(fit, design),
-        "core": _core(fit),
+        "core": fixed_basics(turn_steps(WIDTH), fit.sine_error),
     }
     inputs = row_inputs(observer, design.export.vectors, _SEED)
     rows = {
@@ -115,19 +118,6 @@ def fixed_observer_files(design: Design, fit: FixedObserverFit) -> dict[str, byt
         f"{name}_vectors.h": render("fixed_observers/vectors.h.j2", context | rows),
     }
     return {file: text.encode("ascii") for file, text in texts.items()}
-
-
-def _core(fit: FixedObserverFit) -> PlainData:
-    """What the functions of 32 bits print."""
-    return {
-        "width": WIDTH,
-        "top": TOP,
-        "sine": asdict(sine_steps(WIDTH)),
-        "sine_error": f"; error at most {rounded_up(fit.sine_error)} codes (sampled)",
-        "third": round(2 ** (WIDTH - 1) / 3),
-        "inverse_root": round(2 ** (WIDTH - 1) / math.sqrt(3.0)),
-        "half_root": round(2 ** (WIDTH - 1) * math.sqrt(0.75)),
-    }
 
 
 def fixed_observer_programme(observer: FixedPositionObserver) -> Programme:
