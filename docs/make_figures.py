@@ -21,6 +21,7 @@ import figures_measured_drive
 import figures_modulation
 import figures_observers
 import figures_operating_points
+import figures_overmodulation
 import figures_phase_control
 import figures_phase_design
 import figures_simulation
@@ -56,6 +57,7 @@ def main() -> None:
     figures_losses.modulation_waveforms(folder / "modulation-waveforms.svg")
     figures_modulation.zero_sequences(folder / "modulation-family.svg")
     figures_modulation.merits(folder / "modulation-merits.svg")
+    figures_overmodulation.methods(folder / "overmodulation.svg")
     figures_current_feedback.regulators(folder / "current-feedback.svg")
     figures_current_feedback.hysteresis_over_speed(folder / "hysteresis-frequency.svg")
     figures_losses.loss_comparison(folder / "loss-comparison.svg")

@@ -5,6 +5,7 @@ and their evidence.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from dqforge.machines.design.design import Design
@@ -153,13 +154,19 @@ def fit_controls(
     loops: tuple[LoopGains, LoopGains, LoopGains | None],
     observer: ReducedOrderObserver | None,
     torque_max: float | None = None,
+    references: Mapping[int, FixedReferences] | None = None,
 ) -> tuple[FixedControlFit, ...]:
     """Control functions in every fixed-point format that the design asks for.
 
-    Arguments and errors as `fit_control`.
+    ``references`` are current references by the bits of their codes. Other arguments and errors as
+    `fit_control`.
     """
     widths = [FIXED_WIDTHS[name] for name in design.export.control if name in FIXED_WIDTHS]
-    return tuple(fit_control(design, loops, observer, width, torque_max) for width in widths)
+    known = references or {}
+    return tuple(
+        fit_control(design, loops, observer, width, torque_max, known.get(width))
+        for width in widths
+    )
 
 
 def _torque_code(design: Design, torque_max: float | None, width: int) -> int:

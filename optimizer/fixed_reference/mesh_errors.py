@@ -105,11 +105,12 @@ def weakened_points(design: Design, mesh: CurrentMesh, speed: float) -> CodePoin
     signed = np.concatenate([-share[:0:-1], share, [1.05, -1.05]]) * mesh.end
     along = np.linspace(-1.0, 1.0, 2 * _SPEEDS + 1)
     mesh_v, mesh_w, mesh_t = np.meshgrid(np.array(_VOLTAGES), along, signed, indexing="ij")
-    link = mesh_v * design.v_max / voltage / scale.limit.value * one
-    turning = mesh_v * mesh_w * speed / omega * one
-    codes = (np.rint(mesh_t), np.ceil(link), np.trunc(turning))
-    t, v, w = (np.clip(part, -one, one - 1).astype(np.int64).ravel() for part in codes)
-    return CodePoints(t, v, w)
+    link = np.ceil(mesh_v * design.v_max / voltage / scale.limit.value * one)
+    v_dc = np.clip(link, -one, one - 1).astype(np.int64)
+    # A voltage beyond full scale is not there, nor is the speed that goes with it.
+    turning = np.trunc(phase_limit(mesh, v_dc) / design.v_max * mesh_w * speed / omega * one)
+    t, w = (np.clip(part, -one, one - 1).astype(np.int64) for part in (np.rint(mesh_t), turning))
+    return CodePoints(t.ravel(), v_dc.ravel(), w.ravel())
 
 
 def phase_limit(mesh: CurrentMesh, v_dc: CodeArray) -> FloatArray:

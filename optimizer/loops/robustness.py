@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSettings
 from dqforge.machines.errors import NoSolutionError
+from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
 from dqforge.optimizer.loops.coupled_loops import CurrentControl, largest_pole
 from dqforge.optimizer.loops.gains import speed_delay
 from dqforge.optimizer.loops.loop_batch import BatchMargins, PlantBatch, batch_margins, close_loops
@@ -81,7 +82,8 @@ class RobustSet:
     ``turning`` is the largest pole modulus of both current loops together up to the largest speed,
     None where the machine states none or is judged in its phases. ``limits`` are the parameters
     that deviate, with the least and the largest deviation: relative, of the dead time in s.
-    ``i_0`` is the zero-sequence current's, None where nothing drives one.
+    ``i_0`` is the zero-sequence current's, None where nothing drives one. ``proof`` is what is
+    proven of both current loops together, None where ``turning`` is.
     """
 
     i_d: LoopRobustness
@@ -90,6 +92,7 @@ class RobustSet:
     turning: Worst | None = None
     limits: tuple[tuple[str, float, float], ...] = ()
     i_0: LoopRobustness | None = None
+    proof: CurrentLoopProof | None = None
 
 
 def summarise(margins: BatchMargins, points: BoxPoints) -> LoopRobustness:
@@ -301,13 +304,26 @@ def turning_robustness(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> Worst |
     row, place = divmod(int(np.argmax(radius)), _SPEEDS)
     at = f"{omega_m[place] * 30.0 / np.pi:.4g} rpm, {points.text(row)}"
     if np.max(radius) >= 1.0:
-        raise NoSolutionError(
-            "control.current_loop: within control.tolerances both current loops together are "
-            f"unstable at {at} (largest pole modulus {np.max(radius):.4g}): the decoupling leaves "
-            "too much; lower the gains or machine.max_speed, sample faster, or narrow "
-            "control.tolerances"
-        )
+        raise unstable_together(at, float(np.max(radius)))
     return Worst(float(np.max(radius)), at)
+
+
+def unstable_together(at: str, radius: float) -> NoSolutionError:
+    """The refusal of current loops that are unstable together.
+
+    Parameters
+    ----------
+    at:
+        Speed and drive, in words.
+    radius:
+        Largest pole modulus there.
+    """
+    return NoSolutionError(
+        "control.current_loop: within control.tolerances both current loops together are "
+        f"unstable at {at} (largest pole modulus {radius:.4g}): the decoupling leaves "
+        "too much; lower the gains or machine.max_speed, sample faster, or narrow "
+        "control.tolerances"
+    )
 
 
 def speed_robustness(box: DriveBox, gains: LoopGains, current_gains: LoopGains) -> LoopRobustness:

@@ -137,7 +137,8 @@ class DriveBox:
     nominal: tuple[float, float]
     spread: tuple[float, float] = (1.0, 1.0)
 
-    def _inductance_limits(self, axis: Axis) -> tuple[float, float]:
+    def inductance_limits(self, axis: Axis) -> tuple[float, float]:
+        """Least and largest deviation of an axis's inductance, with what saturation adds."""
         low, high = self.tolerances.limits("l_d" if axis == "i_d" else "l_q")
         spread = self.spread[0 if axis == "i_d" else 1]
         return low, spread * (1.0 + high) - 1.0
@@ -146,7 +147,7 @@ class DriveBox:
         t = self.tolerances
         return {
             "r_s": t.limits("r_s"),
-            "l_d" if axis == "i_d" else "l_q": self._inductance_limits(axis),
+            "l_d" if axis == "i_d" else "l_q": self.inductance_limits(axis),
             "v_dc": t.limits("v_dc"),
             "dead_time": t.limits("dead_time"),
         }
@@ -221,6 +222,14 @@ class DriveBox:
         limits |= {"psi_pm": t.limits("psi_pm"), "inertia": t.limits("inertia")}
         return box_points(limits, loads=both)
 
+    @property
+    def dead_time_resistance(self) -> float:
+        """Resistance in Ohm that each second of the dead time's rest adds at the smallest current
+        and a voltage gain of 1.
+        """
+        inverter = self.design.inverter
+        return 4.0 / np.pi * inverter.f_sw * inverter.v_dc / self.tolerances.low_current
+
     def resistance(self, points: BoxPoints) -> FloatArray:
         """Resistance in Ohm at points, with what the dead time adds, shape (M,)."""
         resistance = self.design.machine.r_s * (1.0 + points.of("r_s"))
@@ -258,7 +267,7 @@ class DriveBox:
             l_q=self.nominal[1] * (1.0 + points.of("l_q")),
             inertia=machine.inertia * (1.0 + points.of("inertia")),
             gain=1.0 + points.of("v_dc"),
-            torque_factor=self._torque_factor(points),
+            torque_factor=self.torque_factor(points),
             back_emf=constant,
         )
         ratio, filter_time = control.speed_loop.ratio, control.speed_loop.filter_time
@@ -266,7 +275,7 @@ class DriveBox:
             variants, machine.friction, control.t_s, current_gains, ratio, filter_time
         )
 
-    def _torque_factor(self, points: BoxPoints) -> FloatArray:
+    def torque_factor(self, points: BoxPoints) -> FloatArray:
         """Torque over commanded torque, shape (M,): by the magnets at no load,
         by all of it at full current.
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
+from dqforge.reports.answers.stored_proof import check_stored_proof, stored_proof_text
 from dqforge.reports.output.recomputation import Recomputation, recompute
 from dqforge.reports.output.recomputation_text import recomputation_text
 from dqforge.reports.pages.answer import Answer
@@ -36,12 +37,16 @@ def answer_verify(folder: Path, target: str | None) -> Answer:
     found = read_folder(folder)
     stage("compiling and comparing")
     verified = verify_written(found)
+    proof = check_stored_proof(folder)
     notes = [recomputation_text(recomputed), verification_text(verified)]
+    notes += [] if proof is None else [stored_proof_text(proof)]
     plain: PlainData = {
         "recomputation": _plain_recomputation(recomputed),
         "verification": plain_verification(verified),
         "headers": _plain_headers(found, verified),
     }
+    if proof is not None:
+        plain["stability"] = asdict(proof) | {"proven": proof.proven}
     if target is not None:
         stage(f"running on {target}")
         outcome = verify_on_target(found.files, found.prefix, target, found.programmes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -28,8 +28,10 @@ _LOOP_NAMES = {"i_d": "ID", "i_q": "IQ", "speed": "SPEED"}
 
 
 def plain_fixed_control(control: FixedControl) -> PlainData:
-    """The integers as plain data."""
-    return asdict(control)
+    """The integers as plain data; of a reference, that there is one (it stands in its own
+    header).
+    """
+    return asdict(replace(control, reference=None)) | {"reference": control.reference is not None}
 
 
 def _scales(control: FixedControl) -> list[PlainData]:

@@ -16,6 +16,7 @@ from dqforge.optimizer.fixed_control.step import (
     FixedDecoupling,
     FixedObserver,
     FixedPi,
+    FixedReferences,
     PiForm,
 )
 from dqforge.optimizer.fixed_control.transforms import full_scale
@@ -26,9 +27,13 @@ NOT_OURS = InputError(
 )
 
 
-def fixed_control_from(plain: Mapping[str, Any], width: int) -> FixedControl:
+def fixed_control_from(
+    plain: Mapping[str, Any], width: int, reference: FixedReferences | None = None
+) -> FixedControl:
     """Read control functions in words of ``width`` bits back, and prove again that nothing
     overflows.
+
+    ``reference`` are the current references of their own header, where they have some.
 
     Raises
     ------
@@ -58,7 +63,9 @@ def fixed_control_from(plain: Mapping[str, Any], width: int) -> FixedControl:
             speed_filter=gain_from(plain["speed_filter"], width),
             torque_max=whole(plain["torque_max"], 0, full_scale(width)),
             ratio=whole(plain["ratio"], 1, 2**31 - 1),
+            reference=reference,
         )
+        one_of(int(plain["reference"]), (int(reference is not None),))
         control_ranges(found)
     except (KeyError, TypeError, ValueError, AttributeError, NoSolutionError):
         raise NOT_OURS from None

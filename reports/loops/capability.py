@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
 from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind
 from dqforge.reports.capability import Capability, Draw, Outcome, Quantity, ReportPart, Rows, Tile
@@ -19,6 +21,7 @@ from dqforge.reports.loops.header import (
 from dqforge.reports.loops.html import LOOP_TEXT, judged_tables, loop_table, tolerance_tables
 from dqforge.reports.loops.judged_text import judged_sentence, judged_words
 from dqforge.reports.loops.plain import plain_gains
+from dqforge.reports.loops.stability_text import CERTIFICATE, certificate_bytes, proof_summary
 from dqforge.reports.loops.tables import gains_tables
 from dqforge.reports.observers.speed_loop_text import left_words, loop_words
 from dqforge.reports.pages.chapters import LOOPS as CHAPTER
@@ -69,8 +72,9 @@ def _plain(solution: Solution, gains: GainSet) -> PlainData:
     return plain_gains(solution.design, gains, solution.observer_errors)
 
 
-def _parts(_: Solution, gains: GainSet) -> list[ReportPart]:
-    tables = [loop_table(gains), *judged_tables(gains), *tolerance_tables(gains)]
+def _parts(solution: Solution, gains: GainSet) -> list[ReportPart]:
+    pole_pairs = solution.design.machine.pole_pairs
+    tables = [loop_table(gains), *judged_tables(gains), *tolerance_tables(gains, pole_pairs)]
     return [ReportPart(CHAPTER, "loops/report.html.j2", {"tables": tables})]
 
 
@@ -130,6 +134,25 @@ LOOPS = Capability(
 )
 
 
+def _certified(outcome: Outcome) -> CurrentLoopProof | None:
+    loops = outcome.solution.loops
+    proof = None if loops is None or loops.robust is None else loops.robust.proof
+    return None if proof is None or proof.certificate is None else proof
+
+
+STABILITY = Capability(
+    name="stability",
+    title="proof of the current loops",
+    of=_certified,
+    summary=lambda _, proof: [("current loops", proof_summary(proof))],
+    files=lambda solution, proof: {
+        f"{solution.design.export.prefix}{CERTIFICATE}": certificate_bytes(proof)
+    },
+)
+
+"""Its words and its JSON stand with those of the loops; a run stores its certificate."""
+
+
 def _left_out(outcome: Outcome) -> str | None:
     return outcome.solution.gains_left_out if outcome.solution.loops is None else None
 
@@ -144,6 +167,12 @@ NO_LOOPS = Capability(
     sentences=lambda _, why: [f"There are no control loops: {why}."],
 )
 
+
+def _gains_files(solution: Solution, schedule: GainSchedule) -> dict[str, bytes]:
+    assert solution.loops is not None
+    return gains_files(solution.design, solution.loops, schedule)
+
+
 GAIN_SCHEDULE = Capability(
     name="gain_schedule",
     title="gains over the current",
@@ -151,7 +180,7 @@ GAIN_SCHEDULE = Capability(
     headers=(
         HeaderKind(
             name="gains",
-            files=lambda solution, schedule: gains_files(solution.design, schedule),
+            files=_gains_files,
             plain=lambda _, schedule: plain_evaluator(schedule.fit.evaluator),
             read=lambda own, _: evaluator_from(own),
             programme=gains_programme,

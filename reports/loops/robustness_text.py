@@ -9,6 +9,7 @@ from dataclasses import asdict
 
 from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.loops.robustness import LoopRobustness, RobustSet
+from dqforge.reports.loops.stability_text import plain_stability
 from dqforge.reports.plain_data import PlainData
 
 FORM_COLUMNS = (
@@ -139,6 +140,7 @@ def plain_robustness(robust: RobustSet | None) -> PlainData:
     plain["both_turning"] = (
         None if robust.turning is None else {"largest_pole": asdict(robust.turning)}
     )
+    plain["stability"] = plain_stability(robust)
     plain["limits"] = {
         "dead_time_s" if name == "dead_time" else name: [low, high]
         for name, low, high in robust.limits

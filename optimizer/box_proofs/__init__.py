@@ -1,0 +1,1 @@
+"""Proofs that a loop is stable at every point of a box of parameters."""
