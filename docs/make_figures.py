@@ -14,6 +14,7 @@ import figures_current_feedback
 import figures_estimators
 import figures_fixed_control
 import figures_fixed_point
+import figures_fixed_reference
 import figures_flux_maps
 import figures_gains
 import figures_losses
@@ -47,6 +48,7 @@ def main() -> None:
     save(plot_fit(design, solve_fit(design).fit), folder / "fit.svg")
     figures_fixed_point.sixteen_bits(folder / "fixed-point.svg")
     figures_fixed_control.integers_of_a_loop(folder / "fixed-control.svg")
+    figures_fixed_reference.reference_in_integers(folder / "fixed-reference.svg")
     figures_flux_maps.flux_map(folder / "flux-map.svg")
     figures_gains.current_loop_step(folder / "current-loop-step.svg")
     figures_gains.gain_schedule(folder / "gain-schedule.svg")
