@@ -120,7 +120,7 @@ def outcome_of(name: str) -> Outcome:
 ASKED = {
     "bare": {"mtpa", "fit", "gains"},
     "small": {"mtpa", "fit", "gains", "losses", "speed_observer"},
-    "everything": {"mtpa", "fit", "gains", "losses", "control", "control_fixed"}
+    "everything": {"mtpa", "fit", "gains", "losses", "control", "control_fixed", "reference_fixed"}
     | {"position_observer"},
     "sections": {"mtpa", "fit", "gains", "losses", "speed_observer", "weakening"}
     | {"modulation_choice"},
