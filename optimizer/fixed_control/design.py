@@ -75,7 +75,7 @@ class FixedControlFit:
     sine_error: float
 
     def physical_band(self, loop: str) -> float | None:
-        """Smallest error that moves the integral of a loop, in A or rad/s; None without integral."""
+        """Smallest error in A or rad/s that moves the integral of a loop; None without one."""
         band = self.dead_bands.get(loop)
         one = self.control.one_code[2 if loop == "speed" else 0]
         return None if band is None else band.largest * one
