@@ -74,6 +74,25 @@ class FixedControlFit:
     word_dead_bands: dict[str, DeadBand]
     sine_error: float
 
+    def physical_band(self, loop: str) -> float | None:
+        """Smallest error in A or rad/s that moves the integral of a loop; None without one."""
+        band = self.dead_bands.get(loop)
+        one = self.control.one_code[2 if loop == "speed" else 0]
+        return None if band is None else band.largest * one
+
+    @property
+    def filter_band(self) -> float:
+        """Smallest change of the speed in rad/s that moves its filter."""
+        return dead_band(self.control.speed_filter).largest * self.control.one_code[2]
+
+    @property
+    def observer_band(self) -> float | None:
+        """Speed in rad/s below which the observer's state no longer decays; None without one."""
+        part = self.control.observer
+        if part is None or part.decay.mantissa <= 0:
+            return None
+        return dead_band(part.decay).largest * self.control.one_code[2]
+
     @property
     def fullest(self) -> Reach:
         """The quantity that comes nearest to its word's end."""

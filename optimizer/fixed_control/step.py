@@ -300,7 +300,7 @@ def observe(
     zeta = o.clamp(o.total("next zeta", state.zeta, o.negative(leak), *drive), -most, most)
     shown = rounded(o, "zeta", zeta, part.fraction)
     omega = o.total("zeta - c i_q", shown, o.negative(scaled(o, "c i_q", part.c, current.y)))
-    return ObserverState(zeta, o.clamp(omega, -top, top), current)
+    return ObserverState(zeta, o.clamp(omega, -top - 1, top), current)
 
 
 @dataclass(frozen=True, slots=True)
