@@ -6,10 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.reports.c_code.read_back import single_from
 
 Singles = tuple[SingleArray, ...]
 
@@ -87,18 +89,23 @@ class ReferenceModel:
         return state.current
 
 
-def reference_model(plain: Mapping[str, float | None] | None) -> ReferenceModel | None:
-    """Read the members back from plain data; None where a control has none."""
+def reference_model(plain: Mapping[str, Any] | None) -> ReferenceModel | None:
+    """Read the members back from plain data; None where a control has none.
+
+    Raises KeyError, TypeError or ValueError where they are no such data.
+    """
     if plain is None:
         return None
-
-    def single(name: str) -> np.float32 | None:
-        value = plain[name]
-        return None if value is None else np.float32(value)
-
-    feedback = tuple(single(name) for name in ("feedback", "feedback_max", "i_max"))
+    torque, current = plain["torque_step"], plain["current_step"]
+    feedback = None
+    if plain["feedback"] is not None:
+        feedback = (
+            single_from(plain["feedback"]),
+            single_from(plain["feedback_max"]),
+            single_from(plain["i_max"]),
+        )
     return ReferenceModel(
-        single("torque_step"),
-        single("current_step"),
-        None if None in feedback else feedback,  # type: ignore[arg-type]
+        None if torque is None else single_from(torque),
+        None if current is None else single_from(current),
+        feedback,
     )
