@@ -103,7 +103,7 @@ def cmsis_step(ours: Step, source: Path) -> Step:
     folders = ("Include", "PrivateInclude", "Source/ControllerFunctions")
     flags = tuple(part for name in folders for part in ("-isystem", str(source / name)))
     return Step(
-        "the same of CMSIS-DSP", "float32", files, "cmsis_step.h",
+        "the same of CMSIS-DSP 1.10.3", "float32", files, "cmsis_step.h",
         "cmsis_control_t *control, const drive_measured_t *measured, drive_dq_t reference",
         "return cmsis_current_control(control, measured, reference);",
         "&control, &measured, reference", ours.rows, "drive_abc_t",

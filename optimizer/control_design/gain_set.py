@@ -140,7 +140,7 @@ def solve_gains(design: Design) -> GainSet:
     slopes = (
         None if observer is None else speed_error_slopes(machine, observer, control.bases.speed)
     )
-    references = dynamic_references(design, box, (i_d, i_q))
+    references = dynamic_references(design, box, (i_d, i_q), speed)
     return GainSet(
         i_d,
         i_q,

@@ -1,8 +1,8 @@
-"""Field weakening by voltage feedback: an integrator that takes the d current further down while the
-controllers ask for more voltage than there is.
+"""Field weakening by voltage feedback: an integrator that takes the d current further down while
+the controllers ask for more voltage than there is.
 
-With r the largest amplitude of the phase voltage and v the voltage that the controllers asked for at
-the sample before,
+With r the largest amplitude of the phase voltage and v the voltage that the controllers asked for
+at the sample before,
 
     w[k] = max(-i_w, min(0, w[k-1] + K (r^2 - |v|^2)/(2 r))),    i_d* = i_d*(map) + w,
     |i_q*| <= sqrt(i_max^2 - i_d*^2).
@@ -47,11 +47,11 @@ _MOST_GAIN = 100.0  # times the gain, up to which a margin is looked for
 class OffMap:
     """A drive that is off its data, at an operating point of the reference.
 
-    ``text`` says how far it is off; ``torque`` in N m and ``omega_m`` in rad/s (mechanical) are what
-    was asked and where. ``missing`` is the voltage in V that the references of the map alone need
-    beyond the limit, ``current`` the d current in A that the feedback adds, nan where none would do;
-    ``kept`` the torque that is made then over that of the references of the map, if their voltage
-    were there.
+    ``text`` says how far it is off; ``torque`` in N m and ``omega_m`` in rad/s (mechanical) are
+    what was asked and where. ``missing`` is the voltage in V that the references of the map alone
+    need beyond the limit, ``current`` the d current in A that the feedback adds, nan where none
+    would do; ``kept`` the torque that is made then over that of the references of the map, if their
+    voltage were there.
     """
 
     text: str

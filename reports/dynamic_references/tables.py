@@ -20,25 +20,16 @@ def reference_rows(found: DynamicReferences) -> list[tuple[str, str]]:
     rows = []
     settings = found.settings
     if settings.torque_slope is not None:
-        rows.append(
-            (
-                "torque slope",
-                (
-                    f"{settings.torque_slope:.4g} N m/s; {format_quantity(found.torque_time, 's', 3)} "
-                    "to the largest torque"
-                ),
-            )
-        )
+        time = format_quantity(found.torque_time, "s", 3)
+        text = f"{settings.torque_slope:.4g} N m/s; {time} to the largest torque"
+        rows.append(("torque slope", text))
+    if not math.isnan(found.speed_step):
+        step = format_quantity(found.speed_step, "rpm", 3)
+        text = f"steps of up to {step} settle; ramp the speed reference beyond"
+        rows.append(("with the speed loop", text))
     if settings.current_slope is not None:
-        rows.append(
-            (
-                "current slope",
-                (
-                    f"{_slope(settings.current_slope)}; the voltage permits "
-                    f"{_slope(found.slope_at_rest)} of i_q at rest"
-                ),
-            )
-        )
+        most = f"the voltage permits {_slope(found.slope_at_rest)} of i_q at rest"
+        rows.append(("current slope", f"{_slope(settings.current_slope)}; {most}"))
     return rows if found.feedback is None else [*rows, *_feedback_rows(found.feedback)]
 
 
@@ -92,6 +83,7 @@ def plain_references(found: DynamicReferences) -> PlainData:
         "current_slope_A_per_s": found.settings.current_slope,
         "torque_time_s": found.torque_time,
         "slope_at_rest_A_per_s": found.slope_at_rest,
+        "speed_step_rad_per_s": None if math.isnan(found.speed_step) else found.speed_step,
         "voltage_feedback": None if feedback is None else _plain_feedback(feedback),
     }
 

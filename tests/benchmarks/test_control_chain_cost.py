@@ -1,23 +1,21 @@
 """What every function of the control's chain costs on emulated cores, beside the current control
 made of CMSIS-DSP, in one run.
 
-The table is printed; what is asserted follows from instructions, none of which depends on the
-machine that measures. Rows are `control_chain.Step`; a further one joins a list below.
+Two tables are printed: that of the README, and every figure as docs/control-cost.md has them. What
+is asserted follows from instructions, none of which depends on the machine that measures. Rows are
+`control_chain.Step`; a further one joins `chain`.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
+import fixed_chain_steps as integers
 import pytest
 from chain_steps import (
     current_control,
-    fixed_current_control,
-    fixed_modulators,
-    fixed_speed_observer,
-    fixed_torque_reference,
     modulators,
     observers,
     speed_control,
@@ -28,7 +26,7 @@ from chain_steps import (
 from cmsis_source import cmsis_folder, cmsis_step
 from control_chain import Step
 
-from dqforge.machines.names import Core
+from dqforge.machines.names import Core, NumberFormat
 from dqforge.reports.verification.measured_cost import CallCost
 
 pytestmark = pytest.mark.benchmark
@@ -38,47 +36,95 @@ CALLS: dict[Core, int] = {
     "cortex-m4": 300, "cortex-m33": 300, "cortex-m7": 300, "cortex-m0plus": 16,
 }  # fmt: skip
 
-NO_ERRNO = "-fno-math-errno"
+NAMES: dict[str, str] = {
+    "cortex-m4": "M4F", "cortex-m33": "M33", "cortex-m7": "M7", "cortex-m0plus": "M0+",
+}  # fmt: skip
 
-ERRNO = "-fmath-errno"
+FORMATS: tuple[NumberFormat, ...] = ("q15", "q31")
 
-CURRENT, GUARDED = "current control", "current control, without -fno-math-errno"
+# Columns of the README's table.
+SHORT: tuple[tuple[Core, str], ...] = (
+    ("cortex-m4", "float32"), ("cortex-m33", "float32"), ("cortex-m7", "float32"),
+    ("cortex-m4", "q15"), ("cortex-m0plus", "q15"), ("cortex-m0plus", "q31"),
+    ("cortex-m0plus", "float32"),
+)  # fmt: skip
+
+NO_ERRNO, ERRNO = "-fno-math-errno", "-fmath-errno"
+
+CURRENT, WHOLE = "current control", "speed control, the whole step"
+
+GUARDED = f"{CURRENT}, without {NO_ERRNO}"
+
+Found = dict[tuple[str, str], dict[Core, CallCost]]
 
 
 def chain() -> Iterator[Step]:
-    """Rows of the table but for CMSIS-DSP, in the order in which they are printed."""
+    """Rows of the tables in the order in which they are printed, those of CMSIS-DSP left out."""
     yield torque_reference()
-    yield fixed_torque_reference("q15")
-    yield fixed_torque_reference("q31")
+    yield from (integers.one_torque_reference(f) for f in FORMATS)
     yield weakening_reference()
+    yield from (integers.torque_mesh(f) for f in FORMATS)
     yield current_control()
     yield current_control().compiled_with(GUARDED, ERRNO)
-    yield fixed_current_control("q15")
-    yield fixed_current_control("q31")
+    yield from (integers.fixed_current_control(f) for f in FORMATS)
     yield speed_loop()
+    yield from (integers.fixed_speed_loop(f) for f in FORMATS)
     yield speed_control()
+    yield from (integers.fixed_speed_control(f) for f in FORMATS)
     yield from observers()
-    yield fixed_speed_observer("q15")
-    yield fixed_speed_observer("q31")
+    for f in FORMATS:
+        yield integers.fixed_speed_observer(f)
+        yield from integers.fixed_observers(f)
     yield from modulators()
-    yield from fixed_modulators("q15")
+    for f in FORMATS:
+        yield from integers.fixed_modulators(f)
 
 
-def cells(costs: dict[Core, CallCost]) -> Iterator[str]:
-    for cost in costs.values():
-        low, high = cost.cycles
-        yield (
-            f"{cost.instructions:.0f} ({cost.instructions_largest})"
-            f" / {low:.0f}-{high:.0f} / {cost.flash}"
+def compared() -> Iterator[Step]:
+    """The current control made of CMSIS-DSP, with and without the flag; nothing where it cannot
+    be had.
+    """
+    source = cmsis_folder()
+    if source is not None:
+        step = cmsis_step(current_control(), source)
+        yield step.compiled_with(f"{step.label}, {NO_ERRNO}", NO_ERRNO)
+        yield step.compiled_with(step.label, ERRNO)
+
+
+def costs_of(steps: Iterable[Step]) -> Found:
+    return {
+        (step.label, step.numbers): {core: step.cost(core, calls) for core, calls in CALLS.items()}
+        for step in steps
+    }
+
+
+def short_cell(cost: CallCost | None) -> str:
+    if cost is None:
+        return ""
+    (low, high), mean = cost.cycles, cost.instructions
+    span = f"{low:.0f}" if round(low) == round(high) else f"{low:.0f}-{high:.0f}"
+    return f"{mean:.0f} / {span} / {cost.flash}"
+
+
+def short_table(found: Found) -> Iterator[str]:
+    """Rows are functions, columns cores with number formats: mean instructions, cycles, bytes."""
+    yield f"| function | {' | '.join(f'{NAMES[core]} {numbers}' for core, numbers in SHORT)} |"
+    yield f"|{'---|' * (1 + len(SHORT))}"
+    for label in dict.fromkeys(label for label, _ in found):
+        cells = (found.get((label, numbers), {}).get(core) for core, numbers in SHORT)
+        yield f"| {label} | {' | '.join(short_cell(cost) for cost in cells)} |"
+
+
+def long_table(found: Found) -> Iterator[str]:
+    """Rows are functions in a number format, columns cores; with the largest number in brackets."""
+    yield f"| function | numbers | {' | '.join(NAMES[core] for core in CALLS)} |"
+    yield f"|{'---|' * (2 + len(CALLS))}"
+    for (label, numbers), costs in found.items():
+        cells = (
+            short_cell(cost).replace(" /", f" ({cost.instructions_largest}) /", 1)
+            for cost in costs.values()
         )
-
-
-def line(step: Step, costs: dict[Core, CallCost]) -> str:
-    return f"| {' | '.join([step.label, step.numbers, *cells(costs)])} |"
-
-
-def costs_of(step: Step) -> dict[Core, CallCost]:
-    return {core: step.cost(core, calls) for core, calls in CALLS.items()}
+        yield f"| {label} | {numbers} | {' | '.join(cells)} |"
 
 
 def test_the_chain_on_cores(capsys: pytest.CaptureFixture[str]) -> None:
@@ -87,31 +133,24 @@ def test_the_chain_on_cores(capsys: pytest.CaptureFixture[str]) -> None:
             if os.environ.get("CI"):
                 pytest.fail(f"{name} is missing; CI needs it")
             pytest.skip(f"{name} is not installed")
-    source = cmsis_folder()
-    if source is None and os.environ.get("CI"):
-        pytest.fail("CMSIS-DSP cannot be had from PyPI; CI needs it")
-    found: dict[tuple[str, str], dict[Core, CallCost]] = {}
-    lines = []
-    for step in chain():
-        costs = found[step.label, step.numbers] = costs_of(step)
-        lines.append(line(step, costs))
-        if step.label == GUARDED and source is not None:
-            for label, flag in ((", -fno-math-errno", NO_ERRNO), ("", ERRNO)):
-                other = cmsis_step(current_control(), source)
-                other = other.compiled_with(other.label + label, flag)
-                costs = found[other.label, "cmsis"] = costs_of(other)
-                lines.append(line(other, costs))
-    cores = " | ".join(core[7:].upper() for core in CALLS)
+    ours, others = costs_of(chain()), costs_of(compared())
+    at = list(ours).index((GUARDED, "float32")) + 1
+    shown = dict([*list(ours.items())[:at], *others.items(), *list(ours.items())[at:]])
     with capsys.disabled():
-        print("", f"| function | numbers | {cores} |", f"|{'---|' * (2 + len(CALLS))}", sep="\n")
-        print(*lines, sep="\n")
-        if source is None:
+        print("", *short_table(shown), "", *long_table(shown), sep="\n")
+        if not others:
             print("CMSIS-DSP could not be had from PyPI.")
-    plain, guarded = found[CURRENT, "float32"], found[GUARDED, "float32"]
+    if not others and os.environ.get("CI"):
+        pytest.fail("CMSIS-DSP cannot be had from PyPI; CI needs it")
+    plain, guarded = ours[CURRENT, "float32"], ours[GUARDED, "float32"]
     for core in ("cortex-m4", "cortex-m33", "cortex-m7"):
         assert plain[core].instructions <= guarded[core].instructions <= 200.0
-        for (_, numbers), costs in found.items():
-            if numbers == "cmsis":
-                assert guarded[core].instructions < costs[core].instructions
-    whole = found["speed control, the whole step", "float32"]["cortex-m4"]
-    assert whole.instructions > plain["cortex-m4"].instructions
+        for costs in others.values():
+            assert guarded[core].instructions < 0.75 * costs[core].instructions
+            assert guarded[core].flash < costs[core].flash
+    assert ours[CURRENT, "q15"]["cortex-m0plus"].instructions <= 1000.0
+    for numbers in ("float32", *FORMATS):
+        for core in CALLS:
+            assert (
+                ours[WHOLE, numbers][core].instructions > ours[CURRENT, numbers][core].instructions
+            )

@@ -127,8 +127,8 @@ def outcome_of(name: str) -> Outcome:
     return Outcome(exported(name).solution)
 
 
-# Which design asks for what. Negative torques, a mission, a simulation and loops that do not hold
-# have tests of their own in their rooms.
+# Which design asks for what. Negative torques, a mission, tolerances, a simulation and loops that
+# do not hold have tests of their own in their rooms.
 ASKED = {
     "bare": {"mtpa", "fit", "gains"},
     "small": {"mtpa", "fit", "gains", "losses", "speed_observer"},
@@ -146,6 +146,7 @@ ELSEWHERE = {
     "gains_left_out",
     "mission",
     "not_simulated",
+    "stability",
     "simulation",
 }
 

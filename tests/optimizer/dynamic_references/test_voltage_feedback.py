@@ -90,7 +90,7 @@ def slope(held: FloatArray, current: FloatArray, place: float) -> FloatArray:
 
 
 def stepped(gain: float, steps: int) -> FloatArray:
-    """Currents, voltages asked for, and what the feedback adds, by a simulation, shape (steps, 5)."""
+    """Currents, voltages asked for, and what the feedback adds, shape (steps, 5)."""
     omega, i = OMEGA, np.array([-80.0, 40.0])
     v_0 = np.array(
         [0.05 * i[0] - omega * 0.7e-3 * i[1], 0.05 * i[1] + omega * (0.06 + 0.3e-3 * i[0])]
