@@ -103,14 +103,16 @@ def _after(o: Integers, observer: FixedPositionObserver, rows: CodeArray) -> Tra
     bits = WIDTH - width
     columns = [rows[:, k] for k in range(rows.shape[1])]
     started, theta, omega, *words = columns[:-4]
-    v_alpha, v_beta, i_alpha, i_beta = (widened(o, "sample", part, width) for part in columns[-4:])
+    v_alpha, v_beta, i_alpha, i_beta = (
+        widened(o, "voltage or current", part, width) for part in columns[-4:]
+    )
     v, i = Pair(v_alpha, v_beta), Pair(i_alpha, i_beta)
     if np.all(started != 0):
         return method.step(o, observer.gains, TrackedState(theta, omega, tuple(words)), v, i)
     empty = np.zeros_like(theta)
     begun = TrackedState(
-        widened(o, "start", theta >> bits, width),
-        widened(o, "start", omega >> bits, width),
+        widened(o, "angle or speed of the start", theta >> bits, width),
+        widened(o, "angle or speed of the start", omega >> bits, width),
         (empty,) * len(words),
     )
     return method.begin(o, observer.gains, begun, v, i)
