@@ -2,9 +2,10 @@
 whatever the format of the control is.
 
 An observer integrates: in 16 bits its filters and its loop would come to rest in dead bands, the
-speed of a loop of 250 rad/s at 5 kHz in one of 0.16 degrees. So voltages, currents, angle and speed enter from the codes of the control, 16 or
-32 bits, and all that lies between is kept in 32 bits: per unit with 2^31 codes of full scale,
-angles with 2^32 codes of a turn, small angles with 2^31 codes of a radian.
+speed of a loop of 250 rad/s at 5 kHz in one of 0.16 degrees. So voltages, currents, angle and speed
+enter from the codes of the control, 16 or 32 bits, and all that lies between is kept in 32 bits:
+per unit with 2^31 codes of full scale, angles with 2^32 codes of a turn, small angles with 2^31
+codes of a radian.
 
 Every function takes its operations from an `Arithmetic`, as in `optimizer.fixed_control`: numbers
 make it the model of the emitted C, ranges its proof.

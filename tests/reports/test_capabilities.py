@@ -121,7 +121,7 @@ ASKED = {
     "bare": {"mtpa", "fit", "gains"},
     "small": {"mtpa", "fit", "gains", "losses", "speed_observer"},
     "everything": {"mtpa", "fit", "gains", "losses", "control", "control_fixed"}
-    | {"position_observer"},
+    | {"position_observer", "observer_fixed"},
     "sections": {"mtpa", "fit", "gains", "losses", "speed_observer", "weakening"}
     | {"modulation_choice"},
     "schedule": {"mtpa", "fit", "gains", "gain_schedule"},

@@ -1,4 +1,6 @@
-"""The observers in fixed point as C: every bit of the model, no undefined behaviour, damage refused."""
+"""The observers in fixed point as C: every bit of the model, no undefined behaviour, damage
+refused.
+"""
 
 from __future__ import annotations
 
