@@ -10,6 +10,7 @@ from dqforge.reports.current_reference.capability import (
     NEGATIVE_POINTS,
     NEGATIVE_REFERENCE,
 )
+from dqforge.reports.dynamic_references.capability import DYNAMIC_REFERENCES
 from dqforge.reports.field_weakening.capability import WEAKENING
 from dqforge.reports.fixed_observers.capability import FIXED_OBSERVER
 from dqforge.reports.fixed_reference.capability import FIXED_REFERENCE
@@ -32,6 +33,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     LOOPS,
     NO_LOOPS,
     STABILITY,
+    DYNAMIC_REFERENCES,
     LOSSES,
     MISSION,
     WAVEFORMS,

@@ -12,7 +12,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.optimizer.loops.pi_methods import current_pi
 from dqforge.optimizer.speed_box.speed_parameters import SpeedBox
-from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers
+from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers, speed_scale
 
 RATIOS = (1, 2, 5, 10, 20)
 
@@ -64,7 +64,7 @@ def _drawn(generator: np.random.Generator, ratio: int) -> SpeedDrive | None:
     kp_s = inertia / (spread * delay) * generator.uniform(0.3, 1.0)
     ki_s = kp_s / (spread**2 * delay)
     h, eta = kp_s * t_s / inertia, t_s * 1.5 * flux / (inductance * kp_s)
-    scale = float(np.sqrt(h / (eta * 0.1 * flux / 0.8)))
+    scale = speed_scale(h, eta * 0.1 * flux / 0.8)
     loop = SpeedLoopNumbers(
         rho=r_s * t_s / inductance,
         h=h / scale,

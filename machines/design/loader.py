@@ -48,6 +48,7 @@ from dqforge.machines.design.sections.phase_control import (
     check_phase_control,
     phase_control_remarks,
 )
+from dqforge.machines.design.sections.references import check_references
 from dqforge.machines.design.sections.simulation.reading import read_scenario
 from dqforge.machines.design.sections.topology import check_topology
 from dqforge.machines.design.sections.waveform import check_waveform, read_waveform
@@ -129,6 +130,9 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     check_sampling(file.control, file.inverter.switching_frequency.si, document)
     check_losses(file.losses, file.inverter.device is not None, machine, document)
     check_loops(file.control, machine, document)
+    check_references(
+        file.control.references, machine, document, any_back_emf=found.phases is not None
+    )
     inverter = read_inverter(file.inverter, machine.i_max, reading)
     check_overmodulation(
         file.operation, inverter, file.export.control, found.phases is not None, document
@@ -220,6 +224,12 @@ def _remarks(
         remarks += [warning] if warning else []
     if "strategy" not in file.operation.model_fields_set:
         remarks.append("operation.strategy is mtpa: the least current for each torque")
+    operation = file.operation
+    if operation.overmodulation != "none" and operation.overmodulation_limit is None:
+        remarks.append(
+            "operation.overmodulation_limit is 95.14 % of six-step operation: a vector that "
+            "follows the hexagon"
+        )
     if file.fit.torque_max is None:
         remarks.append("fit.torque_max is the largest torque within the current limit")
     if "prefix" not in file.export.model_fields_set:

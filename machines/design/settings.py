@@ -207,7 +207,7 @@ class Tolerances:
     voltage that acts from the one that duty cycles are computed with. ``dead_time`` in s is what
     the compensation of the dead time leaves over (positive), or does too much (negative), and
     ``low_current`` in A (peak of phase) the smallest current at which the loops must hold in spite
-    of it.
+    of it. ``thorough`` asks for proofs that take longer than every run can afford.
     """
 
     r_s: Deviation = 0.0
@@ -218,6 +218,7 @@ class Tolerances:
     v_dc: Deviation = 0.0
     dead_time: Deviation = 0.0
     low_current: float = 0.0
+    thorough: bool = False
 
     def limits(self, name: ToleranceName) -> tuple[float, float]:
         """Least (zero or negative) and largest (zero or positive) deviation of one parameter."""
@@ -256,6 +257,34 @@ class PerUnitBases:
 
 
 @dataclass(frozen=True, slots=True)
+class VoltageFeedbackSettings:
+    """Field weakening by voltage feedback: ``bandwidth`` in rad/s is the largest that it has at any
+    speed, ``current`` in A (peak) the largest d current that it adds, None for all that the current
+    limit leaves.
+    """
+
+    bandwidth: float
+    current: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceSettings:
+    """How fast references move, and what corrects them; None where nothing does.
+
+    ``torque_slope`` in N m/s, ``current_slope`` in A/s (of the vector of the current reference).
+    """
+
+    torque_slope: float | None = None
+    current_slope: float | None = None
+    voltage_feedback: VoltageFeedbackSettings | None = None
+
+    @property
+    def any(self) -> bool:
+        """Whether any of them is asked for."""
+        return self != ReferenceSettings()
+
+
+@dataclass(frozen=True, slots=True)
 class ControlSettings:
     """Sampling and controllers; ``t_s`` is the current-control sampling period in s.
 
@@ -271,6 +300,7 @@ class ControlSettings:
     bases: PerUnitBases
     tolerances: Tolerances | None = None
     gains: GainWish = "required"
+    references: ReferenceSettings = ReferenceSettings()
 
 
 @dataclass(frozen=True, slots=True)

@@ -129,6 +129,7 @@ def low_harmonics(
     omega_m: ArrayLike,
     *,
     v_dc: float,
+    voltage: tuple[FloatArray, FloatArray] | None = None,
 ) -> LowHarmonics:
     """What overmodulation adds at operating points.
 
@@ -143,6 +144,9 @@ def low_harmonics(
         there is none.
     v_dc:
         DC-link voltage in V.
+    voltage:
+        v_d and v_q at the terminals in V, shape (N,) each; those of the currents and the machine's
+        resistance when None.
     """
     d, q, omega = (
         np.ravel(value)
@@ -150,7 +154,7 @@ def low_harmonics(
             *(np.asarray(value, dtype=np.float64) for value in (i_d, i_q, omega_m))
         )
     )
-    v_d, v_q = machine.voltage(d, q, machine.pole_pairs * omega)
+    v_d, v_q = machine.voltage(d, q, machine.pole_pairs * omega) if voltage is None else voltage
     share = np.hypot(v_d, v_q) / v_dc
     empty: dict[str, FloatArray] = {
         part.name: np.where(share <= SIX_STEP * (1.0 + _ROUNDING), 0.0, np.nan)

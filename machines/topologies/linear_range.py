@@ -11,7 +11,7 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.modulation.hexagon import INSCRIBED, SIX_STEP, follows_hexagon
 from dqforge.machines.modulation.modulators import in_linear_range
 from dqforge.machines.modulation.registry import MODULATORS
-from dqforge.machines.names import ModulationName, Topology
+from dqforge.machines.names import ModulationName, OvermodulationName, Topology
 from dqforge.machines.topologies.regions import sine_share
 from dqforge.machines.topologies.topology import TOPOLOGIES
 
@@ -36,8 +36,8 @@ def linear_share(topology: Topology, modulation: ModulationName) -> float:
     return sine_share(topology)
 
 
-def overmodulates(inverter: Inverter, modulation: ModulationName) -> bool:
-    """Whether the voltage may go beyond the linear range.
+def overmodulation_of(inverter: Inverter, modulation: ModulationName) -> OvermodulationName:
+    """The method by which voltages go beyond the linear range; ``none`` where they do not.
 
     Parameters
     ----------
@@ -46,11 +46,9 @@ def overmodulates(inverter: Inverter, modulation: ModulationName) -> bool:
     modulation:
         The modulator, which must make all of the hexagon; others keep their linear range.
     """
-    return (
-        inverter.overmodulation != "none"
-        and TOPOLOGIES[inverter.topology].modulated
-        and follows_hexagon(modulation)
-    )
+    if TOPOLOGIES[inverter.topology].modulated and follows_hexagon(modulation):
+        return inverter.overmodulation
+    return "none"
 
 
 def fundamental_share(inverter: Inverter, modulation: ModulationName) -> float:
@@ -64,7 +62,7 @@ def fundamental_share(inverter: Inverter, modulation: ModulationName) -> float:
     modulation:
         As of `linear_share`.
     """
-    if overmodulates(inverter, modulation):
+    if overmodulation_of(inverter, modulation) != "none":
         return max(INSCRIBED, inverter.overmodulation_limit * SIX_STEP)
     return linear_share(inverter.topology, modulation)
 
@@ -117,7 +115,8 @@ def amplitude_fits(
     amplitude:
         In V, any shape.
     """
-    if TOPOLOGIES[inverter.topology].modulated and not overmodulates(inverter, modulation):
+    linear = overmodulation_of(inverter, modulation) == "none"
+    if linear and TOPOLOGIES[inverter.topology].modulated:
         return in_linear_range(modulation, amplitude, inverter.v_dc)
     limit = amplitude_limit(inverter, modulation) * (1.0 + _ROUNDING)
     return np.asarray(amplitude <= limit)

@@ -2,9 +2,10 @@
 
 Written apart from the search, from the statement alone: for every drive of the box (R, what the
 dead time adds, L_d, L_q, voltage gain) at every constant speed up to the largest, both current
-loops together are stable. Cells are rebuilt from the box by the stored cuts, in rationals, so that
-they cover it; that no drive lies in a cell is computed here; and each cell's matrix P is checked at
-the corners with the bound of what they leave out (`current_loop_model` derives both).
+loops together are stable (or, of another certificate, have a sensitivity below a bound). Cells are
+rebuilt from the box by the stored cuts, in rationals, so that they cover it; that no drive lies in
+a cell is computed here; and each cell's matrix P is checked at the corners with the bound of what
+they leave out (`current_loop_model` derives both).
 """
 
 from __future__ import annotations
@@ -87,19 +88,42 @@ def confirm(certificate: Mapping[str, Any], inputs: Mapping[str, Any]) -> Confir
     inputs:
         What it must be about, in the same keys.
     """
+    return _in_balls(certificate, inputs, None)
+
+
+def confirm_sensitivity(
+    certificate: Mapping[str, Any], inputs: Mapping[str, Any], bound: float
+) -> Confirmation:
+    """Whether a certificate proves a bound of the sensitivity of both axes together.
+
+    Parameters
+    ----------
+    certificate, inputs:
+        As of `confirm`.
+    bound:
+        What the largest singular value may not reach at any frequency.
+    """
+    return _in_balls(certificate, inputs, bound)
+
+
+def _in_balls(
+    certificate: Mapping[str, Any], inputs: Mapping[str, Any], bound: float | None
+) -> Confirmation:
     from flint import ctx
 
     before = ctx.prec
     ctx.prec = BITS
     try:
-        return _confirmed(certificate, inputs)
+        return _confirmed(certificate, inputs, None if bound is None else _number(bound))
     except _CertificateError as fault:
         return Confirmation(str(fault))
     finally:
         ctx.prec = before
 
 
-def _confirmed(certificate: Mapping[str, Any], inputs: Mapping[str, Any]) -> Confirmation:
+def _confirmed(
+    certificate: Mapping[str, Any], inputs: Mapping[str, Any], bound: Fraction | None
+) -> Confirmation:
     stated = certificate.get("inputs")
     if not isinstance(stated, Mapping):
         raise _CertificateError("it has no inputs")
@@ -120,7 +144,9 @@ def _confirmed(certificate: Mapping[str, Any], inputs: Mapping[str, Any]) -> Con
             waiting += [None, None] if inside is None else reversed(_halves(inside, verdict))
         elif kind == "empty" and inside is not None:
             raise _CertificateError("a cell that it calls empty holds drives")
-        elif kind == "matrix" and not (inside is None or _contracts(box, inside, _matrix(verdict))):
+        elif kind == "matrix" and not (
+            inside is None or _contracts(box, inside, _matrix(verdict), bound)
+        ):
             raise _CertificateError(f"the matrix of cell {counts['matrix']} does not prove it")
     if waiting:
         raise _CertificateError(f"its tree ends with {len(waiting)} cells left")
@@ -239,17 +265,51 @@ def _ball(value: Fraction) -> arb:
     return arb(fmpq(value.numerator, value.denominator))
 
 
-def _contracts(box: _Box, cell: _Cell, matrix: list[list[float]]) -> bool:
-    """Whether x^T P x falls along every loop of a cell."""
+def _contracts(box: _Box, cell: _Cell, matrix: list[list[float]], bound: Fraction | None) -> bool:
+    """Whether x^T P x falls along every loop of a cell; with a bound of the sensitivity, by so
+    much that it holds.
+    """
     from flint import arb_mat
 
     held = arb_mat(matrix)
     if not _positive(held):
         return False
+    before = held if bound is None else _bordered(held, _ball(bound**2))
+    after = held if bound is None else _bordered(held, _ball(Fraction(1)))
     rests = _rests(box, cell)
     ends = zip(cell.low, cell.high, strict=True)
-    corners = itertools.product(*(sorted({low, high}) for low, high in ends))
-    return all(_falls(held, _loop(box, corner), rests) for corner in corners)
+    for corner in itertools.product(*(sorted({low, high}) for low, high in ends)):
+        loop = _loop(box, corner)
+        if not _falls(before, after, loop if bound is None else _disturbed(loop), rests):
+            return False
+    return True
+
+
+def _bordered(matrix: arb_mat, value: arb) -> arb_mat:
+    """diag(P, value, value)."""
+    return _with_two_more(matrix, {(6, 6): value, (7, 7): value})
+
+
+def _disturbed(loop: arb_mat) -> arb_mat:
+    """[A B; C 1], the loop with a disturbance of both voltages and what they become."""
+    from flint import arb
+
+    one = arb(1)
+    units = dict.fromkeys(((2, 6), (3, 7), (6, 6), (7, 7)), one)
+    rows = {(6 + k, j): loop[2 + k, j] for k in range(2) for j in range(6)}
+    return _with_two_more(loop, units | rows)
+
+
+def _with_two_more(matrix: arb_mat, entries: Mapping[tuple[int, int], arb]) -> arb_mat:
+    from flint import arb, arb_mat
+
+    zero = arb(0)
+    return arb_mat(
+        [
+            [matrix[i, j] if i < 6 and j < 6 else entries.get((i, j), zero) for j in range(8)]
+            for i in range(8)
+        ]
+    )
 
 
 def _rests(box: _Box, cell: _Cell) -> tuple[arb, arb]:
@@ -332,20 +392,21 @@ def _positive(matrix: arb_mat) -> bool:
     return frame is not None and bool(_away_from_unit(matrix, frame) < 1)
 
 
-def _falls(held: arb_mat, loop: arb_mat, rests: tuple[arb, arb]) -> bool:
-    """Whether P - (A + U E)^T P (A + U E) > 0 at a corner for every E within its bounds."""
+def _falls(before: arb_mat, after: arb_mat, loop: arb_mat, rests: tuple[arb, arb]) -> bool:
+    """Whether before - (A + U E)^T after (A + U E) > 0 at a corner for every E in its bounds."""
     from flint import arb_mat
 
-    turned = loop.transpose() * held
-    fall = held - turned * loop
+    turned = loop.transpose() * after
+    fall = before - turned * loop
     frame = _frame(fall)
     if frame is None:
         return False
+    size = frame.nrows()
     columns = [
-        arb_mat([[frame[i, j] for j in pair] for i in range(6)]) for pair in ((0, 1), (2, 3))
+        arb_mat([[frame[i, j] for j in pair] for i in range(size)]) for pair in ((0, 1), (2, 3))
     ]
     reach = rests[0] * _size(columns[0]) + rests[1] * _size(columns[1])
-    cross = frame * arb_mat([[turned[i, j] for j in range(2)] for i in range(6)])
-    own = arb_mat([[held[i, j] for j in range(2)] for i in range(2)])
+    cross = frame * arb_mat([[turned[i, j] for j in range(2)] for i in range(size)])
+    own = arb_mat([[after[i, j] for j in range(2)] for i in range(2)])
     lost = 2 * _size(cross) * reach + _size(own) * reach**2
     return bool(_away_from_unit(fall, frame) + lost < 1)

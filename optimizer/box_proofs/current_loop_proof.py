@@ -10,8 +10,13 @@ from functools import lru_cache
 import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
+from dqforge.optimizer.box_proofs.both_axes_sensitivity import bound_sensitivity
 from dqforge.optimizer.box_proofs.cell_queue import Cell
-from dqforge.optimizer.box_proofs.current_loop_checker import Confirmation, confirm
+from dqforge.optimizer.box_proofs.current_loop_checker import (
+    Confirmation,
+    confirm,
+    confirm_sensitivity,
+)
 from dqforge.optimizer.box_proofs.current_loop_model import (
     BoxDrive,
     CurrentLoopBox,
@@ -43,6 +48,19 @@ class DriveRange:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ProvenSensitivity:
+    """Sensitivity of both axes together over a box: the largest value ``found``, the drive ``at``
+    which it is, and the ``bound`` that none exceeds, confirmed with ``certificate``; both None
+    where the search ended before.
+    """
+
+    found: float
+    at: BoxDrive
+    bound: float | None
+    certificate: PlainCertificate | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CurrentLoopProof:
     """What is known of both current loops together over a box of drives.
 
@@ -60,6 +78,8 @@ class CurrentLoopProof:
         Between which values the drives lie of which nothing is proven; None where all are.
     counterexample:
         A drive of the box whose loops are unstable; None where none was met.
+    sensitivity:
+        That of both axes together, where it was asked for.
     """
 
     box: CurrentLoopBox
@@ -68,6 +88,7 @@ class CurrentLoopProof:
     share: float
     still_open: DriveRange | None = None
     counterexample: BoxDrive | None = None
+    sensitivity: ProvenSensitivity | None = None
 
     @property
     def proven(self) -> bool:
@@ -99,6 +120,23 @@ def prove_current_loops(box: CurrentLoopBox, largest: int = CELLS) -> CurrentLoo
     return CurrentLoopProof(
         box, confirmation, certificate, _proven_share(box, left), _ranges(box, left)
     )
+
+
+@lru_cache(maxsize=64)
+def prove_sensitivity(box: CurrentLoopBox) -> ProvenSensitivity:
+    """The largest sensitivity of both axes together that is found in a box, with a proven bound.
+
+    Parameters
+    ----------
+    box:
+        Control and drives, all of them proven stable.
+    """
+    searched = bound_sensitivity(box)
+    if np.isfinite(searched.bound):
+        certificate = plain_certificate(box, searched.tree)
+        if confirm_sensitivity(certificate, plain_inputs(box), searched.bound).proven:
+            return ProvenSensitivity(searched.found, searched.at, searched.bound, certificate)
+    return ProvenSensitivity(searched.found, searched.at, None, None)
 
 
 def _proven_share(box: CurrentLoopBox, left: list[Cell]) -> float:

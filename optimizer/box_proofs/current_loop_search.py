@@ -142,7 +142,7 @@ def _verdict(box: CurrentLoopBox, cell: Cell, full: FloatArray) -> Verdict[Float
     relative = inside.width / full
     if np.max(relative) < _NARROWEST:
         return Open(inside)
-    reach = slopes(box, inside) if by_remainder else _reach(box, inside, frame)
+    reach = slopes(box, inside) if by_remainder else reach_of(box, inside, frame)
     axis = int(np.argmax(inside.width * reach * (relative > 0.5 * _NARROWEST)))
     return Cut(axis, float(inside.middle[axis]), inside)
 
@@ -166,28 +166,28 @@ def _matrix(
 ) -> tuple[FloatArray | None, bool]:
     """A matrix for the cell, or None and whether the remainder alone is in its way."""
     rest = remainder(box, cell)
-    own = _rounded(frame.T @ frame)
+    own = rounded(frame.T @ frame)
     if contracts(own, own, corners, rest).whole:
         return own, False
     seen = [Contraction(corners=False, whole=False)]
 
     def taken(matrix: FloatArray) -> bool:
-        rounded = _rounded(matrix)
-        seen.append(contracts(rounded, rounded, corners, rest))
+        digits = rounded(matrix)
+        seen.append(contracts(digits, digits, corners, rest))
         return seen[-1].whole
 
     found = common_lyapunov(corners, frame, taken)
-    return _rounded(found) if found is not None and seen[-1].whole else None, seen[-1].corners
+    return rounded(found) if found is not None and seen[-1].whole else None, seen[-1].corners
 
 
-def _rounded(matrix: FloatArray) -> FloatArray:
-    """A matrix of few digits, symmetric to the bit, its largest entry near 1."""
-    scaled = matrix / 2.0 ** np.floor(np.log2(np.abs(matrix).max()))
-    upper = np.triu(np.array([[float(f"{x:.{_DIGITS}g}") for x in row] for row in scaled]))
+def rounded(matrix: FloatArray, *, scaled: bool = True) -> FloatArray:
+    """A matrix of few digits, symmetric to the bit; ``scaled`` with its largest entry near 1."""
+    whole = matrix / 2.0 ** np.floor(np.log2(np.abs(matrix).max())) if scaled else matrix
+    upper = np.triu(np.array([[float(f"{x:.{_DIGITS}g}") for x in row] for row in whole]))
     return np.asarray(upper + np.triu(upper, 1).T, dtype=np.float64)
 
 
-def _reach(box: CurrentLoopBox, cell: Cell, frame: FloatArray | None) -> FloatArray:
+def reach_of(box: CurrentLoopBox, cell: Cell, frame: FloatArray | None) -> FloatArray:
     """How far the loop changes with each parameter, per its width, shape (4,)."""
     middle = cell.middle
     ends = np.repeat(middle[None], 8, axis=0)

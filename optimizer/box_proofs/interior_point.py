@@ -83,10 +83,12 @@ def _step(blocks: Blocks, unknowns: FloatArray, weight: float) -> tuple[FloatArr
         lower = np.linalg.cholesky(blocks.at(unknowns))
         frame = np.linalg.inv(lower)[:, None]
         seen = frame @ blocks.slopes @ np.swapaxes(frame, 2, 3)
-        rows = np.swapaxes(seen, 0, 1).reshape(len(unknowns), -1)
+        rows = seen.reshape(*seen.shape[:2], -1)
         gradient = -np.trace(seen, axis1=2, axis2=3).sum(0)
         gradient[-1] -= weight
-        direction = np.linalg.solve(rows @ rows.T, -gradient)
+        # block by block: one large product would wake all threads of the library, every step
+        curvature = (rows @ np.swapaxes(rows, 1, 2)).sum(axis=0)
+        direction = np.linalg.solve(curvature, -gradient)
         change = (direction @ rows).reshape(blocks.constant.shape)
         stretch = np.asarray(np.linalg.eigvalsh(change), dtype=np.float64)
     except np.linalg.LinAlgError:

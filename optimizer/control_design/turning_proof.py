@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from dqforge.machines.errors import NoSolutionError
@@ -12,7 +14,11 @@ from dqforge.optimizer.box_proofs.current_loop_model import (
     loop_matrices,
     parameters_of,
 )
-from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof, prove_current_loops
+from dqforge.optimizer.box_proofs.current_loop_proof import (
+    CurrentLoopProof,
+    prove_current_loops,
+    prove_sensitivity,
+)
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.robustness import unstable_together
 from dqforge.optimizer.loops.tolerance_box import DriveBox
@@ -74,7 +80,7 @@ def turning_proof(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> CurrentLoopP
     proof = prove_current_loops(inputs)
     if proof.counterexample is not None:
         raise _refusal(box, inputs, proof.counterexample)
-    return proof
+    return replace(proof, sensitivity=prove_sensitivity(inputs)) if proof.proven else proof
 
 
 def _refusal(box: DriveBox, inputs: CurrentLoopBox, drive: BoxDrive) -> NoSolutionError:

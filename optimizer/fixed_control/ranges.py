@@ -96,6 +96,8 @@ def pi_ranges(width: int, name: str, pi: FixedPi, form: PiForm, further: int = 0
     state = Range(-top << pi.fraction, top << pi.fraction)
     if form == "parallel":
         pi_step(found, width, pi, state, error, limit)
+        if not further:
+            return found
         present = pi_integral(found, pi, state, error)
         fed = Range(-further, further)
         output = found.total("output + feedforward", pi_output(found, pi, present, error), fed)

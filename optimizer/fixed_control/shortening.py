@@ -120,8 +120,13 @@ def inverse_root(o: Arithmetic[N, Any], width: int, s: N) -> N:
     return o.clamp(value, one, 3 * one)  # changes no number
 
 
+def longest(width: int) -> int:
+    """Largest limit of `shortened`: its roundings, 3 codes at the most, stay below full scale."""
+    return int(2 ** (width - 1) - 9)
+
+
 def shortened(o: Arithmetic[N, Any], width: int, asked: Pair[N], limit: N) -> Pair[N]:
-    """A voltage shortened along its direction to an amplitude of ``limit``, 0 to full scale.
+    """A voltage shortened along its direction to an amplitude of ``limit``, 0 to `longest`.
 
     ``asked`` are codes in words of twice the width; a voltage within the limit stays what it is.
     Both components are first halved together until they are codes of one word, so that the

@@ -16,6 +16,7 @@ from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded
 from dqforge.optimizer.fixed_control.gains import scaled
 from dqforge.optimizer.fixed_control.shortening import (
     Seed,
+    longest,
     newton_steps,
     reciprocal_seed,
     root_seed,
@@ -346,7 +347,7 @@ def current_control(
         o.total("v_d", pi_output(o, d, present.x, error.x), feed.x),
         o.total("v_q", pi_output(o, q, present.y, error.y), feed.y),
     )
-    limit = o.clamp(scaled(o, "voltage limit", control.limit, v_dc), 0, full_scale(width))
+    limit = o.clamp(scaled(o, "voltage limit", control.limit, v_dc), 0, longest(width))
     found = shortened(o, width, asked, limit)
     excess = Pair(
         o.total("v_d excess", found.x, o.negative(asked.x)),

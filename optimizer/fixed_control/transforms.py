@@ -35,26 +35,31 @@ FIXED_MODULATORS: tuple[ModulationName, ...] = tuple(MODULATORS)
 
 
 _TERMS = 5
+_INTERVALS = 128  # of the table of a quarter turn
 _SEED = 20_261_121
 
 
 @dataclass(frozen=True, slots=True)
 class TurnSteps:
-    """Sine and cosine of an eighth of a turn to either side, by Horner's rule in integers.
+    """Sine and cosine in integers.
 
-    With u = x / 2^(width - 3), x the angle from the nearest quarter turn, they are u p(u^2) and 1 +
-    u^2 q(u^2); u^2 is a code of 2^(width - 1), after a shift by ``square``. ``sine`` and ``cosine``
-    are the coefficients of p and q in codes of 2^width, the highest first.
+    In 16 bits they are straight lines between the entries of ``table``, sines of a quarter turn in
+    codes; that takes half of the instructions of a polynomial on the least cores. In 32 bits
+    ``table`` is empty: with u = x / 2^(width - 3), x the angle from the nearest quarter turn, they
+    are u p(u^2) and 1 + u^2 q(u^2) by Horner's rule; u^2 is a code of 2^(width - 1), after a shift
+    by ``square``, ``sine`` and ``cosine`` are the coefficients of p and q in codes of 2^width, the
+    highest first.
     """
 
     width: int
-    square: int
-    sine: tuple[int, ...]
-    cosine: tuple[int, ...]
+    square: int = 0
+    sine: tuple[int, ...] = ()
+    cosine: tuple[int, ...] = ()
+    table: tuple[int, ...] = ()
 
     @property
     def addends(self) -> tuple[int, ...]:
-        """Those of p but the first at the scale of a product, with half of what the shift
+        """Coefficients of p but the first at the scale of a product, with half of what the shift
         leaves.
         """
         return tuple(_addend(self.width, c) for c in self.sine[1:])
@@ -69,19 +74,21 @@ def _addend(width: int, coefficient: int) -> int:
     return (coefficient << (width - 1)) + (1 << (width - 2))
 
 
-# Beside the fit of `turn_steps` in 16 bits: the coefficients with the least error over all angles
-# that make the sine odd and sine and cosine of 45 degrees equal, to the last bit.
-_TURN_16 = TurnSteps(16, 11, (157, -5287, 51_471), (1004, -20_200))
+def _sine_table(width: int) -> tuple[int, ...]:
+    """Sines of a quarter turn, longer by half of what a chord lies below its arc."""
+    step = 0.5 * math.pi / _INTERVALS
+    one = 2.0 ** (width - 1) * (1.0 + step**2 / 16.0)
+    sines = (one * math.sin(k * step) for k in range(_INTERVALS + 1))
+    return tuple(min(round(value), 2 ** (width - 1) - 1) for value in sines)
 
 
 @cache
 def turn_steps(width: int) -> TurnSteps:
-    """Integers of sine and cosine: least squares at Chebyshev nodes of u^2, nearly minimax.
-
-    In 16 bits the polynomials are within 0.4 codes of the functions, in 32 bits within 0.1.
+    """Integers of sine and cosine; the polynomials are least squares at Chebyshev nodes of u^2,
+    nearly minimax and within 0.1 codes of the functions.
     """
     if width == 16:
-        return _TURN_16
+        return TurnSteps(width, table=_sine_table(width))
     nodes = np.cos((np.arange(64) + 0.5) * (math.pi / 64)) * 0.5 + 0.5  # of u^2, 0 to 1
     u = np.sqrt(nodes)
     angle = 0.25 * math.pi * u
@@ -121,12 +128,39 @@ def _eighth(o: Arithmetic[N, Any], width: int, x: N) -> Pair[N]:
     return Pair(cosine, sine)
 
 
+def _quarter(o: Arithmetic[N, Any], width: int, x: N) -> Pair[N]:
+    """Cosine and sine of an angle within a quarter turn from the table.
+
+    The cosine is the sine of what is left of the quarter, to the last bit: it rounds the other way.
+    """
+    table = turn_steps(width).table
+    bits = width - 2 - int(math.log2(_INTERVALS))
+    index, share, half = o.shifted(x, bits), o.wrapped(x, bits), 1 << (bits - 1)
+    back = o.total("turn: index", o.const(_INTERVALS - 1), o.negative(index))
+    low, high = o.entry(table, index), o.entry(table[1:], index)
+    rise = o.product("turn: rise", o.total("turn: rise", high, o.negative(low)), share)
+    rise = o.shifted(o.total("turn: rise", rise, o.const(half)), bits)
+    below, above = o.entry(table, back), o.entry(table[1:], back)
+    fall = o.product("turn: fall", o.total("turn: fall", above, o.negative(below)), share)
+    fall = o.shifted(o.total("turn: fall", fall, o.const(half - 1)), bits)
+    cosine = o.total("turn: cosine", above, o.negative(fall))
+    sine = o.total("turn: sine", low, rise)
+    # Change no number: between two entries of the table.
+    top = 2 ** (width - 1) - 1
+    return Pair(o.clamp(cosine, 0, top), o.clamp(sine, 0, top))
+
+
 def rotation(o: Arithmetic[N, Any], width: int, angle: N) -> Pair[N]:
     """Cosine and sine of an angle, 0 to 2^width - 1 codes."""
-    half_way, quarter = o.const(2 ** (width - 3)), o.const(2 ** (width - 2))
-    moved = o.wrapped(o.total("turn: quarter", angle, half_way), width)
-    x = o.total("turn: from the quarter", o.wrapped(moved, width - 2), o.negative(half_way))
-    cosine, sine = _eighth(o, width, x)
+    quarter = o.const(2 ** (width - 2))
+    if turn_steps(width).table:
+        moved = angle
+        cosine, sine = _quarter(o, width, o.wrapped(angle, width - 2))
+    else:
+        half_way = o.const(2 ** (width - 3))
+        moved = o.wrapped(o.total("turn: quarter", angle, half_way), width)
+        x = o.total("turn: from the quarter", o.wrapped(moved, width - 2), o.negative(half_way))
+        cosine, sine = _eighth(o, width, x)
     odd = o.at_least(o.wrapped(moved, width - 1), quarter)
     turned = Pair(o.choose(odd, o.negative(sine), cosine), o.choose(odd, cosine, sine))
     back = o.at_least(moved, o.const(2 ** (width - 1)))
@@ -212,7 +246,7 @@ class Codes(Generic[N]):
 
     def saturated(self, a: N) -> N:
         """The code nearest to a."""
-        return self.o.clamp(a, -full_scale(self.width), full_scale(self.width))
+        return self.o.clamp(a, -full_scale(self.width) - 1, full_scale(self.width))
 
     def ratio(self, name: str, a: N, b: N) -> N:
         """Quotient towards zero of a product by a code that is not negative, saturated."""
@@ -225,6 +259,15 @@ class Codes(Generic[N]):
     def choose(self, condition: Any, a: N, b: N) -> N:
         """Number a where the condition holds, else b."""
         return self.o.choose(condition, a, b)
+
+
+@dataclass(frozen=True, slots=True)
+class WideCodes(Codes[N]):
+    """Codes that keep what is beyond full scale."""
+
+    def saturated(self, a: N) -> N:
+        """As it is."""
+        return a
 
 
 def duties(
@@ -244,7 +287,8 @@ def duties(
     """
     codes, one = Codes(o, width), 2 ** (width - 1)
     share = shares(o, width, scale, vector, v_dc)
-    phase = clarke_inverse(codes, share)
+    saturating = MODULATORS[modulation].kind == "third-harmonic"
+    phase = clarke_inverse(codes if saturating else WideCodes(o, width), share)
     turn = None
     if MODULATORS[modulation].compared == "load angle":
         turn = integer_load_turn(o, width, vector, clarke(codes, i))

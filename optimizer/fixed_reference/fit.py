@@ -19,7 +19,8 @@ from dqforge.optimizer.fixed_reference.mesh_errors import (
     weakened_errors,
     weakened_targets,
 )
-from dqforge.optimizer.fixed_reference.nodes import Nodes, line_nodes, mesh_nodes
+from dqforge.optimizer.fixed_reference.nodes import Nodes, line_nodes, mesh_nodes, row_ways
+from dqforge.optimizer.fixed_reference.proven_excess import ProvenExcess, proven_excess
 from dqforge.optimizer.fixed_reference.quantised import in_integers, mesh_ranges
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
@@ -56,6 +57,8 @@ class FixedReferenceFit:
         The integers.
     errors:
         Largest errors found.
+    proven:
+        Bounds of what limits are exceeded by.
     reaches:
         Proven range of every product and sum, for any codes.
     speed:
@@ -65,6 +68,7 @@ class FixedReferenceFit:
 
     reference: CurrentMesh
     errors: MeshErrors
+    proven: ProvenExcess
     reaches: tuple[Reach, ...]
     speed: float | None
 
@@ -113,7 +117,8 @@ def fit_line(
                 return found
             raise
         errors = line_errors(design, choice, mesh)
-        found = FixedReferenceFit(mesh, errors, mesh_ranges(mesh), None)
+        proven = proven_excess(design, mesh, None)
+        found = FixedReferenceFit(mesh, errors, proven, mesh_ranges(mesh), None)
         if errors.torque_relative <= worst:
             return found
     assert found is not None
@@ -178,9 +183,9 @@ def fit_mesh(
         raise InputError("there is no section field_weakening")
     end = _end(design, min(end, domain.flux.torque_max), width)
     region: WeakeningRegion = replace(domain.flux, flux_min=_least_flux(domain))
-    best, targets = np.inf, None
+    best, targets, ways = np.inf, None, row_ways(region, end)
     for shape in _SHAPES:
-        mesh = in_integers(design, mesh_nodes(region, end, shape), width, dc)
+        mesh = in_integers(design, mesh_nodes(region, ways, shape), width, dc)
         if targets is None:
             targets = weakened_targets(design, mesh, settings.omega_m)
         errors = weakened_errors(design, mesh, targets)
@@ -191,7 +196,9 @@ def fit_mesh(
             max(over, errors.current_excess) / settings.voltage_excess,
         )
         if ratio <= 1.0:
-            return FixedReferenceFit(mesh, errors, mesh_ranges(mesh), settings.omega_m)
+            proven = proven_excess(design, mesh, settings.omega_m)
+            reaches = mesh_ranges(mesh)
+            return FixedReferenceFit(mesh, errors, proven, reaches, settings.omega_m)
         best = min(best, ratio)
     raise NoSolutionError(
         f"field_weakening: no size in integers of {width} bits keeps the permitted errors "

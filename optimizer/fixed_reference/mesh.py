@@ -121,7 +121,7 @@ class CurrentMesh:
         entries = len(self.torque) + 2 * len(self.d) + 2 * len(self.flux)
         return entries * self.width // 8
 
-    def currents(self, o: Arithmetic[N, Any], torque: N, v_dc: N, omega_m: N) -> Pair[N]:
+    def currents(self, o: Arithmetic[N, Any], torque: N, v_dc: N, omega: N) -> Pair[N]:
         """Codes of (i_d, i_q) for codes of torque, dc link and mechanical speed."""
         size = o.clamp(magnitude(o, o.clamp(torque, -self.end, self.end)), 0, self.end)
         positive = o.at_least(torque, o.const(0))
@@ -130,7 +130,7 @@ class CurrentMesh:
             found = _on_column(o, self, place, o.const(0))
         else:
             # At this speed a torque of the other sign motors: the mirror image.
-            along = o.clamp(omega_m, -self.top, self.top)
+            along = o.clamp(omega, -self.top, self.top)
             along = o.choose(positive, along, o.negative(along))
             found = _weakened(o, self, self.voltage, size, place, v_dc, along)
         i_d, i_q = (o.clamp(part, -self.top, self.top) for part in (found.x, found.y))

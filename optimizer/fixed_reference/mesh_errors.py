@@ -14,7 +14,7 @@ from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 
-_TORQUES, _SPEEDS = 37, 33
+_TORQUES, _SPEEDS = 25, 24
 
 
 _VOLTAGES = (1.0, LEAST_VOLTAGE, 0.9, 1.1)
@@ -71,7 +71,7 @@ class CodePoints:
 
 def physical(mesh: CurrentMesh, codes: CodeArray, base: float) -> FloatArray:
     """What codes stand for, in the unit of the base."""
-    return np.multiply(codes, base / 2 ** (mesh.width - 1), dtype=np.float64)
+    return np.asarray(codes * (base / 2 ** (mesh.width - 1)), dtype=np.float64)
 
 
 def mesh_currents(mesh: CurrentMesh, points: CodePoints) -> tuple[FloatArray, FloatArray]:
@@ -98,18 +98,19 @@ def weakened_points(design: Design, mesh: CurrentMesh, speed: float) -> CodePoin
     """Torques and speeds of both signs, at several voltages; the largest speed in rad/s
     (mechanical) goes with the voltage.
     """
-    _, voltage, omega, torque = mesh.bases
+    _, voltage, omega, _ = mesh.bases
     one, scale = 2 ** (mesh.width - 1), mesh.voltage
     assert scale is not None
     share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _TORQUES))
     signed = np.concatenate([-share[:0:-1], share, [1.05, -1.05]]) * mesh.end
     along = np.linspace(-1.0, 1.0, 2 * _SPEEDS + 1)
     mesh_v, mesh_w, mesh_t = np.meshgrid(np.array(_VOLTAGES), along, signed, indexing="ij")
-    link = mesh_v * design.v_max / voltage / scale.limit.value * one
-    turning = mesh_v * mesh_w * speed / omega * one
-    codes = (np.rint(mesh_t), np.ceil(link), np.trunc(turning))
-    t, v, w = (np.clip(part, -one, one - 1).astype(np.int64).ravel() for part in codes)
-    return CodePoints(t, v, w)
+    link = np.ceil(mesh_v * design.v_max / voltage / scale.limit.value * one)
+    v_dc = np.clip(link, -one, one - 1).astype(np.int64)
+    # A voltage beyond full scale is not there, nor is the speed that goes with it.
+    turning = np.trunc(phase_limit(mesh, v_dc) / design.v_max * mesh_w * speed / omega * one)
+    t, w = (np.clip(part, -one, one - 1).astype(np.int64) for part in (np.rint(mesh_t), turning))
+    return CodePoints(t.ravel(), v_dc.ravel(), w.ravel())
 
 
 def phase_limit(mesh: CurrentMesh, v_dc: CodeArray) -> FloatArray:

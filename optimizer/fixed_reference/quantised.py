@@ -41,7 +41,7 @@ def in_integers(design: Design, nodes: Nodes, width: int, dc: tuple[int, int]) -
     one, top = 2 ** (width - 1), 2 ** (width - 1) - 1
 
     def code(values: FloatArray, base: float) -> FloatArray:
-        return np.clip(np.rint(values * (one / base)), -top, top)
+        return np.asarray(np.clip(np.rint(values * (one / base)), -top, top))
 
     torque = code(nodes.torque, bases.torque)
     if np.any(np.diff(torque) < 1.0):

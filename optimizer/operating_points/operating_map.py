@@ -14,7 +14,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.modulation.low_harmonics import LowHarmonics, low_harmonics
 from dqforge.machines.names import ModulationName, OvermodulationName, Topology
-from dqforge.machines.topologies.linear_range import amplitude_limit, overmodulates
+from dqforge.machines.topologies.linear_range import amplitude_limit, overmodulation_of
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.operating_points.characteristics import Characteristics
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
@@ -109,9 +109,7 @@ def voltage_limit(
         Share of 0 to 1 that is kept for control.
     """
     most = amplitude_limit(inverter, modulation, margin)
-    method: OvermodulationName = (
-        inverter.overmodulation if overmodulates(inverter, modulation) else "none"
-    )
+    method = overmodulation_of(inverter, modulation)
     return VoltageLimit(modulation, inverter.v_dc, margin, most, inverter.topology, method)
 
 

@@ -126,6 +126,16 @@ class SpeedBox:
         reached = self._reached((g, g), (inductance, inductance))
         return np.clip(cell.middle, reached.low, reached.high)
 
+    def named(self, point: FloatArray) -> dict[str, float]:
+        """Deviations of a drive with parameters (b, c, j, e), relative, as near as there is one."""
+        shares = self._shares(Cell(point * (1.0 - _SLACK), point * (1.0 + _SLACK)))
+        gain = self.gain if shares is None else shares[0]
+        g = min(max(0.5 * (gain[0] + gain[1]), self.gain[0]), self.gain[1])
+        inductance = g / float(point[0])
+        ohm = float(point[1]) * inductance - 0.5 * g * (self.dead_time[0] + self.dead_time[1])
+        named = {"r_s": ohm, "l_q": inductance, "v_dc": g, "torque over inertia": float(point[2])}
+        return {name: value - 1.0 for name, value in named.items()}
+
     def samples(self, count: int, generator: np.random.Generator) -> FloatArray:
         """Parameters of random drives of the box, shape (count, 4).
 

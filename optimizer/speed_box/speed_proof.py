@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.tolerance_box import DriveBox
 from dqforge.optimizer.speed_box.speed_parameters import Interval, SpeedBox
 from dqforge.optimizer.speed_box.speed_search import Chain, Effort, SpeedSearch
-from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers, cell_corners
+from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers, cell_corners, speed_scale
 
 _ROUNDED = 1e-12
 
@@ -22,7 +23,7 @@ _SAMPLES = 20_000
 
 _SEED = 20_261_122
 
-_QUICK, _THOROUGH = 600, 30_000
+_QUICK, _THOROUGH = 640, 30_000
 
 """Inequalities of a search: a cell has one per corner and current sample. Counted, not timed, so
 that the same design gives the same bytes."""
@@ -46,8 +47,10 @@ class SpeedProof:
         Cells that the proof consists of.
     ratio:
         Current samples between two of the speed, each with a matrix of its own in the proof.
-    open_drives:
-        Least and largest b, c, j and e of what is not proven, shape (4, 2); None without any.
+    box:
+        The drives, as the loop sees them.
+    unstable:
+        Deviations of a drive that is unstable, None where none was found.
     tree:
         The search, with a chain of matrices per proven cell.
     """
@@ -56,7 +59,8 @@ class SpeedProof:
     cells: int
     leaves: int
     ratio: int
-    open_drives: FloatArray | None
+    box: SpeedBox
+    unstable: Mapping[str, float] | None
     tree: Tree[Chain]
 
     @property
@@ -127,7 +131,7 @@ def speed_numbers(
     t_s, constant = control.t_s, machine.torque_per_ampere
     h, eta = gains.kp * t_s / inertia, t_s * constant / (l_q * gains.kp)
     emf = max(abs(side) for side in drives.back_emf) / drives.gain[0]
-    scale = float(np.sqrt(h / (eta * emf))) if emf > 0.0 else 1.0
+    scale = speed_scale(h, eta * emf)
     return SpeedLoopNumbers(
         rho=machine.r_s * t_s / l_q,
         h=h / scale,
@@ -162,26 +166,25 @@ def prove_speed_loop(
     per_cell = loop.ratio * len(cell_corners(drives.root()))
     cells = _THOROUGH // per_cell if thorough else min(_QUICK // per_cell, _LARGEST)
     tree = SpeedSearch(loop, drives, Effort(cells)).run()
-    held, place = _open_part(drives, tree)
+    point = tree.counterexample
     return SpeedProof(
-        share=1.0 if tree.complete else held,
+        share=_share(drives, tree),
         cells=tree.examined,
         leaves=sum(isinstance(node.verdict, Proven) for node in tree.nodes),
         ratio=loop.ratio,
-        open_drives=place,
+        box=drives,
+        unstable=None if point is None else drives.named(point),
         tree=tree,
     )
 
 
-def _open_part(drives: SpeedBox, tree: Tree[Chain]) -> tuple[float, FloatArray | None]:
-    """Share of random drives outside all open cells, and what those reach."""
+def _share(drives: SpeedBox, tree: Tree[Chain]) -> float:
+    """Share of random drives outside all open cells."""
     cells = tree.open_cells
     if not cells:
-        return 1.0, None
+        return 1.0
     points = drives.samples(_SAMPLES, np.random.default_rng(_SEED))
     inside = np.zeros(len(points), dtype=np.bool_)
     for cell in cells:
         inside |= np.all((points >= cell.low) & (points <= cell.high), axis=1)
-    low = np.min([cell.low for cell in cells], axis=0)
-    high = np.max([cell.high for cell in cells], axis=0)
-    return 1.0 - float(np.mean(inside)), np.stack([low, high], axis=1)
+    return 1.0 - float(np.mean(inside))

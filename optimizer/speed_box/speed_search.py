@@ -25,13 +25,9 @@ from dqforge.optimizer.box_proofs.cell_queue import (
     Verdict,
     search,
 )
-from dqforge.optimizer.box_proofs.contraction import (
-    NOTHING_LEFT,
-    Contraction,
-    Remainder,
-    contracts,
-)
+from dqforge.optimizer.box_proofs.contraction import Contraction
 from dqforge.optimizer.box_proofs.matrix_inequalities import chained_matrices
+from dqforge.optimizer.speed_box.cycle_contraction import step_contracts
 from dqforge.optimizer.speed_box.speed_parameters import SpeedBox
 from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers, cell_corners
 
@@ -50,7 +46,7 @@ class Effort:
     """``cells`` at most are looked at; below ``remainder`` a cell is worth an inequality."""
 
     cells: int
-    remainder: float = 1e-3
+    remainder: float = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +87,12 @@ class SpeedSearch:
         kept = self.box.contracted(cell)
         if kept is None:
             return Empty()
-        if self._radius(kept.middle) >= 1.0:
-            point = self.box.drive(kept)
-            if point is not None and self._radius(point) >= 1.0:
-                return Refuted(point)
-        return self._tried(kept)
+        if self._radius(kept.middle) < 1.0:
+            return self._tried(kept)
+        point = self.box.drive(kept)
+        if point is not None and self._radius(point) >= 1.0:
+            return Refuted(point)
+        return self._cut(kept, np.max(self.loop.left_out(kept)[:-1], axis=(1, 2)))
 
     def _tried(self, cell: Cell) -> Verdict[Chain]:
         """The chain of a cell, or where to cut it.
@@ -103,19 +100,22 @@ class SpeedSearch:
         The corners are asked for one only where what they leave out is small, since an inequality
         costs far more than a cut.
         """
-        remainder, parts = self.loop.remainder(cell)
-        frames = self._frames(cell) if remainder.groups[0][1] <= self.effort.remainder else None
+        parts = self.loop.left_out(cell)
+        whole = np.sum(parts, axis=0)
+        frames = self._frames(cell) if np.max(whole) <= self.effort.remainder else None
         if frames is None:
-            return self._cut(cell, parts)
+            return self._cut(cell, np.max(parts[:-1], axis=(1, 2)))
         steps = self.loop.steps(cell_corners(cell))
         links = _Links(self.loop.update()[np.newaxis], steps, self.loop.ratio)
         found = Contraction(corners=False, whole=False)
         for proposal in (_of_middle, _proposed):
             chain = proposal(links, frames)
-            found = found if chain is None else _falls(chain, links, remainder)
+            found = found if chain is None else _falls(chain, links, whole)
             if chain is not None and found.whole:
                 return Proven(chain)
-        return self._cut(cell, parts if found.corners else self._reach(cell, frames))
+        if found.corners:
+            return self._cut(cell, _weighed(parts[:-1], frames[1]))
+        return self._cut(cell, self._reach(cell, frames))
 
     def _cut(self, cell: Cell, sizes: FloatArray) -> Verdict[Chain]:
         root = self.box.root()
@@ -127,8 +127,6 @@ class SpeedSearch:
 
     def _frames(self, cell: Cell) -> list[FloatArray] | None:
         """T_k of the loop in the middle, P_k = T_k^T T_k falling by 1 at every step."""
-        from scipy.linalg import solve_discrete_lyapunov
-
         step = self.loop.steps(cell.middle[np.newaxis])[0]
         links = _Links(self.loop.update()[np.newaxis], step[np.newaxis], self.loop.ratio).every()
         whole = np.eye(self.loop.size - 1)
@@ -137,7 +135,7 @@ class SpeedSearch:
             weight += whole.T @ whole
             whole = closed[0] @ whole
         try:
-            first = solve_discrete_lyapunov(whole.T, weight)
+            first = _summed(whole, weight)
             matrices = [0.5 * (first + first.T)]
             for _, _, closed in reversed(links[1:]):
                 back = closed[0].T @ matrices[-1] @ closed[0]
@@ -148,20 +146,45 @@ class SpeedSearch:
             return None
 
     def _reach(self, cell: Cell, frames: list[FloatArray]) -> FloatArray:
-        """How far each parameter moves a step, in the frame of the middle."""
-        found = []
+        """How far each parameter moves a whole cycle, in the frame of the middle."""
+        found, back = [], np.linalg.inv(frames[0])
         for axis in range(len(cell.low)):
             ends = np.stack([cell.middle, cell.middle])
             ends[0, axis], ends[1, axis] = cell.low[axis], cell.high[axis]
-            low, high = self.loop.steps(ends)
-            found.append(np.linalg.norm(frames[1] @ (high - low) @ np.linalg.inv(frames[1]), 2))
+            low, high = (self.loop.cycle(step) for step in self.loop.steps(ends))
+            found.append(np.linalg.norm(frames[0] @ (high - low) @ back, 2))
         return np.array(found)
 
 
-def _falls(chain: Chain, links: _Links, remainder: Remainder) -> Contraction:
+def _summed(closed: FloatArray, weight: FloatArray) -> FloatArray:
+    """Sum of A^T^k W A^k over all k: twice as many terms at every turn, while A^k is not small.
+
+    Raises
+    ------
+    LinAlgError
+        A is not stable enough for that.
+    """
+    total = weight
+    for _ in range(40):
+        total = total + closed.T @ total @ closed
+        closed = closed @ closed
+        if np.linalg.norm(closed) < 1e-12:
+            return total
+    raise np.linalg.LinAlgError
+
+
+def _weighed(parts: FloatArray, frame: FloatArray) -> FloatArray:
+    """What each parameter leaves out, in the frame of the middle."""
+    _, rows, columns = parts.shape
+    heights = np.linalg.norm(frame[:, :rows], axis=0)
+    widths = np.linalg.norm(np.linalg.inv(frame)[:columns], axis=1)
+    return np.asarray(np.einsum("prc,r,c->p", parts, heights, widths), dtype=np.float64)
+
+
+def _falls(chain: Chain, links: _Links, left_out: FloatArray) -> Contraction:
     """Whether x^T P x falls at every step of the cycle; the update itself leaves nothing out."""
     found = [
-        contracts(chain[a], chain[b], closed, remainder if a > 0 else NOTHING_LEFT)
+        step_contracts(chain[a], chain[b], closed, left_out if a > 0 else 0.0 * left_out)
         for a, b, closed in links.every()
     ]
     return Contraction(all(of.corners for of in found), all(of.whole for of in found))

@@ -14,13 +14,16 @@ the last line every ratio-th sample only. K is the torque constant that the cont
     rho' = R' t_s/L',  p = kp t_s/L',  q = ki t_s^2/L',  r = ki_s ratio t_s/kp_s
     h = kp_s t_s/(J' sigma),   eta = t_s K sigma/(L' kp_s)
 
-with a scale sigma of the speed that makes h and e eta of one size.
+with a scale sigma of the speed by which h is no smaller than a tenth and no smaller than e eta.
 
-This is affine in each of b, c, j, e alone but for the exponential, which over a cell errs by at
-most w^2/8 times its second derivatives from the interpolation of its corners. Those are the square
-of the flow's derivative, but by e: the back-EMF meets itself again only by way of h j b, and that
-takes time (a third of it). Where the friction meets J'/J = j/f, f is taken as 1 and the rest
-belongs to the error.
+This is affine in each of b, c, j, e alone but for the exponential. Over a cell of width w that errs
+from the interpolation of its corners by at most w^2/8 times its second derivatives,
+
+    2 integral of exp(F t_1) F_i exp(F t_2) F_i exp(F t_3) over t_1 + t_2 + t_3 = 1
+
+entry by entry no larger than the same with |F_i| and with F replaced by what it is at most: its
+diagonal, and the moduli beside it. Where the friction meets J'/J = j/f, f is taken as 1 and the
+rest belongs to the error.
 """
 
 from __future__ import annotations
@@ -32,7 +35,11 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.box_proofs.cell_queue import Cell
-from dqforge.optimizer.box_proofs.contraction import Remainder
+
+_COUPLED = 0.1
+
+"""What the torque moves the speed by in a sample at least, in the scale of the speed: less would
+make the speed matter as much as the currents, whose errors are larger."""
 
 _MORE = 1.0 + 1e-12
 
@@ -57,7 +64,7 @@ class SpeedLoopNumbers:
     filtering: float
     ratio: int
     uneven: float
-    scale: float = 1.0
+    scale: float
 
     @property
     def moving(self) -> int:
@@ -109,33 +116,62 @@ class SpeedLoopNumbers:
         whole = np.linalg.matrix_power(step, self.ratio) @ self.update()
         return np.asarray(np.delete(whole, self.size - 2, axis=0), dtype=np.float64)
 
-    def curvatures(self, cell: Cell) -> FloatArray:
-        """Bounds of the second derivatives of the exponential by b, c, j and e over a cell."""
-        b, j = float(cell.high[0]), float(cell.high[2])
-        by_e = self.eta**2 * self.h * j * b / 3.0
-        squares = ((self.h * j) ** 2, self.rho**2, (self.h * b) ** 2 + self.friction**2, by_e)
-        return np.array(squares) * self._growth(cell) ** 2
+    def left_out(self, cell: Cell) -> FloatArray:
+        """Bounds of what the corners of a cell leave out of phi, w, w_f after a step.
 
-    def remainder(self, cell: Cell) -> tuple[Remainder, FloatArray]:
-        """What the corners of a cell leave out, and the part of each parameter in it."""
-        parts = cell.width**2 * self.curvatures(cell)
-        rest = self.friction * float(cell.high[2]) * self.uneven * self._growth(cell)
-        total = float(np.sum(parts)) * _MORE
-        k = self.moving
-        rows = tuple(range(k))
-        return Remainder(rows, ((rows, total / 8.0 + rest), ((k,), total / 24.0 + rest))), parts
-
-    def _growth(self, cell: Cell) -> float:
-        """Largest norm of the exponential over a cell, with and without h: by the symmetric part
-        of the flow, whose largest eigenvalue is convex in each parameter, at the corners.
+        The part of each parameter, entry by entry over phi, w, w_f and v, and that of the friction,
+        shape (5, k, k + 1).
         """
-        flow = self.flow(cell_corners(cell))[:, : self.moving, : self.moving]
-        apart = flow.copy()
-        apart[:, 1, 0] = 0.0
-        both = np.concatenate([flow, apart])
-        most = float(np.max(np.linalg.eigvalsh(0.5 * (both + np.swapaxes(both, 1, 2)))))
-        most += self.friction * self.uneven * float(cell.high[2])
-        return float(np.exp(max(most, 0.0))) * _MORE
+        slopes = self._slopes(cell)
+        most = self._most(cell)
+        size, k = len(most), self.moving
+        found = np.zeros((len(slopes) + 1, k, size))
+        for part, slope, width in zip(found, slopes, cell.width, strict=False):
+            if width > 0.0:
+                part[:] = 0.25 * width**2 * _nested(most, slope, 2)[:k]
+        if self.friction * self.uneven > 0.0:
+            rest = np.zeros_like(most)
+            rest[1, 1] = self.friction * self.uneven * float(cell.high[2])
+            found[-1] = _nested(most + rest, rest, 1)[:k]
+        return found * _MORE
+
+    def _slopes(self, cell: Cell) -> FloatArray:
+        """Largest moduli of the flow's derivatives by b, c, j and e, shape (4, k + 1, k + 1)."""
+        b, j = float(cell.high[0]), float(cell.high[2])
+        slopes = np.zeros((4, self.moving + 1, self.moving + 1))
+        slopes[0, 1, 0], slopes[1, 0, 0] = self.h * j, self.rho
+        slopes[2, 1, 0], slopes[2, 1, 1], slopes[3, 0, 1] = self.h * b, self.friction, self.eta
+        return slopes
+
+    def _most(self, cell: Cell) -> FloatArray:
+        """What the flow is at most over a cell, moduli beside the diagonal."""
+        flows = self.flow(cell_corners(cell))
+        diagonal = np.max(np.diagonal(flows, axis1=1, axis2=2), axis=0)
+        most = np.max(np.abs(flows), axis=0)
+        np.fill_diagonal(most, diagonal)
+        return most
+
+
+def _nested(most: FloatArray, slope: FloatArray, count: int) -> FloatArray:
+    """Integral of exp(M t_0) S exp(M t_1) .. S exp(M t_count) over all t that add up to 1."""
+    from scipy.linalg import expm
+
+    size = len(most)
+    block = np.kron(np.eye(count + 1), most) + np.kron(np.eye(count + 1, k=1), slope)
+    return np.asarray(expm(block)[:size, -size:], dtype=np.float64)
+
+
+def speed_scale(h: float, emf: float) -> float:
+    """The scale sigma of the speed, from h and the largest e eta at sigma = 1.
+
+    Parameters
+    ----------
+    h:
+        kp_s t_s/J'.
+    emf:
+        Largest e eta.
+    """
+    return float(h / max(_COUPLED, np.sqrt(h * emf)))
 
 
 def cell_corners(cell: Cell) -> FloatArray:

@@ -56,7 +56,7 @@ def rotation(theta: SingleArray) -> tuple[SingleArray, SingleArray]:
     """
     known = np.where(np.abs(theta) < _FAR, theta, _ZERO)
     quarters = ((known * np.float32(0.63661977)) + np.float32(65536.5)).astype(np.int32)
-    n = quarters.astype(np.float32) - _FAR
+    n = (quarters - 65536).astype(np.float32)
     x = (known - (n * np.float32(1.5703125))) - (n * np.float32(0.0004838268))
     square = x * x
     cosine = _ONE + (square * _polynomial(_COSINE, square))

@@ -23,6 +23,7 @@ def fixed_basics(turn: TurnSteps, sine_error: float) -> PlainData:
         "width": turn.width,
         "top": 2**bits - 1,
         "turn": asdict(turn),
+        "table_bits": turn.width - 2 - max(len(turn.table) - 1, 1).bit_length() + 1,
         "sine_addends": turn.addends,
         "cosine_addends": turn.cosine_addends,
         "sine_error": f"; error at most {rounded_up(sine_error)} codes ({found})",

@@ -23,6 +23,7 @@ from dqforge.optimizer.current_reference.forms import FloatReference
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.field_weakening.drop_reference import DropReference
 from dqforge.reports.c_code.float32_functions import SINGLE, rotation, small_rotation, turned
+from dqforge.reports.control.reference_model import ReferenceModel, ReferenceState
 
 Singles = tuple[SingleArray, ...]
 
@@ -48,6 +49,7 @@ class ControlState:
     omega_m: SingleArray
     torque: SingleArray
     count: NDArray[np.uint32]
+    moving: ReferenceState
 
     @classmethod
     def start(cls, count: int) -> ControlState:
@@ -57,6 +59,7 @@ class ControlState:
             zeros[0], zeros[1], zeros[2], (zeros[3], zeros[4]), (zeros[5], zeros[6]), zeros[7],
             zeros[8],
             np.zeros(count, dtype=np.uint32),
+            ReferenceState.start(count),
         )  # fmt: skip
 
 
@@ -79,6 +82,10 @@ class ControlModel:
         Current references of torque, voltage and speed, None where there are none.
     overmodulation:
         What becomes of a voltage beyond the circle in the hexagon.
+    reference_share:
+        What the references have of the controllers' voltage; the rest is kept free for control.
+    moving:
+        Slopes of the references and voltage feedback, None where there are none.
     """
 
     gains: Mapping[str, Any]
@@ -87,6 +94,8 @@ class ControlModel:
     reference: FloatReference
     weakening: DropReference | None = None
     overmodulation: OvermodulationName = "none"
+    reference_share: np.float32 = _ONE
+    moving: ReferenceModel | None = None
 
     def duties(
         self, voltage: Pair[SingleArray], v_dc: SingleArray, current: Pair[SingleArray]
@@ -117,6 +126,8 @@ class ControlModel:
             omega_e * ((gains["l_d"] * i_d) + gains["psi_pm"])
         )
         square = (wanted_d * wanted_d) + (wanted_q * wanted_q)
+        told = (square < _UNKNOWN_SQUARE) & (v_max >= _ZERO)
+        state.moving.square = np.where(told, square, state.moving.square)
         within = (square - (v_max * np.abs(v_max))) <= _ZERO
         short = ~within & (square < _UNKNOWN_SQUARE) & (v_max >= _ZERO)
         share = np.where(short, v_max / np.sqrt(np.where(short, square, _ONE)), _ONE)
@@ -140,22 +151,25 @@ class ControlModel:
         self, state: ControlState, measured: SingleArray, torque: SingleArray
     ) -> Singles:
         """Duty cycles for a torque in N m."""
-        state.torque = torque
+        asked = torque if self.moving is None else self.moving.ramped_torque(state.moving, torque)
+        v_max = self.gains["voltage_share"] * measured[:, 5]
         if self.weakening is None:
-            return self.current_control(state, measured, self.reference.currents(torque))
-        v_max, omega_e = (
-            self.gains["voltage_share"] * measured[:, 5],
-            self.gains["pole_pairs"] * measured[:, 4],
-        )
-        return self.current_control(
-            state, measured, self.weakening.currents(torque, v_max, omega_e)
-        )
+            reference: Singles = self.reference.currents(asked)
+        else:
+            omega_e = self.gains["pole_pairs"] * measured[:, 4]
+            reference = self.weakening.currents(asked, self.reference_share * v_max, omega_e)
+        state.torque = torque
+        if self.moving is not None:
+            reference = self.moving.weakened(state.moving, v_max, reference)
+            reference = self.moving.ramped_current(state.moving, reference)
+        return self.current_control(state, measured, reference)
 
     def speed_loop(
         self, state: ControlState, omega_m: SingleArray, reference: SingleArray
     ) -> SingleArray:
         """Torque reference in N m for a speed in rad/s."""
-        return speed_loop(self.gains, self.ratio, state, omega_m, reference)
+        step = None if self.moving is None else self.moving.torque_step
+        return speed_loop(self.gains, self.ratio, state, omega_m, reference, step)
 
     def speed_control(
         self, state: ControlState, measured: SingleArray, reference: SingleArray
@@ -180,6 +194,7 @@ def speed_loop(
     state: SpeedLoopState,
     omega_m: SingleArray,
     reference: SingleArray,
+    torque_step: np.float32 | None = None,
 ) -> SingleArray:
     """Torque reference in N m, as ``<prefix>_speed_loop``.
 
@@ -193,6 +208,8 @@ def speed_loop(
         What the loop keeps; it is changed.
     omega_m, reference:
         Mechanical speed and its reference in rad/s, shape (N,).
+    torque_step:
+        Largest change of the torque per current sample in N m, None where there is no limit.
     """
     _, ki_ts, tracking = gains["speed"]
     most = gains["torque_max"]
@@ -201,10 +218,14 @@ def speed_loop(
     due = (state.count == 0) & (np.abs(reference) < _UNKNOWN)
     error = reference - state.omega_m
     wanted = _pi_output(gains["speed"], state.speed, error)
-    limited = np.where(wanted > most, most, np.where(wanted < -most, -most, wanted))
-    step = state.speed + ((ki_ts * error) + (tracking * (limited - wanted)))
+    high, low = most, -most
+    if torque_step is not None:
+        step = np.float32(ratio) * torque_step
+        high, low = np.minimum(state.torque + step, most), np.maximum(state.torque - step, -most)
+    limited = np.where(wanted > high, high, np.where(wanted < low, low, wanted))
+    integral = state.speed + ((ki_ts * error) + (tracking * (limited - wanted)))
     state.torque = np.where(due, limited, state.torque)
-    state.speed = np.where(due, step, state.speed)
+    state.speed = np.where(due, integral, state.speed)
     state.count = np.where(state.count + 1 < ratio, state.count + 1, 0).astype(np.uint32)
     return state.torque
 

@@ -4,6 +4,7 @@ and the run that proves it.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import filter_share
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.hexagon import LEAST_HOLD, METHODS, SIX_STEP
@@ -18,6 +20,7 @@ from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.topologies.linear_range import fundamental_share
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.dynamic_references.solve import DynamicReferences
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.harness import Programme
@@ -25,8 +28,10 @@ from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.c_code.read_back import single_from
 from dqforge.reports.c_code.title import title
 from dqforge.reports.control.float32_model import ControlModel, ControlState
+from dqforge.reports.control.reference_model import reference_model
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.field_weakening.header import weakening_from
+from dqforge.reports.loops.proven_text import proven_lines
 from dqforge.reports.loops.stability_text import stability_lines
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
@@ -95,24 +100,63 @@ def plain_control(solution: Solution) -> PlainData:
         "l_d": machine.l_d,
         "l_q": machine.l_q,
         "psi_pm": machine.psi_pm,
-        "voltage_share": fundamental_share(design.inverter, operation.modulation)
-        * (1.0 - operation.voltage_margin),
+        "voltage_share": _controlled_share(design),
         "advance": 1.5 * control.t_s,
         "torque_max": float(solution.reference.torque_max),
         "speed_filter": speed_filter(
             settings.filter_time if settings is not None else 0.0, control.t_s
         ),
     }
-    method = design.inverter.overmodulation
     return {
         "modulation": operation.modulation,
-        **({} if method == "none" else {"overmodulation": method}),
+        **_plain_overmodulation(design),
+        **_plain_references(solution.gains.references),
         "weakening": solution.weakening is not None,
         "ratio": 1 if settings is None else settings.ratio,
         "d": _pi(solution.gains.i_d),
         "q": _pi(solution.gains.i_q),
         "speed": _pi(solution.gains.speed),
         **{name: shortest(np.float32(value)) for name, value in numbers.items()},
+    }
+
+
+def _controlled_share(design: Design) -> float:
+    """Largest fundamental of the current controllers over the dc link.
+
+    With overmodulation the margin is kept free for them, who answer its harmonics; else they keep
+    to what the references have.
+    """
+    share = fundamental_share(design.inverter, design.operation.modulation)
+    if design.inverter.overmodulation != "none":
+        return share
+    return share * (1.0 - design.operation.voltage_margin)
+
+
+def _plain_overmodulation(design: Design) -> PlainData:
+    """Method, and what of the controllers' voltage the references get; empty without."""
+    method, margin = design.inverter.overmodulation, design.operation.voltage_margin
+    if method == "none":
+        return {}
+    return {"overmodulation": method, "reference_share": shortest(np.float32(1.0 - margin))}
+
+
+def _plain_references(found: DynamicReferences | None) -> PlainData:
+    """Members of ``<prefix>_reference_gains_t`` by name, None where one is not asked for."""
+    if found is None:
+        return {}
+    feedback = found.feedback
+    members = {
+        "torque_step": found.torque_step,
+        "current_step": found.current_step,
+        "feedback": None if feedback is None else feedback.gain / (2.0 * feedback.voltage),
+        "feedback_max": None if feedback is None else feedback.current,
+        "i_max": None if feedback is None else feedback.i_max,
+    }
+    return {
+        "references": {
+            name: None if value is None or not math.isfinite(value) else shortest(np.float32(value))
+            for name, value in members.items()
+        }
     }
 
 
@@ -138,6 +182,8 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
         gains |= {name: single_from(described[name]) for name in _NUMBERS}
         modulation, ratio = described["modulation"], described["ratio"]
         method = described.get("overmodulation", "none")
+        moving = reference_model(described.get("references"))
+        left = single_from(described.get("reference_share", 1.0))
         reference = from_plain(whole["header"]["reference"])
         weakening = weakening_from(whole["weakening_header"]) if described["weakening"] else None
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -148,7 +194,7 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
         raise _FAULT
     if isinstance(reference, FixedReference) or method not in ("none", *METHODS):
         raise _FAULT
-    return ControlModel(gains, ratio, modulation, reference, weakening, method)
+    return ControlModel(gains, ratio, modulation, reference, weakening, method, left, moving)
 
 
 def control_inputs(model: ControlModel) -> SingleArray:
@@ -256,7 +302,18 @@ def _gain_lines(plain: PlainData) -> list[tuple[str, str]]:
         for name in _PIS
     ]
     numbers = [(float_literal(plain[name]), f"{name}, {_COMMENTS[name]}") for name in _NUMBERS]
-    return [*triples, *numbers, (f"{plain['ratio']}U", "current samples per speed sample")]
+    lines = [*triples, *numbers, (f"{plain['ratio']}U", "current samples per speed sample")]
+    moving = _moving(plain)
+    if moving:
+        values = ", ".join(float_literal(value) for value in moving.values())
+        lines.append(("{ " + values + " }", "references: " + ", ".join(moving)))
+    return lines
+
+
+def _moving(plain: Mapping[str, Any]) -> dict[str, float]:
+    """Members of ``<prefix>_reference_gains_t`` that there are, in their order."""
+    members = plain.get("references") or {}
+    return {name: value for name, value in members.items() if value is not None}
 
 
 def control_files(solution: Solution) -> dict[str, bytes]:
@@ -274,8 +331,10 @@ def control_files(solution: Solution) -> dict[str, bytes]:
         "weakening": plain["weakening"],
         "modulator": MODULATORS[plain["modulation"]],
         "overmodulation": METHODS.get(plain.get("overmodulation", "none")),
+        "reference_share": plain.get("reference_share", 1.0) != 1.0 and plain["reference_share"],
         "six_step": SIX_STEP,
         "least_hold": LEAST_HOLD,
+        "dynamic": plain.get("references"),
         "gains": _gain_lines(plain),
         "preamble": [
             (
@@ -292,6 +351,7 @@ def control_files(solution: Solution) -> dict[str, bytes]:
             ),
             "Compile with -ffp-contract=off to equal the model bit for bit.",
             *stability_lines(solution.loops, solution.design.machine.pole_pairs),
+            *proven_lines(solution.loops),
         ],
     }
     return {f"{prefix}_control.h": render("control/control.h.j2", context).encode("ascii")}
@@ -302,4 +362,5 @@ def gain_bytes(plain: Mapping[str, Any]) -> bytes:
     `plain_control` makes them.
     """
     numbers = [value for name in _PIS for value in plain[name]] + [plain[name] for name in _NUMBERS]
-    return struct.pack(f"={len(numbers)}fI", *numbers, plain["ratio"])
+    moving = _moving(plain).values()
+    return struct.pack(f"={len(numbers)}fI{len(moving)}f", *numbers, plain["ratio"], *moving)

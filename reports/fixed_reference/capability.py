@@ -70,6 +70,10 @@ def _evidence(fit: FixedReferenceFit) -> PlainData:
             "loss_relative": errors.loss_relative,
             "samples": errors.samples,
         },
+        "proven": {
+            "current_excess": fit.proven.current,
+            "voltage_excess": fit.proven.voltage,
+        },
         "ranges": [
             {"name": reach.name, **asdict(reach.range), "bits": reach.bits} for reach in fit.reaches
         ],

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 from dqforge.machines.errors import InputError, NoSolutionError
@@ -48,14 +49,16 @@ def _mesh(plain: Mapping[str, Any], width: int) -> CurrentMesh:
         width,
         (current, voltage, speed, torque),
         rows,
-        *(_codes(plain[name], -top, top) for name in ("d", "q")),
-        *(_codes(plain[name], 0, top) for name in ("flux", "heat")),
+        _codes(plain["d"], -top, top),
+        _codes(plain["q"], -top, top),
+        _codes(plain["flux"], 0, top),
+        _codes(plain["heat"], 0, top),
         scale,
     )
     nodes = len(rows) * found.columns
     squares = 0 if scale is None else nodes
     sizes = len(found.d) == len(found.q) == nodes and len(found.flux) == len(found.heat) == squares
-    rising = rows[0] == 0 and all(a < b for a, b in zip(rows, rows[1:], strict=False))
+    rising = rows[0] == 0 and all(a < b for a, b in pairwise(rows))
     across = found.columns == 1 if scale is None else _is_power(found.columns - 1)
     if not (sizes and rising and across and _is_power(found.rows)):
         raise ValueError

@@ -47,11 +47,11 @@ def _cells(fit: FixedReferenceFit) -> tuple[str, ...]:
 
 def reference_tables(fits: Sequence[FixedReferenceFit]) -> list[Table]:
     """One row per fixed-point format, for the terminal."""
-    notes = (
+    note = (
         "errors against exact operating points, sampled; where the field is weakened motoring and "
-        "generating at 0.8 to 1.1 of the voltage",
+        "generating at 0.8 to 1.1 of the voltage"
     )
-    return [Table(_TITLE, _COLUMNS, tuple(_cells(fit) for fit in fits), notes)]
+    return [Table(_TITLE, _COLUMNS, tuple(_cells(fit) for fit in fits), (note,))]
 
 
 def reference_html(fits: Sequence[FixedReferenceFit]) -> list[HtmlTable]:

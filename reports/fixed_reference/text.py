@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dqforge.machines.design.design import Design
-from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.units.quantities import format_quantity
+from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE
 from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
 from dqforge.reports.c_code.numbers import rounded_up
 
@@ -38,11 +38,13 @@ def preamble_lines(design: Design, fit: FixedReferenceFit) -> list[str]:
     mesh, fullest = fit.reference, fit.fullest
     current, voltage, speed, torque = mesh.bases
     bits = mesh.width
-    scales = f"{torque:.6g} N m of torque, {current:.6g} A (peak) of current, {speed:.6g} rad/s of"
+    link = "; the dc link is not looked at."
+    if mesh.voltage is not None:
+        full = voltage * mesh.voltage.limit.value / (design.v_max / design.inverter.v_dc)
+        link = f", {full:.6g} V of the dc link."
     return [
-        f"Codes are int{bits}_t, 2^{bits - 1} of them full scale: {scales}",
-        f"mechanical speed, and the dc link as in {design.export.prefix}_control_{mesh.format}.h",
-        f"(a power of two times {voltage:.6g} V).",
+        f"Codes are int{bits}_t, 2^{bits - 1} of them full scale: {torque:.6g} N m of torque,",
+        f"{current:.6g} A (peak) of current, {speed:.6g} rad/s of mechanical speed{link}",
         f"{size_words(fit)}. Plain C99 and C++11 in integers, no library function.",
         (
             f"No overflow for any codes: {len(fit.reaches)} products and sums proven by interval "
@@ -63,42 +65,38 @@ def meaning_lines(design: Design, fit: FixedReferenceFit) -> list[str]:
         lines += _voltage_lines(design, fit)
     else:
         lines.append("v_dc and omega_m are not looked at.")
-    if mesh.end_torque < 0.999 * mesh.bases[3] or mesh.voltage is not None:
-        most = f"{mesh.end_torque:.6g} N m"
-    else:
-        most = f"{mesh.end_torque:.6g} N m, the full scale"
     lines += [
         "",
         f"Errors against exact operating points, sampled at {errors.samples} points:",
         (
             f"torque at most {rounded_up(errors.torque)} N m, {percent(errors.torque_relative)} of "
-            f"the largest ({most});"
-        ),
-        (
-            f"currents at most {rounded_up(errors.current)} A away, their magnitude "
-            f"+{percent(errors.current_excess)} of its limit of {design.i_max:.6g} A;"
+            f"the largest; currents at most {rounded_up(errors.current)} A away;"
         ),
         f"copper loss at most {percent(errors.loss_relative)} above the least, from 5 % torque up.",
+        (
+            f"Proven: the current exceeds its limit of {design.i_max:.6g} A by at most "
+            f"{percent(fit.proven.current)}."
+        ),
     ]
     return lines
 
 
 def _voltage_lines(design: Design, fit: FixedReferenceFit) -> list[str]:
     """What holds where the field is weakened."""
-    errors, speed = fit.errors, fit.speed
-    assert errors.voltage_excess is not None
+    over, speed = fit.errors.voltage_excess, fit.speed
+    assert over is not None
     assert speed is not None
     share = design.v_max / design.inverter.v_dc
-    found = percent(errors.voltage_excess)
-    kept = (
-        [
-            f"The phase voltage, resistance drop included, exceeds that by {found} (sampled); it is",
-            "a convex function of the currents, whose value between the nodes is overestimated, and",
-            "integers are rounded to the safe side.",
+    what = "The phase voltage, resistance drop included, exceeds that by"
+    kept = [f"{what} {percent(over)} (sampled)."]
+    if fit.proven.voltage is not None:
+        kept = [
+            f"{what} at most {percent(fit.proven.voltage)}: proven",
+            (
+                f"from {100.0 * LEAST_VOLTAGE:g} % of the dc link up, for speeds in proportion to "
+                f"it ({percent(over)} found by sampling)."
+            ),
         ]
-        if isinstance(design.machine, LinearMachine)
-        else [f"The phase voltage, resistance drop included, exceeds that by {found} (sampled)."]
-    )
     return [
         f"v_dc: of it {share:.6g} is the largest phase amplitude. omega_m: either sign.",
         (

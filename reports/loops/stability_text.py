@@ -6,8 +6,14 @@ import json
 import math
 import textwrap
 from dataclasses import asdict
+from typing import Any
 
-from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof, DriveRange
+from dqforge.optimizer.box_proofs.current_loop_model import BoxDrive
+from dqforge.optimizer.box_proofs.current_loop_proof import (
+    CurrentLoopProof,
+    DriveRange,
+    ProvenSensitivity,
+)
 from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.loops.robustness import RobustSet
 from dqforge.reports.plain_data import PlainData
@@ -98,6 +104,31 @@ def proof_summary(proof: CurrentLoopProof) -> str:
     return f"proven stable together for {share:.1f} % of the drives within the tolerances"
 
 
+def drive_text(drive: BoxDrive, pole_pairs: int) -> str:
+    """A drive in words: ``2000 rpm, 1.6 Ohm, l_d 1.3 mH, l_q 2.1 mH, voltage gain 1.1``."""
+    return (
+        f"{_rpm(drive.omega_e, pole_pairs):.4g} rpm, {drive.r_s:.4g} Ohm, "
+        f"l_d {drive.l_d * 1e3:.4g} mH, l_q {drive.l_q * 1e3:.4g} mH, voltage gain {drive.gain:.4g}"
+    )
+
+
+def sensitivity_text(robust: RobustSet, pole_pairs: int) -> str:
+    """Sensitivity of both axes together beside that of each alone; empty where it is not known."""
+    found = None if robust.proof is None else robust.proof.sensitivity
+    if found is None:
+        return ""
+    alone = max(robust.i_d.max_sensitivity.value, robust.i_q.max_sensitivity.value)
+    least = f"sensitivity of both axes together up to {found.found:.2f} "
+    least += f"({drive_text(found.at, pole_pairs)}), axis by axis up to {alone:.2f}"
+    if found.bound is None:
+        return f"{least}; no bound of the first is proven"
+    turn = math.degrees(2.0 * math.asin(min(1.0, 0.5 / found.bound)))
+    return (
+        f"{least}; proven below {found.bound:.4g}, so that voltages turned by any constant angle "
+        f"up to {math.floor(10.0 * turn) / 10.0:.1f} deg leave the loops stable"
+    )
+
+
 def stability_notes(gains: GainSet, pole_pairs: int) -> tuple[str, ...]:
     """What is proven of both current loops over the tolerances; nothing without them."""
     robust = gains.robust
@@ -105,7 +136,8 @@ def stability_notes(gains: GainSet, pole_pairs: int) -> tuple[str, ...]:
         return ()
     if robust.proof is None:
         return ("both current loops together: not proven, machine.max_speed is not known",)
-    return (proof_text(robust.proof, pole_pairs),)
+    notes = (proof_text(robust.proof, pole_pairs), sensitivity_text(robust, pole_pairs))
+    return tuple(note for note in notes if note)
 
 
 def stability_lines(gains: GainSet | None, pole_pairs: int) -> list[str]:
@@ -113,7 +145,7 @@ def stability_lines(gains: GainSet | None, pole_pairs: int) -> list[str]:
     notes = () if gains is None else stability_notes(gains, pole_pairs)
     lines = []
     for note in notes:
-        lines += textwrap.wrap(f"Stability: {note}.", _WIDTH)
+        lines += textwrap.wrap(f"{note[0].upper()}{note[1:]}.", _WIDTH)
     return ["", *lines] if lines else []
 
 
@@ -129,8 +161,22 @@ def plain_stability(robust: RobustSet) -> PlainData | None:
         "empty": proof.confirmation.empty,
         "open": proof.confirmation.left_open,
         "still_open": None if proof.still_open is None else _plain_range(proof.still_open),
+        "sensitivity": _plain_sensitivity(proof.sensitivity),
         "inputs": asdict(proof.box),
     }
+
+
+def _plain_sensitivity(found: ProvenSensitivity | None) -> PlainData | None:
+    if found is None:
+        return None
+    at = {
+        "r_s_Ohm": found.at.r_s,
+        "l_d_H": found.at.l_d,
+        "l_q_H": found.at.l_q,
+        "voltage_gain": found.at.gain,
+        "omega_e_rad_per_s": found.at.omega_e,
+    }
+    return {"found": found.found, "at": at, "bound": found.bound}
 
 
 def _plain_range(left: DriveRange) -> PlainData:
@@ -146,7 +192,18 @@ def _plain_range(left: DriveRange) -> PlainData:
 def certificate_bytes(proof: CurrentLoopProof) -> bytes:
     """A certificate as a file: JSON with a line per cell."""
     assert proof.certificate is not None
-    lines = ",\n".join(json.dumps(verdict) for verdict in proof.certificate["tree"])
-    head = json.dumps({"format": 1, "parameters": list(_PARAMETERS)})[1:-1]
-    inputs = json.dumps(proof.certificate["inputs"])
-    return f'{{{head},\n"inputs": {inputs},\n"tree": [\n{lines}\n]}}\n'.encode("ascii")
+    parts = [
+        json.dumps({"format": 1, "parameters": list(_PARAMETERS)})[1:-1],
+        f'"inputs": {json.dumps(proof.certificate["inputs"])}',
+        f'"tree": {_rows(proof.certificate["tree"])}',
+    ]
+    found = proof.sensitivity
+    if found is not None and found.certificate is not None:
+        bound, tree = json.dumps(found.bound), _rows(found.certificate["tree"])
+        parts.append(f'"sensitivity": {{"bound": {bound}, "tree": {tree}}}')
+    return ("{\n" + ",\n".join(parts) + "\n}\n").encode("ascii")
+
+
+def _rows(tree: list[Any]) -> str:
+    rows = ",\n".join(json.dumps(verdict) for verdict in tree)
+    return f"[\n{rows}\n]"

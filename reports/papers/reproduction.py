@@ -18,30 +18,28 @@ PAPERS = ("000", "001", "002")
 
 @dataclass(frozen=True, slots=True)
 class Reproduced:
-    """Tables for people, plain data for programs, and figures by file name, drawn when called."""
+    """Tables for people, plain data for programs, figures by file name, drawn when called, and C
+    files that lie beside them.
+    """
 
     tables: list[Table]
     plain: dict[str, Any]
     figures: dict[str, Callable[[], Figure]] = field(default_factory=dict)
+    sources: dict[str, bytes] = field(default_factory=dict)
 
 
 def _paper000(*, figures: bool) -> Reproduced:
-    from dqforge.reports.papers.paper000 import tables
-    from dqforge.reports.papers.paper000.ipmsm_tables import reproduce_paper
+    from dqforge.reports.papers.paper000 import plain, tables
+    from dqforge.reports.papers.paper000.whole_paper import reproduce_whole
 
-    found = reproduce_paper()
-    shown, plain = tables.reproduction_tables(found), tables.plain_reproduction(found)
-    if not figures:
-        return Reproduced(shown, plain)
-    from dqforge.reports.papers.paper000.figures import plot_load_tests
-    from dqforge.reports.papers.paper000.load_test import load_tests
+    found = reproduce_whole()
+    drawn: dict[str, Callable[[], Figure]] = {}
+    if figures:
+        from dqforge.reports.papers.paper000.figures import figures_of
 
-    tests = load_tests()
-    plain = {**plain, "figure_5": tables.plain_load_tests(tests)}
+        drawn = figures_of(found)
     return Reproduced(
-        [*shown, tables.load_test_table(tests)],
-        plain,
-        {"figure-5.svg": lambda: plot_load_tests(tests)},
+        tables.whole_tables(found), plain.plain_whole(found), drawn, found.header.files
     )
 
 

@@ -22,6 +22,7 @@ from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.field_weakening.header import weakening_files
+from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
 from dqforge.reports.fixed_reference.header import reference_files
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.observers.position_header import observer_files
@@ -167,12 +168,13 @@ def emitted_files(solution: Solution, number_format: NumberFormat) -> dict[str, 
     fits = [fit for fit in solution.fixed if fit.control.format == number_format]
     if not fits:
         raise ValueError(f"the design emits no control functions in {number_format}")
-    references = [
-        found for found in solution.fixed_references if found.reference.format == number_format
-    ]
     files = integer_files(solution.design, fits[0])
-    for found in references:
-        files |= reference_files(solution.design, found)
+    for reference in solution.fixed_references:
+        if reference.reference.format == number_format:
+            files |= reference_files(solution.design, reference)
+    for observer in solution.fixed_observers:
+        if observer.observer.format == number_format:
+            files |= fixed_observer_files(solution.design, observer)
     return files
 
 

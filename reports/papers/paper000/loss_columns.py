@@ -92,7 +92,7 @@ def _budget(design: Design, inverter: Inverter, column: Column) -> DriveBudget:
     return drive_budget(design.machine, inverter, [i_d], [i_q], [POINT_SPEED], (column[1],))
 
 
-def _calibrated(design: Design) -> Inverter:
+def calibrated_inverter(design: Design) -> Inverter:
     """Inverter whose switching energy makes the total of the first column,
     all other losses being counted.
     """
@@ -129,7 +129,7 @@ def table_4(design: Design) -> tuple[LossRow, ...]:
     """Losses, junction temperature and torque ripple, the switching energy calibrated
     on the first total alone.
     """
-    inverter = _calibrated(design)
+    inverter = calibrated_inverter(design)
     budgets = [_budget(design, inverter, column) for column in PRINTED_TABLE_4]
     implied = implied_totals(tuple(float(found.copper[0, 0, 0]) for found in budgets))
     rows = []

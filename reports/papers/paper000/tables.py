@@ -1,19 +1,43 @@
-"""Paper 000 in tables and plain data: printed beside recomputed, with
-what is wrong in the print.
-"""
+"""Paper 000 in tables: printed beside recomputed, with what is wrong in the print."""
 
 from __future__ import annotations
 
 import textwrap
-from dataclasses import asdict
 
 from dqforge.reports.pages.table import Table
 from dqforge.reports.papers.paper000.ipmsm_tables import BreakpointRow, PolynomialRow, Reproduction
 from dqforge.reports.papers.paper000.load_test import LoadTest
 from dqforge.reports.papers.paper000.loss_columns import LossRow
-from dqforge.reports.plain_data import PlainData
+from dqforge.reports.papers.paper000.method_tables import (
+    coefficient_table,
+    cost_table,
+    error_table,
+    header_table,
+    heat_table,
+)
+from dqforge.reports.papers.paper000.whole_paper import WholePaper
 
 _WIDTH = 118
+
+
+def whole_tables(found: WholePaper) -> list[Table]:
+    """Everything for the terminal, in the order of the paper."""
+    first, second, *fourth = reproduction_tables(found.tables)
+    simulated = (
+        [Table("Paper 000, Figure 5", notes=(f"Left out: {found.left_out}",))]
+        if found.left_out
+        else [load_test_table(found.load_tests), heat_table(found.heat)]
+    )
+    return [
+        first,
+        second,
+        coefficient_table(found.stated.segments),
+        error_table(found.stated.errors),
+        header_table(found.header),
+        cost_table(found.costs),
+        *fourth,
+        *simulated,
+    ]
 
 
 def reproduction_tables(reproduction: Reproduction) -> list[Table]:
@@ -87,15 +111,6 @@ def _table_2_text(rows: tuple[PolynomialRow, ...]) -> Table:
             ),
         ),
     )
-
-
-def plain_reproduction(reproduction: Reproduction) -> PlainData:
-    """The three tables as plain data."""
-    return {
-        "table_1": [asdict(row) for row in reproduction.breakpoints],
-        "table_2": [asdict(row) for row in reproduction.polynomials],
-        "table_4": [asdict(row) for row in reproduction.losses],
-    }
 
 
 def _table_4_text(rows: tuple[LossRow, ...]) -> list[Table]:
@@ -229,18 +244,3 @@ def load_test_table(tests: tuple[LoadTest, ...]) -> Table:
             "Inertia and speed controller are inferred: the paper states neither.",
         ),
     )
-
-
-def plain_load_tests(tests: tuple[LoadTest, ...]) -> list[PlainData]:
-    """The figures as plain data."""
-    return [
-        {
-            "alternative": test.name,
-            "largest_deviation_rad_per_s": test.deviation,
-            "end_error_rad_per_s": test.end_error,
-            "torque_Nm": test.torque,
-            "current_A": test.current,
-            "current_by_equation_A": test.expected,
-        }
-        for test in tests
-    ]

@@ -23,6 +23,7 @@ from dqforge.optimizer.loops.q_numbers import to_q
 from dqforge.optimizer.observers.reduced_order import ObserverError, steady_state_error
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.papers.paper001.bench_sensorless import Estimator, estimator_errors
+from dqforge.reports.papers.paper001.emitted_control import EmittedControl, emitted_control
 from dqforge.reports.papers.paper001.program_runs import Program, program_results
 from dqforge.reports.papers.transients import RPM, Bench, bench, settling_time
 from dqforge.reports.simulation.recorded_run import Simulation
@@ -130,7 +131,8 @@ class Reproduction:
     rpm, ``step_time`` in s; ``sensorless_error`` and ``sensorless`` are steady speed errors at 1500
     rpm, relative, with exact parameters in simulation, and by formula with what is stated in the
     key; ``estimator`` the errors of angle and speed without encoder; ``program`` is what
-    the program of the thesis does with its own integers.
+    the program of the thesis does with its own integers, ``emitted`` what the design's own control
+    does in each format.
     """
 
     integers: dict[str, int]
@@ -144,6 +146,7 @@ class Reproduction:
     estimator: tuple[Estimator, ...]
     runs: Runs
     program: Program
+    emitted: EmittedControl
 
 
 def _integers(solution: Solution) -> dict[str, int]:
@@ -366,4 +369,5 @@ def reproduce_paper() -> Reproduction:
             estimator=estimator,
             runs=Runs(reversal, sine, steps, sensorless, wrong),
             program=program_results(design),
+            emitted=emitted_control(),
         )

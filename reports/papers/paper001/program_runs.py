@@ -11,7 +11,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
-from dqforge.machines.plants.scenario import Profile
+from dqforge.machines.plants.scenario import InverterModel, Profile
 from dqforge.reports.papers.paper001.thesis_program import (
     BASE_CURRENT,
     LISTED_LINE,
@@ -88,12 +88,13 @@ class Finding:
 class ProgramRuns:
     """Runs of the program: start and reversal, the two climbs, the two faster references.
 
-    ``limited`` is the climb to 2700 rpm with the program's limit of v_q, ``climb`` the one
-    without; ``middle`` goes from 1200 to 2200 rpm.
+    ``limited`` is the climb to 2700 rpm with the program's limit of v_q, ``ideal`` the same without
+    dead time, ``climb`` the one without the limit; ``middle`` goes from 1200 to 2200 rpm.
     """
 
     reversal: Simulation
     limited: Simulation
+    ideal: Simulation
     climb: Simulation
     middle: Simulation
     sine: Simulation
@@ -121,10 +122,13 @@ def codes_of(current: float) -> int:
 
 
 def _run_reversal(
-    place: ProgramBench, constants: Constants, dead_time: float | None = None
+    place: ProgramBench,
+    constants: Constants,
+    dead_time: float | None = None,
+    inverter: InverterModel = "averaged",
 ) -> Simulation:
     reference = Profile((0.0, REVERSAL), (TARGET * RPM, -TARGET * RPM))
-    return place.run(3.0, reference, constants, dead_time)
+    return place.run(3.0, reference, constants, dead_time, inverter)
 
 
 def _transient(found: Simulation, name: str, limit: float, origin: str) -> ProgramTransient:
@@ -141,6 +145,11 @@ def _transients(place: ProgramBench, listed: Simulation) -> tuple[ProgramTransie
     whole = Constants().max_w / 32_768.0 * BASE_CURRENT
     rows = [
         _transient(listed, name, whole, "program: 32000 in Q15") for name in ("start", "reversal")
+    ]
+    switched = _run_reversal(place, Constants(), inverter="switched")
+    rows += [
+        _transient(switched, name, whole, "the same, every switching instant")
+        for name in ("start", "reversal")
     ]
     wanted: tuple[tuple[Constants, float | None, float, str, tuple[str, ...]], ...] = (
         (LISTED_LINE, None, whole, "the same, 25 for 26", ("start", "reversal")),
@@ -160,8 +169,11 @@ def _limit(current: float) -> Constants:
 
 
 def _runs(place: ProgramBench) -> ProgramRuns:
-    def climb(target: float, constants: Constants | None = None) -> Simulation:
-        return place.run(2.5, Profile((0.0, 0.5), (TARGET * RPM, target * RPM)), constants)
+    def climb(
+        target: float, constants: Constants | None = None, dead_time: float | None = None
+    ) -> Simulation:
+        reference = Profile((0.0, 0.5), (TARGET * RPM, target * RPM))
+        return place.run(2.5, reference, constants, dead_time)
 
     sine = Profile((0.0,), (TARGET * RPM,), amplitude=200.0 * RPM, frequency=SINE_FREQUENCY)
     times = (0.0, 1.0, 1.5, 2.0, 2.5)
@@ -169,6 +181,7 @@ def _runs(place: ProgramBench) -> ProgramRuns:
     return ProgramRuns(
         reversal=_run_reversal(place, Constants()),
         limited=climb(2700.0),
+        ideal=climb(2700.0, dead_time=0.0),
         climb=climb(2700.0, Constants(max_iq=32_767)),
         middle=climb(2200.0),
         sine=place.run(3.0, sine),
@@ -272,17 +285,22 @@ def phase_current(run: Simulation) -> FloatArray:
     return run.i_d * np.cos(run.theta_e) - run.i_q * np.sin(run.theta_e)
 
 
-def _at_2700(limited: Simulation, run: Simulation) -> Iterable[Finding]:
+def _at_2700(runs: ProgramRuns) -> Iterable[Finding]:
+    run = runs.climb
     last = between(run, 2.0, 2.5)
     theta = run.theta_e[last]
-    reached = (float(np.mean(found.omega_m[last])) / RPM for found in (limited, run))
+    reached = (
+        float(np.mean(found.omega_m[last])) / RPM for found in (runs.limited, runs.ideal, run)
+    )
     yield Finding(
         "8.14",
         "speed, 2700 rpm",
         "the program: 13000 holds about 2600 rpm",
         tuple(
             Quantity(name, value, "rpm")
-            for name, value in zip(("with 13000", "without"), reached, strict=True)
+            for name, value in zip(
+                ("with 13000", "the same, no dead time", "without"), reached, strict=True
+            )
         ),
     )
     yield Finding(
@@ -408,7 +426,7 @@ def program_results(design: Design) -> Program:
     findings = (
         Finding("8.1, 8.2", "digitising the currents; the control", "diagrams, nothing to compute"),
         *_at_1200(runs.reversal, start),
-        *_at_2700(runs.limited, runs.climb),
+        *_at_2700(runs),
         *_at_2200(runs.middle),
         *_at_reversal(runs.reversal, reversal),
         *_faster(runs.sine, runs.steps),

@@ -12,7 +12,12 @@ from dqforge.reports.papers.paper001.bench_transients import (
     PRINTED_TIME,
     Reproduction,
 )
-from dqforge.reports.papers.paper001.program_tables import plain_program, program_tables
+from dqforge.reports.papers.paper001.program_tables import (
+    emitted_table,
+    plain_emitted,
+    plain_program,
+    program_tables,
+)
 from dqforge.reports.plain_data import PlainData
 
 
@@ -76,6 +81,7 @@ def reproduction_tables(found: Reproduction) -> list[Table]:
                 ),
             ),
         ),
+        emitted_table(found.emitted),
         Table(
             "Paper 001, Figures 8.14 to 8.20: speeds of 2200 and 2700 rpm",
             ("step", "limit of v_q, share of v_dc/sqrt(3)", "reached rpm", "within 2 % after s"),
@@ -156,6 +162,7 @@ def plain_reproduction(found: Reproduction) -> PlainData:
             "found": [asdict(row) for row in found.estimator],
         },
         "program": plain_program(found.program),
+        "emitted": plain_emitted(found.emitted),
     }
 
 

@@ -79,18 +79,23 @@ MODES = [
 ]
 
 
-def largest_errors(flags: tuple[str, ...], folder: Path, *arguments: str) -> list[float]:
-    """Largest errors of the whole angle, of the small one and of both together."""
-    if shutil.which("gcc") is None:
-        pytest.skip("gcc is not installed")
+def largest_errors(
+    flags: tuple[str, ...], folder: Path, step: str, pairs: str, compiler: str = "gcc"
+) -> list[float]:
+    """Largest errors of the whole angle, of the small one and of both together.
+
+    ``step`` is that of the floats' bits, ``pairs`` the number of random pairs.
+    """
+    if shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} is not installed")
     if "-mfma" in flags and "fma" not in Path("/proc/cpuinfo").read_text(encoding="utf-8"):
         pytest.skip("this processor has no fused multiply-add")
     types = render("c_code/control_types.j2", {"prefix": "t", "macro": "T"})
     (folder / "errors.c").write_text(PROGRAMME % types, encoding="ascii")
-    command = ["gcc", "-std=c99", "-O2", *flags, "errors.c", "-o", "errors", "-lm"]
+    command = [compiler, "-std=c99", "-O2", *flags, "errors.c", "-o", "errors", "-lm"]
     subprocess.run(command, cwd=folder, check=True)
     done = subprocess.run(
-        [folder / "errors", *arguments], capture_output=True, text=True, check=True
+        [folder / "errors", step, pairs], capture_output=True, text=True, check=True
     )
     return [float(word) for word in done.stdout.split()]
 
@@ -101,6 +106,15 @@ def test_errors_of_a_sample_are_below_those_stated(flags: tuple[str, ...], tmp_p
     assert 0.8e-7 < whole < 1.2e-7
     assert 2e-8 < small < 6e-8
     assert 1e-7 < both < 2e-7
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_no_freedom_of_the_compiler_spoils_an_angle(compiler: str, tmp_path: Path) -> None:
+    """With -ffast-math sums may be taken in any order, as much firmware is compiled."""
+    whole, small, both = largest_errors(("-O3", "-ffast-math"), tmp_path, "997", "1000", compiler)
+    assert whole < 5e-7
+    assert small < 2e-7
+    assert both < 6e-7
 
 
 @pytest.mark.slow

@@ -10,7 +10,8 @@ from modulators import duties
 
 from dqforge.machines.design import catalogue
 from dqforge.reports.papers.paper000.ipmsm_tables import Reproduction, reproduce_paper
-from dqforge.reports.papers.paper000.tables import plain_reproduction, reproduction_tables
+from dqforge.reports.papers.paper000.plain import plain_reproduction
+from dqforge.reports.papers.paper000.tables import reproduction_tables
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dqforge.reports.pages.figures_style import to_svg
-from dqforge.reports.papers.paper000 import load_test, tables
+from dqforge.reports.papers.paper000 import load_test, plain, tables
 from dqforge.reports.papers.paper000.figures import plot_load_tests
 from dqforge.reports.papers.paper000.load_test import LoadTest
 
@@ -31,4 +31,4 @@ def test_the_load_is_carried_and_mtpa_needs_less_current(load_tests: tuple[LoadT
     assert dpwm.current == pytest.approx(spwm.current, rel=1e-3)
     assert "<svg" in to_svg(plot_load_tests(load_tests))
     assert len(tables.load_test_table(load_tests).rows) == 3
-    assert tables.plain_load_tests(load_tests)[1]["current_A"] == spwm.current
+    assert plain.plain_load_tests(load_tests)[1]["current_A"] == spwm.current

@@ -13,8 +13,8 @@ from dqforge.reports.papers.transients import RPM
 
 
 @pytest.fixture(scope="module")
-def found() -> Reproduction:
-    return bench_transients.reproduce_paper()
+def found(reproduced: Reproduction) -> Reproduction:
+    return reproduced
 
 
 def test_integers_of_table_8_1(found: Reproduction) -> None:

@@ -14,7 +14,11 @@ import pytest
 from dqforge.machines.plants.scenario import Profile
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.papers.paper001 import program_figures, program_runs, program_tables
-from dqforge.reports.papers.paper001.bench_transients import PRINTED_INTEGERS, bench_design
+from dqforge.reports.papers.paper001.bench_transients import (
+    PRINTED_INTEGERS,
+    Reproduction,
+    bench_design,
+)
 from dqforge.reports.papers.paper001.program_runs import Program
 from dqforge.reports.papers.paper001.thesis_program import (
     LISTED_LINE,
@@ -29,8 +33,8 @@ from dqforge.reports.papers.transients import RPM
 
 
 @pytest.fixture(scope="module")
-def found() -> Program:
-    return program_runs.program_results(bench_design())
+def found(reproduced: Reproduction) -> Program:
+    return reproduced.program
 
 
 def test_the_integers_are_those_of_table_8_1() -> None:
@@ -149,6 +153,10 @@ def test_start_and_reversal_beside_the_printed_time(found: Program) -> None:
     # with a limit of its own each takes the printed time
     assert rows["start", "chosen for the printed time"].seconds == pytest.approx(0.4, rel=0.05)
     assert rows["reversal", "chosen for it"].seconds == pytest.approx(0.4, rel=0.05)
+    # duty cycles as voltages are enough: the instants of switching change little
+    for name in ("start", "reversal"):
+        switched = rows[name, "the same, every switching instant"].seconds
+        assert switched == pytest.approx(rows[name, "program: 32000 in Q15"].seconds, rel=0.07)
     # a dead band that a small limit hardly leaves brings start and reversal together
     start, reversal = rows["start", "one for both"], rows["reversal", "one for both"]
     assert reversal.seconds / start.seconds < 1.5
