@@ -47,7 +47,7 @@ _SIZE_BITS = 15
 
 
 def saturated(o: Arithmetic[N, Any], a: N) -> N:
-    """The code nearest to a."""
+    """The code nearest to a of those that lie as far below zero as above."""
     return o.clamp(a, -TOP, TOP)
 
 
