@@ -85,7 +85,8 @@ def turned(degrees: FloatArray) -> FloatArray:
 def codes(values: FloatArray, base: float, width: int) -> CodeArray:
     """Values as codes of a full scale, saturated."""
     one = 2 ** (width - 1)
-    return np.clip(np.rint(values / base * one), -one, one - 1).astype(np.int64)
+    found = np.clip(np.rint(values / base * one), -one, one - 1)
+    return np.asarray(found, dtype=np.int64)
 
 
 def motion(name: str, speeds: FloatArray, torque: FloatArray, drive: str = BENCH) -> DriveMotion:
@@ -93,9 +94,8 @@ def motion(name: str, speeds: FloatArray, torque: FloatArray, drive: str = BENCH
     design = observed_design(name, drive)
     machine = linearised(design.machine)
     speed = design.control.bases.speed * machine.pole_pairs
-    return drive_motion(
-        machine, tuned(name, drive).t_s, speeds * speed, 0.5j * design.i_max * torque
-    )
+    currents = np.asarray(0.5j * design.i_max * torque, dtype=np.complex128)
+    return drive_motion(machine, tuned(name, drive).t_s, speeds * speed, currents)
 
 
 def beside(name: str, width: int, seen: DriveMotion, drive: str = BENCH) -> SideBySide:

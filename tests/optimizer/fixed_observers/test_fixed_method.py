@@ -5,6 +5,7 @@ trajectories.
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,7 +42,7 @@ Q31_LIMITS = (0.003, 0.02)
 def both(first: DriveMotion, second: DriveMotion) -> DriveMotion:
     """Drives of two motions side by side."""
     parts = [field.name for field in fields(DriveMotion) if field.name != "t_s"]
-    joined = {
+    joined: dict[str, Any] = {
         name: np.concatenate([getattr(first, name), getattr(second, name)], axis=1)
         for name in parts
     }
