@@ -28,7 +28,7 @@ from dqforge.optimizer.operating_points.mtpa import id0_currents
 from dqforge.reports.losses.map_figures import plot_loss_map
 from dqforge.reports.modulation_choice.figures import plot_choice
 from dqforge.reports.pages.figures_style import save
-from dqforge.reports.papers.paper000_losses import table_4
+from dqforge.reports.papers.paper000.loss_columns import table_4
 
 COLOURS = {"spwm": "#6b7280", "svpwm": "#d97706", "ddt-gdpwm": "#1d4ed8"}
 PARTS = {"copper": "#b45309", "conduction": "#0f766e", "switching": "#1d4ed8"}

@@ -14,6 +14,7 @@ import figures_current_feedback
 import figures_estimators
 import figures_fixed_control
 import figures_fixed_point
+import figures_fixed_reference
 import figures_flux_maps
 import figures_gains
 import figures_losses
@@ -21,8 +22,10 @@ import figures_measured_drive
 import figures_modulation
 import figures_observers
 import figures_operating_points
+import figures_overmodulation
 import figures_phase_control
 import figures_phase_design
+import figures_references
 import figures_simulation
 import figures_stability
 import figures_waveforms
@@ -45,6 +48,7 @@ def main() -> None:
     save(plot_fit(design, solve_fit(design).fit), folder / "fit.svg")
     figures_fixed_point.sixteen_bits(folder / "fixed-point.svg")
     figures_fixed_control.integers_of_a_loop(folder / "fixed-control.svg")
+    figures_fixed_reference.reference_in_integers(folder / "fixed-reference.svg")
     figures_flux_maps.flux_map(folder / "flux-map.svg")
     figures_gains.current_loop_step(folder / "current-loop-step.svg")
     figures_gains.gain_schedule(folder / "gain-schedule.svg")
@@ -56,6 +60,7 @@ def main() -> None:
     figures_losses.modulation_waveforms(folder / "modulation-waveforms.svg")
     figures_modulation.zero_sequences(folder / "modulation-family.svg")
     figures_modulation.merits(folder / "modulation-merits.svg")
+    figures_overmodulation.methods(folder / "overmodulation.svg")
     figures_current_feedback.regulators(folder / "current-feedback.svg")
     figures_current_feedback.hysteresis_over_speed(folder / "hysteresis-frequency.svg")
     figures_losses.loss_comparison(folder / "loss-comparison.svg")
@@ -69,6 +74,7 @@ def main() -> None:
     figures_measured_drive.capture(folder / "measured-drive-capture.svg")
     figures_measured_drive.running(folder / "measured-drive-running.svg")
     figures_phase_design.torque_and_currents(folder / "phase-design.svg")
+    figures_references.voltage_feedback(folder / "voltage-feedback.svg")
     figures_weakening.weakening_errors(folder / "weakening-errors.svg")
     figures_certificates.proven_bounds(folder / "certificate.svg")
 

@@ -122,6 +122,9 @@ ObserverTuningName = Literal["named", "optimised"]
 QFormats = tuple[int, int] | Literal["auto"]
 
 
+OvermodulationName = Literal["none", "least-phase-error", "least-magnitude-error"]
+
+
 ModulationName = Literal[
     "spwm",
     "thipwm6",

@@ -20,7 +20,13 @@ from dqforge.optimizer.current_reference.signed import signed_designs, signed_re
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.field_weakening.fit import WeakeningFit
 from dqforge.optimizer.field_weakening.solve import solve_weakening
+from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
+    FixedObserverFit,
+    solve_fixed_observers,
+)
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
+from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
+from dqforge.optimizer.fixed_reference.solve import solve_fixed_references
 from dqforge.optimizer.frame_tables.fit import FrameTables, solve_frame_tables
 from dqforge.optimizer.losses.mission_budget import MissionComparison
 from dqforge.optimizer.losses.point_comparison import LossComparison
@@ -32,6 +38,7 @@ from dqforge.optimizer.observers.reduced_order import (
     errors_at_loads,
 )
 from dqforge.optimizer.operating_points.solve import Curves, current_choice, solve_curves
+from dqforge.optimizer.overmodulation.solve import Overmodulation, solve_overmodulation
 from dqforge.optimizer.waveforms.comparison import (
     WaveformComparison,
     compare_waveforms,
@@ -49,13 +56,14 @@ class Solution:
     that could not be proven; ``trials`` are the forms that were tried for a budget. ``weakening``
     is None where no two-dimensional reference, ``choice`` where no choice of modulator and
     switching frequency, ``mission`` where no mission is asked for. ``fixed`` are control functions
-    in fixed point. ``data`` says where the reference is held by the data of a flux map, or leaves
-    them. ``loops`` is None where none are wanted, or where a design without a section ``control``
-    has none that hold; ``gains_left_out`` then says why. ``negative`` is None where one reference
-    serves torques of both signs; else ``fit`` and ``certificate`` are those of positive ones.
-    ``frame_tables`` is None where none are asked for. ``observer_errors`` are those of the speed
-    observer at half the base speed, without load and with half the largest torque; empty without
-    that observer.
+    in fixed point, ``fixed_observers`` the position observer. ``data`` says where the reference is
+    held by the data of a flux map, or leaves them. ``loops`` is None where none are wanted, or
+    where a design without a section ``control`` has none that hold; ``gains_left_out`` then says
+    why. ``negative`` is None where one reference serves torques of both signs; else ``fit`` and
+    ``certificate`` are those of positive ones. ``fixed_references`` lead from torque, dc link and
+    speed to currents in fixed point. ``frame_tables`` and ``overmodulation`` are None where they
+    are not asked for. ``observer_errors`` are those of the speed observer at half the base speed,
+    without load and with half the largest torque; empty without that observer.
     """
 
     design: Design
@@ -72,11 +80,14 @@ class Solution:
     choice: ModulationChoice | None = None
     mission: MissionComparison | None = None
     fixed: tuple[IntegerFit, ...] = ()
+    fixed_observers: tuple[FixedObserverFit, ...] = ()
     data: DataUse = COVERED
     gains_left_out: str = ""
     negative: NegativeHalf | None = None
     observer_errors: tuple[ErrorsAtLoad, ...] = ()
     frame_tables: FrameTables | None = None
+    overmodulation: Overmodulation | None = None
+    fixed_references: tuple[FixedReferenceFit, ...] = ()
 
     @property
     def positive(self) -> Design:
@@ -117,6 +128,23 @@ def _observer_errors(
     return errors_at_loads(design.machine, gains.observer, speed, loads)
 
 
+def _fixed_references(
+    design: Design, gains: GainSet | None, fit: ReferenceFit, weakening: WeakeningFit | None
+) -> tuple[FixedReferenceFit, ...]:
+    """References for the control in rotor coordinates; none where there is none."""
+    if gains is None or gains.phases is not None:
+        return ()
+    return solve_fixed_references(design, fit, weakening)
+
+
+def _integers(
+    design: Design, gains: GainSet, fit: ReferenceFit, references: tuple[FixedReferenceFit, ...]
+) -> tuple[IntegerFit, ...]:
+    """Control functions in fixed point, with their references."""
+    known = {found.reference.width: found.reference for found in references}
+    return solve_integers(design, gains, fit.torque_max, known)
+
+
 @on_design("machine")
 def solve(design: Design) -> Solution:
     """Solve everything that the design asks for.
@@ -129,6 +157,8 @@ def solve(design: Design) -> Solution:
     positive = signed_designs(design)[0]
     chosen = solve_fit(positive)
     fit, (gains, left_out) = chosen.fit, gains_or_reason(design)
+    weakening = solve_weakening(design)
+    references = _fixed_references(design, gains, fit, weakening)
     return Solution(
         design=design,
         curves=solve_curves(positive),
@@ -140,13 +170,16 @@ def solve(design: Design) -> Solution:
         losses=solve_losses(design),
         waveforms=None if design.phase_machine is None else compare_waveforms(design),
         phases=None if design.phase_machine is None else solve_phases(design),
-        weakening=solve_weakening(design),
+        weakening=weakening,
         choice=solve_choice(design),
         mission=solve_mission(design),
-        fixed=() if gains is None else solve_integers(design, gains),
+        fixed=() if gains is None else _integers(design, gains, fit, references),
+        fixed_observers=(() if gains is None else solve_fixed_observers(design, gains.position)),
         data=chosen.data,
         gains_left_out=left_out,
         negative=solve_negative(design),
         observer_errors=_observer_errors(design, gains, fit.torque_max),
         frame_tables=solve_frame_tables(design),
+        overmodulation=solve_overmodulation(design),
+        fixed_references=references,
     )

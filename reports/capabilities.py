@@ -10,13 +10,17 @@ from dqforge.reports.current_reference.capability import (
     NEGATIVE_POINTS,
     NEGATIVE_REFERENCE,
 )
+from dqforge.reports.dynamic_references.capability import DYNAMIC_REFERENCES
 from dqforge.reports.field_weakening.capability import WEAKENING
+from dqforge.reports.fixed_observers.capability import FIXED_OBSERVER
+from dqforge.reports.fixed_reference.capability import FIXED_REFERENCE
 from dqforge.reports.frame_tables.capability import FRAME_TABLES
 from dqforge.reports.loops.capability import GAIN_SCHEDULE, LOOPS, NO_LOOPS, STABILITY
 from dqforge.reports.losses.capability import LOSSES, MISSION
 from dqforge.reports.modulation_choice.capability import MODULATION_CHOICE
 from dqforge.reports.observers.capability import POSITION_OBSERVER, SPEED_OBSERVER
 from dqforge.reports.operating_points.capability import OPERATING_POINTS
+from dqforge.reports.overmodulation.capability import OVERMODULATION
 from dqforge.reports.phase_control.capability import FIXED_CONTROL, FLOAT32_CONTROL
 from dqforge.reports.simulation.capability import FORMATS_NOT_SIMULATED, SIMULATION
 from dqforge.reports.waveforms.capability import PHASE_REFERENCE, WAVEFORMS
@@ -29,17 +33,21 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     LOOPS,
     NO_LOOPS,
     STABILITY,
+    DYNAMIC_REFERENCES,
     LOSSES,
     MISSION,
     WAVEFORMS,
     PHASE_REFERENCE,
     FRAME_TABLES,
     WEAKENING,
+    FIXED_REFERENCE,
     FLOAT32_CONTROL,
     FIXED_CONTROL,
     MODULATION_CHOICE,
+    OVERMODULATION,
     GAIN_SCHEDULE,
     POSITION_OBSERVER,
+    FIXED_OBSERVER,
     SPEED_OBSERVER,
     FORMATS_NOT_SIMULATED,
     SIMULATION,

@@ -39,11 +39,16 @@ from dqforge.machines.design.sections.losses import (
 from dqforge.machines.design.sections.machine.cross_checks import check_halves, check_machine
 from dqforge.machines.design.sections.machine.model import read_machine
 from dqforge.machines.design.sections.modulation_choice import read_choice
-from dqforge.machines.design.sections.operation import check_operation, read_operation
+from dqforge.machines.design.sections.operation import (
+    check_operation,
+    check_overmodulation,
+    read_operation,
+)
 from dqforge.machines.design.sections.phase_control import (
     check_phase_control,
     phase_control_remarks,
 )
+from dqforge.machines.design.sections.references import check_references
 from dqforge.machines.design.sections.simulation.reading import read_scenario
 from dqforge.machines.design.sections.topology import check_topology
 from dqforge.machines.design.sections.waveform import check_waveform, read_waveform
@@ -125,7 +130,19 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     check_sampling(file.control, file.inverter.switching_frequency.si, document)
     check_losses(file.losses, file.inverter.device is not None, machine, document)
     check_loops(file.control, machine, document)
+    check_references(
+        file.control.references, machine, document, any_back_emf=found.phases is not None
+    )
     inverter = read_inverter(file.inverter, machine.i_max, reading)
+    check_overmodulation(
+        file.operation, inverter, file.export.control, found.phases is not None, document
+    )
+    operation = read_operation(file.operation)
+    inverter = replace(
+        inverter,
+        overmodulation=operation.overmodulation,
+        overmodulation_limit=operation.overmodulation_limit,
+    )
     i_max = machine.i_max if inverter.i_max is None else min(machine.i_max, inverter.i_max)
     check_halves(file.machine, file.fit, document)
     check_operation(file.operation, file.field_weakening is not None, machine, document)
@@ -164,7 +181,7 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         phase_machine=found.phases,
         inverter=inverter,
         control=control,
-        operation=read_operation(file.operation),
+        operation=operation,
         fit=read_fit(file.fit, machine, control.bases, reading),
         losses=losses,
         waveform=read_waveform(file.waveform),
@@ -207,6 +224,12 @@ def _remarks(
         remarks += [warning] if warning else []
     if "strategy" not in file.operation.model_fields_set:
         remarks.append("operation.strategy is mtpa: the least current for each torque")
+    operation = file.operation
+    if operation.overmodulation != "none" and operation.overmodulation_limit is None:
+        remarks.append(
+            "operation.overmodulation_limit is 95.14 % of six-step operation: a vector that "
+            "follows the hexagon"
+        )
     if file.fit.torque_max is None:
         remarks.append("fit.torque_max is the largest torque within the current limit")
     if "prefix" not in file.export.model_fields_set:

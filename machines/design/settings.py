@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 from dqforge.machines.losses.mission import Mission
+from dqforge.machines.modulation.hexagon import HEXAGON, SIX_STEP
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import (
     SPEED_OBSERVER,
@@ -22,6 +24,7 @@ from dqforge.machines.names import (
     ObserverMethodName,
     ObserverTuningName,
     OpenPhase,
+    OvermodulationName,
     QFormats,
     SpeedLoopMethod,
     Strategy,
@@ -52,13 +55,17 @@ class OperationSettings:
 
     ``omega_m`` in rad/s (mechanical) is the speed for which the currents are chosen, None where the
     voltage limits nothing. The voltage limit there is the linear range of ``modulation`` less
-    ``voltage_margin``, a share of 0 to 1 that is kept for control.
+    ``voltage_margin``, a share of 0 to 1 that is kept for control. With ``overmodulation`` it
+    reaches to ``overmodulation_limit`` of six-step operation: unless told otherwise as far as a
+    vector that follows the hexagon.
     """
 
     strategy: Strategy = "mtpa"
     omega_m: float | None = None
     modulation: ModulationName = "svpwm"
     voltage_margin: float = 0.0
+    overmodulation: OvermodulationName = "none"
+    overmodulation_limit: float = HEXAGON / SIX_STEP
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +156,13 @@ class CurrentLoopSettings:
     limited_waveforms: bool = False
 
 
+def filter_share(filter_time: float, t_s: float) -> float:
+    """Share of a new sample in the sampled first-order filter of a time constant in s, sampled
+    every ``t_s`` in s: 1 - exp(-t_s/filter_time); 1 without a filter.
+    """
+    return 1.0 if filter_time <= 0.0 else -math.expm1(-t_s / filter_time)
+
+
 @dataclass(frozen=True, slots=True)
 class SpeedLoopSettings:
     """PI speed controller that commands torque; it runs every ``ratio``-th current sample.
@@ -193,7 +207,7 @@ class Tolerances:
     voltage that acts from the one that duty cycles are computed with. ``dead_time`` in s is what
     the compensation of the dead time leaves over (positive), or does too much (negative), and
     ``low_current`` in A (peak of phase) the smallest current at which the loops must hold in spite
-    of it.
+    of it. ``thorough`` asks for proofs that take longer than every run can afford.
     """
 
     r_s: Deviation = 0.0
@@ -204,6 +218,7 @@ class Tolerances:
     v_dc: Deviation = 0.0
     dead_time: Deviation = 0.0
     low_current: float = 0.0
+    thorough: bool = False
 
     def limits(self, name: ToleranceName) -> tuple[float, float]:
         """Least (zero or negative) and largest (zero or positive) deviation of one parameter."""
@@ -242,6 +257,34 @@ class PerUnitBases:
 
 
 @dataclass(frozen=True, slots=True)
+class VoltageFeedbackSettings:
+    """Field weakening by voltage feedback: ``bandwidth`` in rad/s is the largest that it has at any
+    speed, ``current`` in A (peak) the largest d current that it adds, None for all that the current
+    limit leaves.
+    """
+
+    bandwidth: float
+    current: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceSettings:
+    """How fast references move, and what corrects them; None where nothing does.
+
+    ``torque_slope`` in N m/s, ``current_slope`` in A/s (of the vector of the current reference).
+    """
+
+    torque_slope: float | None = None
+    current_slope: float | None = None
+    voltage_feedback: VoltageFeedbackSettings | None = None
+
+    @property
+    def any(self) -> bool:
+        """Whether any of them is asked for."""
+        return self != ReferenceSettings()
+
+
+@dataclass(frozen=True, slots=True)
 class ControlSettings:
     """Sampling and controllers; ``t_s`` is the current-control sampling period in s.
 
@@ -257,6 +300,7 @@ class ControlSettings:
     bases: PerUnitBases
     tolerances: Tolerances | None = None
     gains: GainWish = "required"
+    references: ReferenceSettings = ReferenceSettings()
 
 
 @dataclass(frozen=True, slots=True)

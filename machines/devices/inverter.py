@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dqforge.machines.devices.switch import SwitchDevice
-from dqforge.machines.names import Topology
+from dqforge.machines.names import OvermodulationName, Topology
 
 if TYPE_CHECKING:
     from dqforge.machines.devices.device import DeviceModel
@@ -42,6 +42,10 @@ class Inverter:
         Resistance in Ohm of the neutral's conductor and choke; 0 leaves its loss out.
     midpoint_capacitance:
         Both halves of a split link together, C_1 + C_2 in F; None for a link that is not split.
+    overmodulation:
+        What the control makes of voltages beyond the circle in the hexagon.
+    overmodulation_limit:
+        Largest fundamental then, as a share of that of six-step operation.
     """
 
     v_dc: float
@@ -56,3 +60,5 @@ class Inverter:
     neutral_inductance: float = 0.0
     neutral_resistance: float = 0.0
     midpoint_capacitance: float | None = None
+    overmodulation: OvermodulationName = "none"
+    overmodulation_limit: float = 1.0

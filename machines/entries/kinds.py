@@ -199,6 +199,12 @@ Bandwidth = Annotated[Quantity, QuantityRule("bandwidth", 0.01, 1e7)]
 PhaseMargin = Annotated[Quantity, QuantityRule("angle", 0.0, 1.5707963267948966)]
 
 
+TorqueSlope = Annotated[Quantity, QuantityRule("torque-slope", 1e-6, 1e9)]
+
+
+CurrentSlope = Annotated[Quantity, QuantityRule("current-slope", 1e-3, 1e9)]
+
+
 CurrentGain = Annotated[Quantity, QuantityRule("current-gain", 1e-9, 1e9)]
 
 
@@ -239,6 +245,9 @@ SlewRate = Annotated[Quantity, QuantityRule("current-slew", 1.0, 1e12)]
 
 
 Share = Annotated[Quantity, QuantityRule("number", 0.0, 0.9)]
+
+
+SixStepShare = Annotated[Quantity, QuantityRule("number", 0.907, 1.0)]
 
 
 Nonnegative = Annotated[float, Field(ge=0.0, le=1e9, strict=False), BeforeValidator(not_truth)]

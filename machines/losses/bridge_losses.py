@@ -22,7 +22,7 @@ from dqforge.machines.losses.bridge_tables import BridgeTables
 from dqforge.machines.modulation.modulators import PhaseWaveforms, sector_waveforms
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.ripple import ripple_squares
-from dqforge.machines.names import ModulationName
+from dqforge.machines.names import ModulationName, OvermodulationName
 
 # Points at once: each array of 1024 x 24 angles x 3 phases is 0.6 MB,
 # so that a handful stays in the cache.
@@ -157,6 +157,7 @@ def bridge_averages(
     current: FloatArray,
     v_dc: float,
     stiffness: FloatArray | None = None,
+    overmodulation: OvermodulationName = "none",
 ) -> BridgeAverages:
     """Averages of losses, DC-link current and ripple over an electrical period.
 
@@ -174,6 +175,8 @@ def bridge_averages(
     stiffness:
         Inverse of the incremental inductances in 1/H, shape (N, 2, 2), for the ripple;
         None leaves it zero.
+    overmodulation:
+        What becomes of voltages beyond the circle in the hexagon, where duty cycles saturate else.
 
     Returns
     -------
@@ -187,7 +190,7 @@ def bridge_averages(
         part = slice(start, start + _CHUNK)
         v_d, v_q = voltage[:, part]
         i_d, i_q = current[:, part]
-        wave = sector_waveforms(modulation, v_d, v_q, i_d, i_q, v_dc)
+        wave = sector_waveforms(modulation, v_d, v_q, i_d, i_q, v_dc, overmodulation)
         found = junction_losses(tables, wave, one_rail=one_rail)
         losses[..., part] = found if tables.separate_diode else np.sum(found, axis=2, keepdims=True)
         link[:, part] = _link(wave)

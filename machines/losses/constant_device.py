@@ -23,6 +23,7 @@ from dqforge.machines.devices.switch import SwitchDevice
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.modulators import PhaseWaveforms, sector_waveforms
 from dqforge.machines.names import ModulationName
+from dqforge.machines.topologies.linear_range import overmodulation_of
 
 REFERENCE_TEMPERATURE = 25.0
 
@@ -193,10 +194,13 @@ def bridge_load(
         *(np.asarray(value, dtype=np.float64) for value in (v_d, v_q, i_d, i_q))
     )
     flat = np.stack([value.ravel() for value in points])
+    method = overmodulation_of(inverter, modulation)
     chunks = []
     for start in range(0, max(flat.shape[1], 1), _CHUNK):
         part = flat[:, start : start + _CHUNK]
-        wave = sector_waveforms(modulation, part[0], part[1], part[2], part[3], inverter.v_dc)
+        wave = sector_waveforms(
+            modulation, part[0], part[1], part[2], part[3], inverter.v_dc, method
+        )
         chunks.append(_chunk_load(inverter, device, wave))
     load = np.concatenate(chunks, axis=-1).reshape(3, *points[0].shape)
     return BridgeLoad(threshold=load[0, ...], resistive=load[1, ...], switching=load[2, ...])

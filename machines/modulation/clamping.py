@@ -108,7 +108,9 @@ def hand_over(name: ModulationName, load_angle: FloatArray) -> FloatArray:
     return MODULATORS[name].hand_over(load_angle)
 
 
-def sector_rule(name: ModulationName, lag: FloatArray) -> tuple[FloatArray, FloatArray]:
+def sector_rule(
+    name: ModulationName, lag: FloatArray, parts: int = 1
+) -> tuple[FloatArray, FloatArray]:
     """Angles (..., n) of the voltage vector in its first sector, in rad, and their weights (...,
     n) of sum 1.
 
@@ -123,15 +125,21 @@ def sector_rule(name: ModulationName, lag: FloatArray) -> tuple[FloatArray, Floa
         The modulator.
     lag:
         Angle in rad by which the current lags the voltage, shape (...).
+    parts:
+        Equal parts of the sector that get a rule of their own besides, even for waveforms that
+        change at its middle.
     """
     current_zero = np.mod(lag + THIRTY, SIXTY)
     change = hand_over(name, lag)
+    even = [np.full_like(lag, SIXTY * k / parts) for k in range(1, parts)]
     edges = np.sort(
-        np.stack([np.zeros_like(lag), current_zero, change, np.full_like(lag, SIXTY)], axis=-1)
+        np.stack(
+            [np.zeros_like(lag), current_zero, change, *even, np.full_like(lag, SIXTY)], axis=-1
+        )
     )
     half = 0.5 * np.diff(edges, axis=-1)[..., None]
     middle = 0.5 * (edges[..., 1:] + edges[..., :-1])[..., None]
-    shape = (*lag.shape, 3 * _GAUSS_NODES.size)
+    shape = (*lag.shape, (2 + parts) * _GAUSS_NODES.size)
     angle, weight = (
         (middle + half * _GAUSS_NODES).reshape(shape),
         (half * _GAUSS_WEIGHTS / SIXTY).reshape(shape),

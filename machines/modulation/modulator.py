@@ -110,11 +110,6 @@ class Modulator:
         """Whether it keeps one phase at a rail at every instant (discontinuous modulators)."""
         return self.one_rail or self.kind == "compared"
 
-    @property
-    def in_integers(self) -> bool:
-        """Whether it is there in fixed point, where no angle of the current is known."""
-        return self.compared != "load angle"
-
 
 def constant(c2: float, c3: float, c4: float) -> Callable[[FloatArray], Coefficients]:
     """Make a ``distortion`` that does not depend on the load angle.

@@ -29,10 +29,11 @@ from dqforge.machines.modulation.clamping import (
     resting_phase,
     sector_rule,
 )
+from dqforge.machines.modulation.hexagon import INSCRIBED, overmodulated
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.zero_sequence import zero_sequence_of
-from dqforge.machines.names import ModulationName
-from dqforge.machines.transforms import DOUBLES, dq_to_phases
+from dqforge.machines.names import ModulationName, OvermodulationName
+from dqforge.machines.transforms import DOUBLES, Triple, clarke, clarke_inverse, dq_to_phases
 
 __all__ = [
     "MODULATORS",
@@ -58,6 +59,15 @@ SIX_STEP_AMPLITUDE = 2.0 / math.pi
 
 # A reference that was computed to lie on the limit exceeds it by a few roundings at most.
 _LIMIT_ROUNDING = 1e-12
+
+
+# Beyond the circle in the hexagon two phases reach their rails but for this.
+_RAIL_ROUNDING = 1e-12
+
+
+# Parts of a sector that overmodulation gives a rule of their own; even, since six-step operation
+# jumps at its middle.
+_OVERMODULATED_PARTS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,10 +242,31 @@ def _waveforms(
     v_dc: float,
     theta_e: FloatArray,
     weight: FloatArray,
+    overmodulation: OvermodulationName = "none",
 ) -> PhaseWaveforms:
     voltage = dq_to_phases(v_d[..., None], v_q[..., None], theta_e)
     current = dq_to_phases(i_d[..., None], i_q[..., None], theta_e)
-    return PhaseWaveforms(theta_e, weight, voltage, current, modulate(name, voltage, current, v_dc))
+    if overmodulation == "none":
+        made = modulate(name, voltage, current, v_dc)
+    else:
+        voltage = _on_hexagon(overmodulation, voltage, v_dc)
+        made = _at_the_rails(modulate(name, voltage, current, v_dc))
+    return PhaseWaveforms(theta_e, weight, voltage, current, made)
+
+
+def _on_hexagon(method: OvermodulationName, voltage: FloatArray, v_dc: float) -> FloatArray:
+    """What overmodulation makes of phase voltages in V, shape (..., 3)."""
+    vector = clarke(DOUBLES, Triple(*np.moveaxis(voltage, -1, 0)))
+    made = overmodulated(method, vector, np.full(voltage.shape[:-1], v_dc))
+    return np.stack(clarke_inverse(DOUBLES, made), axis=-1)
+
+
+def _at_the_rails(made: Modulation) -> Modulation:
+    """The same with phases that reach a rail, but for a rounding, resting there."""
+    near = np.clip(np.rint(made.duty), 0.0, 1.0)
+    rests = np.abs(made.duty - near) < _RAIL_ROUNDING
+    duty = np.where(rests, near, made.duty)
+    return Modulation(made.zero_sequence, duty, made.clamped | rests)
 
 
 def _operating_points(*values: ArrayLike) -> tuple[FloatArray, ...]:
@@ -286,6 +317,7 @@ def sector_waveforms(
     i_d: ArrayLike,
     i_q: ArrayLike,
     v_dc: float,
+    overmodulation: OvermodulationName = "none",
 ) -> PhaseWaveforms:
     """Waveforms at the angles that average losses over a period to rounding,
     parameters as in `period_waveforms`.
@@ -308,8 +340,15 @@ def sector_waveforms(
         the shape (...).
     v_dc:
         DC-link voltage in V.
+    overmodulation:
+        What becomes of voltages beyond the circle in the hexagon; there the angles are four times
+        as many, and the averages good to 1e-4.
     """
     v_d, v_q, i_d, i_q = _operating_points(v_d, v_q, i_d, i_q)
     voltage_angle = np.arctan2(v_q, v_d)
-    alpha, weight = sector_rule(name, voltage_angle - np.arctan2(i_q, i_d))
-    return _waveforms(name, v_d, v_q, i_d, i_q, v_dc, alpha - voltage_angle[..., None], weight)
+    beyond = np.any(np.hypot(v_d, v_q) > INSCRIBED * v_dc)
+    method: OvermodulationName = overmodulation if beyond else "none"
+    parts = 1 if method == "none" else _OVERMODULATED_PARTS
+    alpha, weight = sector_rule(name, voltage_angle - np.arctan2(i_q, i_d), parts)
+    theta_e = alpha - voltage_angle[..., None]
+    return _waveforms(name, v_d, v_q, i_d, i_q, v_dc, theta_e, weight, method)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,8 +10,10 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import ControlSettings
 from dqforge.machines.errors import NoSolutionError
+from dqforge.optimizer.control_design.loop_proofs import LoopProofs, prove_loops
 from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
 from dqforge.optimizer.control_design.turning_proof import turning_proof
+from dqforge.optimizer.dynamic_references.solve import DynamicReferences, dynamic_references
 from dqforge.optimizer.loops.gains import tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loops.inductances import inductance_range
 from dqforge.optimizer.loops.integer_gains import PerUnitGains, per_unit_gains
@@ -48,7 +50,9 @@ class GainSet:
     ``robust`` is what they keep over the tolerances (the speed loop only without an observer), None
     where the design names none; ``schedule`` the current loops' gains over the current, None where
     it asks for none. ``phases`` is the current control of a machine whose back-EMF is not
-    sinusoidal, None for all others.
+    sinusoidal, None for all others. ``references`` are slopes of the references and voltage
+    feedback, None where the design asks for none.
+    ``proofs`` are those of single loops.
     """
 
     i_d: LoopGains
@@ -61,6 +65,8 @@ class GainSet:
     schedule: GainSchedule | None = None
     position: PositionObserver | None = None
     phases: PhaseLoops | None = None
+    proofs: LoopProofs = field(default_factory=LoopProofs)
+    references: DynamicReferences | None = None
 
     @property
     def loops(self) -> tuple[LoopGains, ...]:
@@ -129,11 +135,26 @@ def solve_gains(design: Design) -> GainSet:
     if speed is not None and (observer is not None or position is not None):
         speed = judge_observed(design, (i_d, i_q, speed), observer, position)
         robust = None if robust is None else replace(robust, speed=None)
+    proofs = prove_loops(box, largest, (i_d, i_q, zero), speed, (robust, schedule))
     scaled = _per_unit(control, (i_d, i_q, zero, speed))
     slopes = (
         None if observer is None else speed_error_slopes(machine, observer, control.bases.speed)
     )
-    return GainSet(i_d, i_q, speed, scaled, observer, slopes, robust, schedule, position, phases)
+    references = dynamic_references(design, box, (i_d, i_q), speed)
+    return GainSet(
+        i_d,
+        i_q,
+        speed,
+        scaled,
+        observer,
+        slopes,
+        robust,
+        schedule,
+        position,
+        phases,
+        proofs,
+        references,
+    )
 
 
 def _per_unit(

@@ -60,6 +60,19 @@ class Arithmetic(Protocol[N, C]):
     def root(self, a: N) -> N:
         """Largest integer whose square is not above a; a is not negative."""
 
+    def rounded_by(self, name: str, a: N, bits: N) -> N:
+        """Right shift by a number of bits that is computed, to nearest, halves upwards;
+        ``name`` is the sum with half of what the shift leaves.
+        """
+
+    def halvings(self, name: str, a: N, most: int) -> N:
+        """How often a, not negative, must be halved (downwards) until it is at most ``most``."""
+
+    def normalised(self, a: N, least: int, step: int) -> tuple[N, N]:
+        """A 2^n and n, the least multiple of ``step`` that makes a 2^n at least ``least``;
+        a is positive.
+        """
+
     def wrapped(self, a: N, bits: int) -> N:
         """The remainder of a by 2^bits, 0 to 2^bits - 1."""
 
@@ -130,6 +143,25 @@ class Integers:
         # up again finds the floor.
         estimate = np.where(estimate * estimate > a, estimate - 1, estimate)
         return np.asarray(np.where((estimate + 1) * (estimate + 1) <= a, estimate + 1, estimate))
+
+    def rounded_by(self, name: str, a: CodeArray, bits: CodeArray) -> CodeArray:
+        """Right shifts to nearest."""
+        half = np.left_shift(np.int64(1), bits) >> 1
+        return np.asarray(self._note(name, np.asarray(a + half)) >> bits)
+
+    def halvings(self, name: str, a: CodeArray, most: int) -> CodeArray:
+        """How often each must be halved."""
+        left, count = self._note(name, np.array(a)), np.zeros_like(a)
+        while np.any(above := left > most):
+            left, count = np.where(above, left >> 1, left), count + above
+        return np.asarray(count)
+
+    def normalised(self, a: CodeArray, least: int, step: int) -> tuple[CodeArray, CodeArray]:
+        """Each shifted to the left, and by how many bits."""
+        found, count = np.array(a), np.zeros_like(a)
+        while np.any(below := found < least):
+            found, count = np.where(below, found << step, found), count + step * below
+        return found, np.asarray(count)
 
     def wrapped(self, a: CodeArray, bits: int) -> CodeArray:
         """Remainders by 2^bits."""
@@ -268,6 +300,31 @@ class Ranges:
         """Range of the root."""
         return Range(isqrt(a.low), isqrt(a.high))
 
+    def rounded_by(self, name: str, a: Range, bits: Range) -> Range:
+        """Range over every number of bits."""
+        found: Range | None = None
+        for count in range(bits.low, bits.high + 1):
+            half = (1 << count) >> 1
+            self._note(name, Range(a.low + half, a.high + half))
+            shifted = Range((a.low + half) >> count, (a.high + half) >> count)
+            found = shifted if found is None else found.hull(shifted)
+        assert found is not None
+        return found
+
+    def halvings(self, name: str, a: Range, most: int) -> Range:
+        """From how often the least to how often the largest must be halved."""
+        self._note(name, a)
+        return Range(_halvings(a.low, most), _halvings(a.high, most))
+
+    def normalised(self, a: Range, least: int, step: int) -> tuple[Range, Range]:
+        """Everything from ``least`` on, and from how far the largest to how far the least is
+        shifted.
+        """
+        high = max(a.high, (least << step) - 1)
+        return Range(least, high), Range(
+            _doublings(a.high, least, step), _doublings(a.low, least, step)
+        )
+
     def wrapped(self, a: Range, bits: int) -> Range:  # noqa: ARG002
         """Every remainder."""
         return Range(0, (1 << bits) - 1)
@@ -283,6 +340,20 @@ class Ranges:
         if condition is None:
             return a.hull(b)
         return a if condition else b
+
+
+def _halvings(a: int, most: int) -> int:
+    count = 0
+    while a >> count > most:
+        count += 1
+    return count
+
+
+def _doublings(a: int, least: int, step: int) -> int:
+    count = 0
+    while a << count < least:
+        count += step
+    return count
 
 
 def larger(o: Arithmetic[N, Any], a: N, b: N) -> N:

@@ -5,12 +5,13 @@ and their evidence.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from dqforge.machines.design.design import Design
+from dqforge.machines.design.settings import filter_share
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.modulation.registry import MODULATORS
-from dqforge.machines.names import ModulationName
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.optimizer.fixed_control.arithmetic import Reach
 from dqforge.optimizer.fixed_control.gains import QuantisedLoop, quantised_loop, real_pi
@@ -29,9 +30,10 @@ from dqforge.optimizer.fixed_control.step import (
     FixedDecoupling,
     FixedObserver,
     FixedPi,
+    FixedReferences,
     PiForm,
 )
-from dqforge.optimizer.fixed_control.transforms import sine_error
+from dqforge.optimizer.fixed_control.transforms import full_scale, sine_error
 from dqforge.optimizer.loops.integer_gains import FixedGain, given, quantise
 from dqforge.optimizer.loops.loop_gains import LoopGains, decoupling
 from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
@@ -83,6 +85,8 @@ def fit_control(
     loops: tuple[LoopGains, LoopGains, LoopGains | None],
     observer: ReducedOrderObserver | None,
     width: int,
+    torque_max: float | None = None,
+    reference: FixedReferences | None = None,
 ) -> FixedControlFit:
     """Control functions of a design in words of 16 or 32 bits.
 
@@ -96,12 +100,15 @@ def fit_control(
         The reduced-order observer, if one is wanted.
     width:
         Bits of a code.
+    torque_max:
+        Limit of the speed controller's output in N m; None is full scale.
+    reference:
+        Current references in the same codes, if there are any.
 
     Raises
     ------
     InputError
-        The bases do not hold the largest current or speed, or the modulator
-        is not there in integers.
+        The bases do not hold the largest current or speed.
     NoSolutionError
         A quantity can overflow, a gain has no format, or a loop with rounded
         gains misses its phase margin.
@@ -109,22 +116,29 @@ def fit_control(
     _require_bases(design)
     found: dict[str, QuantisedLoop] = {}
     forms: dict[str, dict[PiForm, FixedPi]] = {}
+    decoupled = _decoupling(design, width)
     for loop in loops:
         if loop is not None:
-            found[loop.loop], forms[loop.loop] = _loop(design, loop, width, loops[1])
+            further = feed_reach(decoupled, width).get(loop.loop, 0)
+            found[loop.loop], forms[loop.loop] = _loop(design, loop, width, loops[1], further)
+    dc_scale, dc_least = dc_link(design, width)
     control = FixedControl(
         width=width,
         bases=_bases(design),
-        modulation=_modulation(design),
-        dc_scale=_dc_scale(design),
-        dc_least=round(0.5 * design.inverter.v_dc / _dc_base(design) * 2 ** (width - 1)),
+        modulation=design.operation.modulation,
+        dc_scale=dc_scale,
+        dc_least=dc_least,
         limit=precise_gain("voltage limit", _limit(design), width, 2 ** (width - 1)),
         advance=precise_gain("angle advance", _advance(design), width, 2 ** (width - 1)),
         i_d=forms["i_d"],
         i_q=forms["i_q"],
         speed=forms.get("speed"),
-        decoupling=_decoupling(design, width),
+        decoupling=decoupled,
         observer=None if observer is None else _observer(design, observer, width),
+        speed_filter=_speed_filter(design, width),
+        torque_max=_torque_code(design, torque_max, width),
+        ratio=1 if design.control.speed_loop is None else design.control.speed_loop.ratio,
+        reference=reference,
     )
     bands = {
         name: dead_band(made["parallel"].ki)
@@ -139,13 +153,34 @@ def fit_controls(
     design: Design,
     loops: tuple[LoopGains, LoopGains, LoopGains | None],
     observer: ReducedOrderObserver | None,
+    torque_max: float | None = None,
+    references: Mapping[int, FixedReferences] | None = None,
 ) -> tuple[FixedControlFit, ...]:
     """Control functions in every fixed-point format that the design asks for.
 
-    Errors as `fit_control`.
+    ``references`` are current references by the bits of their codes. Other arguments and errors as
+    `fit_control`.
     """
     widths = [FIXED_WIDTHS[name] for name in design.export.control if name in FIXED_WIDTHS]
-    return tuple(fit_control(design, loops, observer, width) for width in widths)
+    known = references or {}
+    return tuple(
+        fit_control(design, loops, observer, width, torque_max, known.get(width))
+        for width in widths
+    )
+
+
+def _torque_code(design: Design, torque_max: float | None, width: int) -> int:
+    """Code of a torque in N m, full scale at the most."""
+    top = full_scale(width)
+    if torque_max is None:
+        return top
+    return min(top, round(torque_max / design.control.bases.torque * 2.0 ** (width - 1)))
+
+
+def _speed_filter(design: Design, width: int) -> FixedGain:
+    settings = design.control.speed_loop
+    share = filter_share(0.0 if settings is None else settings.filter_time, design.control.t_s)
+    return precise_gain("speed filter", share * 2.0 ** (width - 2), width, 2**width - 1)
 
 
 def _bases(design: Design) -> tuple[float, float, float, float]:
@@ -187,16 +222,6 @@ def _require_bases(design: Design) -> None:
         )
 
 
-def _modulation(design: Design) -> ModulationName:
-    name = design.operation.modulation
-    if not MODULATORS[name].in_integers:
-        raise InputError(
-            f"export.control: {name} is not there in fixed point, it needs the angle of the "
-            "current; write operation.modulation: ddt-gdpwm, or export.control: float32"
-        )
-    return name
-
-
 def _dc_scale(design: Design) -> int:
     ratio = design.inverter.v_dc * DC_HEADROOM / design.control.bases.voltage
     return max(0, math.ceil(math.log2(ratio)))
@@ -206,8 +231,15 @@ def _dc_base(design: Design) -> float:
     return design.control.bases.voltage * 2.0 ** _dc_scale(design)
 
 
+def dc_link(design: Design, width: int) -> tuple[int, int]:
+    """Scale of the dc link as a power of two, and the code below which it is taken as that."""
+    half = 0.5 * design.inverter.v_dc / _dc_base(design)
+    return _dc_scale(design), round(half * 2 ** (width - 1))
+
+
 def _limit(design: Design) -> float:
-    return MODULATORS[design.operation.modulation].linear_limit * 2.0 ** _dc_scale(design)
+    share = MODULATORS[design.operation.modulation].linear_limit
+    return share * (1.0 - design.operation.voltage_margin) * 2.0 ** _dc_scale(design)
 
 
 def _advance(design: Design) -> float:
@@ -256,9 +288,9 @@ def precise_gain(name: str, value: float, width: int, argument: int) -> FixedGai
 
 
 def _loop(
-    design: Design, gains: LoopGains, width: int, current_gains: LoopGains
+    design: Design, gains: LoopGains, width: int, current_gains: LoopGains, further: int
 ) -> tuple[QuantisedLoop, dict[PiForm, FixedPi]]:
-    """Integers of a loop in both forms, and what they do to it."""
+    """Integers of a loop in both forms, and what they do to it; ``further`` as of `pi_ranges`."""
     control = design.control
     section = control.speed_loop if gains.loop == "speed" else control.current_loop
     formats = None if section is None else section.q_formats
@@ -269,57 +301,61 @@ def _loop(
         asked = formats if width == 16 else None
         found = None
         if asked is not None and asked != "auto":
-            found = _in_formats(gains.loop, (kp, ki_ts, tracking), asked, form)
-        forms[form] = found or _automatic(gains.loop, (kp, ki_ts, tracking), width, form)
+            found = _in_formats(gains.loop, (kp, ki_ts, tracking), asked, form, further)
+        forms[form] = found or _automatic(gains.loop, (kp, ki_ts, tracking), width, form, further)
     shown = forms["parallel"]
     plain = FixedGain(shown.ki.mantissa, shown.ki.shift + shown.fraction, ki_ts)
     loop = quantised_loop(design, gains, (shown.kp, plain), width, current_gains)
     return loop, forms
 
 
-def _automatic(name: str, values: tuple[float, float, float], width: int, form: PiForm) -> FixedPi:
+def _automatic(
+    name: str, values: tuple[float, float, float], width: int, form: PiForm, further: int
+) -> FixedPi:
     """Mantissas that use the word, and the most fractional bits of the state."""
     kp, ki_ts, tracking = values
-    error, top = 2**width - 1, 2 ** (width - 1)
+    error = 2**width - 1
     proportional = precise_gain(f"kp of {name}", kp, width, error)
     found = None
     for fraction in range(width - 2, -1, -1):
         scale = 2.0**fraction
         try:
             ki = quantise(ki_ts * scale, width, error)
-            back = quantise(tracking * scale, width, top)
+            back = quantise(tracking * scale, width, excess_reach(width, kp, ki_ts, further))
         except NoSolutionError:
             continue
         found = FixedPi(proportional, ki, back, fraction)
-        if pi_ranges(width, name, found, form).overflowing() is None:
+        if pi_ranges(width, name, found, form, further).overflowing() is None:
             return found
     if found is None:
         raise NoSolutionError(
             f"fixed point: ki t_s of {name}, {ki_ts:.4g} per unit, has no format of {width} bits; "
             "use other bases"
         )
-    require(pi_ranges(width, name, found, form))
+    require(pi_ranges(width, name, found, form, further))
     raise AssertionError  # the ranges of the last trial overflow
 
 
 def _in_formats(
-    name: str, values: tuple[float, float, float], formats: tuple[int, int], form: PiForm
+    name: str,
+    values: tuple[float, float, float],
+    formats: tuple[int, int],
+    form: PiForm,
+    further: int,
 ) -> FixedPi:
     """The integers of 16 bits in the formats of the design.
 
     Names the smallest change that would hold.
     """
     kp, ki_ts, tracking = values
-    whole = FixedPi(
-        given(kp, formats[0]), given(ki_ts, formats[1]), quantise(tracking, 16, 2**15), 0
-    )
-    found = finest(16, name, whole, form, formats[1])
+    back = quantise(tracking, 16, excess_reach(16, kp, ki_ts, further))
+    whole = FixedPi(given(kp, formats[0]), given(ki_ts, formats[1]), back, 0)
+    found = finest(16, name, whole, form, formats[1], further)
     if found is not None:
         return found
     trial = with_fraction(whole, 0)
     assert trial is not None
-    section = "speed_loop" if name == "speed" else "current_loop"
-    require(pi_ranges(16, name, trial, form), _cure(name, values, formats, form, section))
+    require(pi_ranges(16, name, trial, form, further), _cure(name, values, formats, form, further))
     raise AssertionError  # some fraction would have held
 
 
@@ -328,9 +364,10 @@ def _cure(
     values: tuple[float, float, float],
     formats: tuple[int, int],
     form: PiForm,
-    section: str,
+    further: int,
 ) -> str:
     """Formats with the fewest bits less that hold, as advice."""
+    section = "speed_loop" if name == "speed" else "current_loop"
     limits = [range(bits, -1, -1) for bits in formats]
     pairs = sorted(((m, n) for m in limits[0] for n in limits[1]), key=lambda pair: -sum(pair))
     for pair in pairs:
@@ -338,17 +375,34 @@ def _cure(
             whole = FixedPi(
                 given(values[0], pair[0]),
                 given(values[1], pair[1]),
-                quantise(values[2], 16, 2**15),
+                quantise(values[2], 16, excess_reach(16, values[0], values[1], further)),
                 0,
             )
         except NoSolutionError:
             continue
-        if finest(16, name, whole, form, pair[1]) is not None:
+        if finest(16, name, whole, form, pair[1], further) is not None:
             return f"write control.{section}.q_formats: [{pair[0]}, {pair[1]}]"
     return (
         "no format of 16 bits holds; use larger bases in control.per_unit, or smaller gains in "
         f"control.{section}"
     )
+
+
+def feed_reach(part: FixedDecoupling, width: int) -> dict[str, int]:
+    """Largest magnitude of the feedforward of both axes in codes, by loop."""
+    top = 2 ** (width - 1)
+    sizes = {"i_d": (part.x_q,), "i_q": (part.x_d, part.back_emf)}
+    return {
+        name: sum(2 + math.ceil(abs(gain.realised) * top) for gain in gains)
+        for name, gains in sizes.items()
+    }
+
+
+def excess_reach(width: int, kp: float, ki_ts: float, further: int) -> int:
+    """Codes that the excess of a limited output stays within: kp e + integral + ki t_s e and
+    ``further`` codes of feedforward less what is left of them.
+    """
+    return math.ceil(1.01 * (abs(kp) + abs(ki_ts)) * 2**width) + 2**width + further
 
 
 def _decoupling(design: Design, width: int) -> FixedDecoupling:

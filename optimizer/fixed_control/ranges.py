@@ -16,18 +16,24 @@ from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, pa
 from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach
 from dqforge.optimizer.fixed_control.gains import scaled
 from dqforge.optimizer.fixed_control.step import (
+    IDLE,
     FixedControl,
     FixedObserver,
     FixedPi,
     Measured,
     ObserverState,
     PiForm,
+    SpeedState,
     VelocityState,
     current_control,
     decouple,
     observe,
+    pi_integral,
+    pi_output,
     pi_step,
+    pi_update,
     pi_velocity,
+    speed_loop,
 )
 from dqforge.optimizer.fixed_control.transforms import Codes, duties, full_scale, rotation
 from dqforge.optimizer.loops.integer_gains import FixedGain
@@ -79,14 +85,25 @@ def codes(width: int) -> Range:
     return Range(-(2 ** (width - 1)), 2 ** (width - 1) - 1)
 
 
-def pi_ranges(width: int, name: str, pi: FixedPi, form: PiForm) -> Ranges:
-    """Ranges of a controller: any error of two codes, any past."""
+def pi_ranges(width: int, name: str, pi: FixedPi, form: PiForm, further: int = 0) -> Ranges:
+    """Ranges of a controller: any error of two codes, any past.
+
+    ``further`` is the largest feedforward in codes that is added before the output is limited.
+    """
     found = Ranges(width, f"{name}: ")
     top = full_scale(width)
     error, limit = Range(1 - 2**width, 2**width - 1), Range(0, top)
     state = Range(-top << pi.fraction, top << pi.fraction)
     if form == "parallel":
         pi_step(found, width, pi, state, error, limit)
+        if not further:
+            return found
+        present = pi_integral(found, pi, state, error)
+        fed = Range(-further, further)
+        output = found.total("output + feedforward", pi_output(found, pi, present, error), fed)
+        kept = found.within(output, limit)
+        excess = found.total("limited - output", kept, found.negative(output))
+        pi_update(found, width, pi, present, excess)
         return found
     silent = Ranges(width)
     last = scaled(silent, "kp e", pi.kp, error)  # what the state can hold of the sample before
@@ -131,6 +148,19 @@ def step_ranges(control: FixedControl) -> Ranges:
     return found
 
 
+def speed_ranges(control: FixedControl) -> Ranges:
+    """Ranges of the speed loop with its filter."""
+    found = Ranges(control.width, "speed loop: ")
+    every, top = codes(control.width), full_scale(control.width)
+    most, fraction = top << (control.width - 2), IDLE.fraction
+    if control.speed is not None:
+        fraction = control.speed["parallel"].fraction
+    integral = Range(-top << fraction, top << fraction)
+    count = Range(0, max(control.ratio - 1, 0))
+    speed_loop(found, control, SpeedState(Range(-most, most), integral, every, count), every, every)
+    return found
+
+
 def control_ranges(control: FixedControl) -> tuple[Reach, ...]:
     """Range of every named product and sum of the emitted functions, in the order of evaluation.
 
@@ -146,6 +176,7 @@ def control_ranges(control: FixedControl) -> tuple[Reach, ...]:
     ]
     if control.observer is not None:
         parts.append(observer_ranges(control.width, control.observer))
+    parts.append(speed_ranges(control))
     parts.append(step_ranges(control))
     for part in parts:
         require(part)
@@ -170,15 +201,17 @@ def require(
         )
 
 
-def finest(width: int, name: str, pi: FixedPi, form: PiForm, most: int) -> FixedPi | None:
+def finest(
+    width: int, name: str, pi: FixedPi, form: PiForm, most: int, further: int = 0
+) -> FixedPi | None:
     """The controller with the most fractional bits of its state, up to ``most``,
     that cannot overflow; None if none.
 
-    ``pi`` has its gains for no fractional bits.
+    ``pi`` has its gains for no fractional bits; ``further`` as of `pi_ranges`.
     """
     for fraction in range(min(most, width - 2), -1, -1):
         trial = with_fraction(pi, fraction)
-        if trial is not None and pi_ranges(width, name, trial, form).overflowing() is None:
+        if trial is not None and pi_ranges(width, name, trial, form, further).overflowing() is None:
             return trial
     return None
 

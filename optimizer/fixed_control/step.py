@@ -8,19 +8,27 @@ observer's state have ``fraction`` more bits than a code and lie in words of twi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Generic, Literal
+from typing import Any, Generic, Literal, Protocol
 
 from dqforge.machines.names import ModulationName, NumberFormat
 from dqforge.machines.transforms import N, Pair, Triple, clarke, park, park_inverse
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded
 from dqforge.optimizer.fixed_control.gains import scaled
+from dqforge.optimizer.fixed_control.shortening import (
+    Seed,
+    longest,
+    newton_steps,
+    reciprocal_seed,
+    root_seed,
+    shortened,
+)
 from dqforge.optimizer.fixed_control.transforms import (
     Codes,
-    SineSteps,
+    TurnSteps,
     duties,
     full_scale,
     rotation,
-    sine_steps,
+    turn_steps,
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
@@ -39,6 +47,13 @@ class FixedPi:
     ki: FixedGain
     tracking: FixedGain
     fraction: int
+
+
+_NONE = FixedGain(0, 0, 0.0)
+
+IDLE = FixedPi(_NONE, _NONE, _NONE, 0)
+
+"""A controller that does nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +82,15 @@ class FixedObserver:
     reach: int
 
 
+class FixedReferences(Protocol):
+    """Current references in integers, in the scales of the control."""
+
+    def currents(self, o: Arithmetic[N, Any], torque: N, v_dc: N, omega: N) -> Pair[N]:
+        """Codes of the currents (d, q) for those of a torque, the dc link and the speed;
+        every code of a word is allowed.
+        """
+
+
 @dataclass(frozen=True, slots=True)
 class FixedControl:
     """Everything that ``<prefix>_control_q15.h`` holds.
@@ -90,6 +114,16 @@ class FixedControl:
         from codes of the speed to codes of the angle.
     i_d, i_q, speed:
         The controllers in both forms; ``speed`` is None where there is none.
+    decoupling, observer:
+        Feedforward of the currents, and the reduced-order observer, None where there is none.
+    speed_filter:
+        Share of a new sample of the speed, from codes to a state with width - 2 more bits.
+    torque_max:
+        Code of the speed controller's limit.
+    ratio:
+        Current samples per speed sample.
+    reference:
+        What makes current references from a torque; None where there is none in integers.
     """
 
     width: int
@@ -104,6 +138,10 @@ class FixedControl:
     speed: dict[PiForm, FixedPi] | None
     decoupling: FixedDecoupling
     observer: FixedObserver | None
+    speed_filter: FixedGain
+    torque_max: int
+    ratio: int
+    reference: FixedReferences | None = None
 
     @property
     def format(self) -> NumberFormat:
@@ -135,9 +173,19 @@ class FixedControl:
         )
 
     @property
-    def sine(self) -> SineSteps:
-        """Integers of the sine."""
-        return sine_steps(self.width)
+    def turn(self) -> TurnSteps:
+        """Integers of sine and cosine."""
+        return turn_steps(self.width)
+
+    @property
+    def seeds(self) -> tuple[Seed, Seed]:
+        """Polynomials of the reciprocal and of the reciprocal root."""
+        return reciprocal_seed(self.width), root_seed(self.width)
+
+    @property
+    def newton(self) -> int:
+        """Steps of Newton's rule after them."""
+        return newton_steps(self.width)
 
     @property
     def loops(self) -> dict[str, dict[PiForm, FixedPi]]:
@@ -152,22 +200,18 @@ def pi_integral(o: Arithmetic[N, Any], pi: FixedPi, integral: N, error: N) -> N:
 
 
 def pi_output(o: Arithmetic[N, Any], pi: FixedPi, integral: N, error: N) -> N:
-    """Output in codes before any limit: kp e + integral + ki t_s e."""
-    state = rounded(o, "integral + ki t_s e", pi_integral(o, pi, integral, error), pi.fraction)
+    """Output in codes before any limit: kp e + the integral of `pi_integral`."""
+    state = rounded(o, "integral + ki t_s e", integral, pi.fraction)
     return o.total("kp e + integral", scaled(o, "kp e", pi.kp, error), state)
 
 
-def pi_update(
-    o: Arithmetic[N, Any], width: int, pi: FixedPi, integral: N, error: N, excess: N
-) -> N:
-    """Next integral: + ki t_s e + tracking excess, clamped to full scale;
+def pi_update(o: Arithmetic[N, Any], width: int, pi: FixedPi, integral: N, excess: N) -> N:
+    """Next integral: that of `pi_integral` + tracking excess, clamped to full scale;
     excess = limited - unlimited output.
     """
     top = full_scale(width)
-    back = scaled(o, "tracking excess", pi.tracking, o.clamp(excess, -top, top))
-    total = o.total(
-        "integral + ki t_s e + tracking excess", pi_integral(o, pi, integral, error), back
-    )
+    back = scaled(o, "tracking excess", pi.tracking, excess)
+    total = o.total("integral + ki t_s e + tracking excess", integral, back)
     return o.clamp(total, -top << pi.fraction, top << pi.fraction)
 
 
@@ -175,10 +219,11 @@ def pi_step(
     o: Arithmetic[N, Any], width: int, pi: FixedPi, integral: N, error: N, limit: N
 ) -> tuple[N, N]:
     """Limited output and next integral."""
-    output = pi_output(o, pi, integral, error)
+    present = pi_integral(o, pi, integral, error)
+    output = pi_output(o, pi, present, error)
     limited = o.within(output, limit)
     excess = o.total("limited - output", limited, o.negative(output))
-    return limited, pi_update(o, width, pi, integral, error, excess)
+    return limited, pi_update(o, width, pi, present, excess)
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,19 +325,6 @@ class ControlStep(Generic[N]):
     voltage_dq: Pair[N]
 
 
-def limited_voltage(
-    o: Arithmetic[N, Any], control: FixedControl, asked: Pair[N], v_dc: N
-) -> Pair[N]:
-    """Voltage (d, q) within the circle of the modulator: d first, q with what the d axis leaves."""
-    limit = o.clamp(scaled(o, "voltage limit", control.limit, v_dc), 0, full_scale(control.width))
-    v_d = o.within(asked.x, limit)
-    square, used = o.product("limit^2", limit, limit), o.product("v_d^2", v_d, v_d)
-    left = o.total("limit^2 - v_d^2", square, o.negative(used))
-    # Changes no number: |v_d| is at most the limit, which a range does not know.
-    rest = o.clamp(left, 0, full_scale(control.width) ** 2)
-    return Pair(v_d, o.within(asked.y, o.root(rest)))
-
-
 def current_control(
     o: Arithmetic[N, Any],
     control: FixedControl,
@@ -310,18 +342,20 @@ def current_control(
         o.total("q error", reference.y, o.negative(current.y)),
     )
     d, q = control.i_d["parallel"], control.i_q["parallel"]
+    present = Pair(pi_integral(o, d, integral.x, error.x), pi_integral(o, q, integral.y, error.y))
     asked = Pair(
-        o.total("v_d", pi_output(o, d, integral.x, error.x), feed.x),
-        o.total("v_q", pi_output(o, q, integral.y, error.y), feed.y),
+        o.total("v_d", pi_output(o, d, present.x, error.x), feed.x),
+        o.total("v_q", pi_output(o, q, present.y, error.y), feed.y),
     )
-    found = limited_voltage(o, control, asked, v_dc)
+    limit = o.clamp(scaled(o, "voltage limit", control.limit, v_dc), 0, longest(width))
+    found = shortened(o, width, asked, limit)
     excess = Pair(
         o.total("v_d excess", found.x, o.negative(asked.x)),
         o.total("v_q excess", found.y, o.negative(asked.y)),
     )
     after = Pair(
-        pi_update(o, width, d, integral.x, error.x, excess.x),
-        pi_update(o, width, q, integral.y, error.y, excess.y),
+        pi_update(o, width, d, present.x, excess.x),
+        pi_update(o, width, q, present.y, excess.y),
     )
     turn = o.total(
         "advanced angle",
@@ -331,3 +365,64 @@ def current_control(
     vector = park_inverse(codes, found, rotation(o, width, o.wrapped(turn, width)))
     duty = duties(o, width, control.modulation, control.dc_scale, vector, v_dc, measured.i)
     return ControlStep(duty, after, vector, current, found)
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedState(Generic[N]):
+    """State of the speed loop: ``filtered`` speed with width - 2 more bits than a code, integral,
+    torque, and current samples since the controller ran.
+    """
+
+    filtered: N
+    integral: N
+    torque: N
+    count: N
+
+
+def filtered_speed(o: Arithmetic[N, Any], control: FixedControl, state: N, omega: N) -> tuple[N, N]:
+    """Next state of the speed's filter, and the speed in codes."""
+    width, fraction = control.width, control.width - 2
+    most = full_scale(width) << fraction
+    lag = o.total("omega - filtered", omega, o.negative(rounded(o, "filtered", state, fraction)))
+    step = scaled(o, "share of omega", control.speed_filter, lag)
+    after = o.clamp(o.total("next filtered", state, step), -most, most)
+    return after, rounded(o, "filtered", after, fraction)
+
+
+def speed_loop(
+    o: Arithmetic[N, Any], control: FixedControl, state: SpeedState[N], omega: N, reference: N
+) -> tuple[SpeedState[N], N]:
+    """State after a current sample, and the filtered speed; ``state.torque`` is the reference.
+
+    The filter runs at every sample, the controller at every ratio-th.
+    """
+    filtered, speed = filtered_speed(o, control, state.filtered, omega)
+    forms = control.speed
+    pi = IDLE if forms is None else forms["parallel"]
+    error = o.total("speed error", reference, o.negative(speed))
+    torque, integral = pi_step(
+        o, control.width, pi, state.integral, error, o.const(control.torque_max)
+    )
+    rests = o.at_least(state.count, o.const(1))
+    count = o.total("speed: count", state.count, o.const(1))
+    again = o.at_least(count, o.const(control.ratio))
+    after = SpeedState(
+        filtered,
+        o.choose(rests, state.integral, integral),
+        o.choose(rests, state.torque, torque),
+        o.choose(again, o.const(0), count),
+    )
+    return after, speed
+
+
+def torque_control(
+    o: Arithmetic[N, Any],
+    control: FixedControl,
+    integral: Pair[N],
+    measured: Measured[N],
+    torque: N,
+) -> tuple[ControlStep[N], Pair[N]]:
+    """One sample with the current references of a torque, which are returned too."""
+    assert control.reference is not None
+    reference = control.reference.currents(o, torque, measured.v_dc, measured.omega)
+    return current_control(o, control, integral, measured, reference), reference

@@ -15,10 +15,11 @@ from typing import Any, ClassVar, Generic
 
 import numpy as np
 
+from dqforge.machines.arrays import FloatArray
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.zero_sequence import zero_sequence_of
 from dqforge.machines.names import ModulationName
-from dqforge.machines.transforms import N, Pair, Triple, clarke_inverse
+from dqforge.machines.transforms import N, Pair, Triple, clarke, clarke_inverse
 from dqforge.optimizer.fixed_control.arithmetic import (
     Arithmetic,
     Integers,
@@ -26,94 +27,144 @@ from dqforge.optimizer.fixed_control.arithmetic import (
     magnitude,
     rounded,
 )
+from dqforge.optimizer.fixed_control.shortening import reciprocal
 
-FIXED_MODULATORS: tuple[ModulationName, ...] = tuple(
-    name for name, modulator in MODULATORS.items() if modulator.in_integers
-)
+FIXED_MODULATORS: tuple[ModulationName, ...] = tuple(MODULATORS)
 
-"""Those of the package's modulators that there are in integers; GDPWM needs the angle of the
-current and is not among them."""
+"""Those of the package's modulators that there are in integers: all."""
 
 
-_SINE_TERMS = {16: 4, 32: 6}
+_TERMS = 5
+_INTERVALS = 128  # of the table of a quarter turn
 _SEED = 20_261_121
 
 
 @dataclass(frozen=True, slots=True)
-class SineSteps:
-    """sin(pi/2 x) = x p(x^2) over a quarter turn, x = code / 2^(width - 2),
-    by Horner's rule in integers.
+class TurnSteps:
+    """Sine and cosine in integers.
 
-    ``leading`` and every step's (constant, shift) as in `FixedSegment`; ``square`` is the shift
-    that makes x^2 a code of 2^(width - 1), ``last`` the shift after the product with x.
+    In 16 bits they are straight lines between the entries of ``table``, sines of a quarter turn in
+    codes; that takes half of the instructions of a polynomial on the least cores. In 32 bits
+    ``table`` is empty: with u = x / 2^(width - 3), x the angle from the nearest quarter turn, they
+    are u p(u^2) and 1 + u^2 q(u^2) by Horner's rule; u^2 is a code of 2^(width - 1), after a shift
+    by ``square``, ``sine`` and ``cosine`` are the coefficients of p and q in codes of 2^width, the
+    highest first.
     """
 
     width: int
-    leading: int
-    steps: tuple[tuple[int, int], ...]
-    square: int
-    last: int
+    square: int = 0
+    sine: tuple[int, ...] = ()
+    cosine: tuple[int, ...] = ()
+    table: tuple[int, ...] = ()
+
+    @property
+    def addends(self) -> tuple[int, ...]:
+        """Coefficients of p but the first at the scale of a product, with half of what the shift
+        leaves.
+        """
+        return tuple(_addend(self.width, c) for c in self.sine[1:])
+
+    @property
+    def cosine_addends(self) -> tuple[int, ...]:
+        """Those of q in the same way."""
+        return tuple(_addend(self.width, c) for c in self.cosine[1:])
+
+
+def _addend(width: int, coefficient: int) -> int:
+    return (coefficient << (width - 1)) + (1 << (width - 2))
+
+
+def _sine_table(width: int) -> tuple[int, ...]:
+    """Sines of a quarter turn, longer by half of what a chord lies below its arc."""
+    step = 0.5 * math.pi / _INTERVALS
+    one = 2.0 ** (width - 1) * (1.0 + step**2 / 16.0)
+    sines = (one * math.sin(k * step) for k in range(_INTERVALS + 1))
+    return tuple(min(round(value), 2 ** (width - 1) - 1) for value in sines)
 
 
 @cache
-def sine_steps(width: int) -> SineSteps:
-    """Integers of the sine: a minimax-like fit at Chebyshev nodes, every coefficient at
-    the finest scale that fits.
-
-    With 4 terms the polynomial itself is within 1.1e-6 of the sine, with 6 within 2e-11,
-    so that rounding decides.
+def turn_steps(width: int) -> TurnSteps:
+    """Integers of sine and cosine; the polynomials are least squares at Chebyshev nodes of u^2,
+    nearly minimax and within 0.1 codes of the functions.
     """
-    terms = _SINE_TERMS[width]
-    nodes = (
-        np.cos((np.arange(8 * terms) + 0.5) * (math.pi / (8 * terms))) * 0.5 + 0.5
-    )  # of x^2, 0 to 1
-    root = np.sqrt(nodes)
-    # Weighted by x: the error of the sine counts, not that of sin/x.
-    matrix = np.polynomial.polynomial.polyvander(nodes, terms - 1) * root[:, None]
-    found = np.linalg.lstsq(matrix, np.sin(0.5 * math.pi * root), rcond=None)[0].tolist()
-    square = width - 1
-    # The constant of a step stands at the scale of the product, which bounds the scale of
-    # the value before the step.
-    scales = [width if width == 16 else width - 2]
-    scales += [width - math.ceil(math.log2(abs(value))) for value in found[:-1]]
-    steps = []
-    for k in range(terms - 2, -1, -1):
-        shift = scales[k + 1] + square - scales[k]
-        steps.append((round(found[k] * 2.0 ** (scales[k + 1] + square)) + (1 << shift >> 1), shift))
-    leading = round(found[-1] * 2.0 ** scales[-1])
-    return SineSteps(width, leading, tuple(steps), width - 3, scales[0] + width - 2 - (width - 1))
+    if width == 16:
+        return TurnSteps(width, table=_sine_table(width))
+    nodes = np.cos((np.arange(64) + 0.5) * (math.pi / 64)) * 0.5 + 0.5  # of u^2, 0 to 1
+    u = np.sqrt(nodes)
+    angle = 0.25 * math.pi * u
 
+    def fitted(values: FloatArray, weight: FloatArray, terms: int) -> tuple[int, ...]:
+        # Weighted by what the polynomial is multiplied with: the error of the result counts.
+        matrix = np.polynomial.polynomial.polyvander(nodes, terms - 1) * weight[:, None]
+        found = np.linalg.lstsq(matrix, values, rcond=None)[0].tolist()
+        return tuple(round(c * 2.0**width) for c in reversed(found))
 
-def quarter_sine(o: Arithmetic[N, Any], width: int, x: N) -> N:
-    """Sine of codes of a quarter turn, 0 to 2^(width - 2), as codes of 2^(width - 1)."""
-    made = sine_steps(width)
-    square = rounded(o, "sine: x^2", o.product("sine: x^2", x, x), made.square)
-    value = o.const(made.leading)
-    for constant, shift in made.steps:
-        value = o.shifted(
-            o.total("sine: sum", o.product("sine: product", value, square), o.const(constant)),
-            shift,
-        )
-    result = rounded(o, "sine: last product", o.product("sine: last product", value, x), made.last)
-    return o.clamp(result, 0, 2 ** (width - 1) - 1)
-
-
-def sine(o: Arithmetic[N, Any], width: int, angle: N) -> N:
-    """Sine of an angle, 0 to 2^width - 1 codes; odd and symmetric to the last bit."""
-    half_turn, quarter = o.const(2 ** (width - 1)), o.const(2 ** (width - 2))
-    inside = o.wrapped(angle, width - 1)
-    x = o.choose(
-        o.at_least(inside, quarter), o.total("sine: fold", half_turn, o.negative(inside)), inside
+    return TurnSteps(
+        width,
+        width - 5,
+        fitted(np.sin(angle), u, _TERMS),
+        fitted(np.cos(angle) - 1.0, nodes, _TERMS - 1),
     )
-    x = o.clamp(x, 0, 2 ** (width - 2))  # changes no number; a range does not know that x is folded
-    value = quarter_sine(o, width, x)
-    return o.choose(o.at_least(angle, half_turn), o.negative(value), value)
+
+
+def _eighth(o: Arithmetic[N, Any], width: int, x: N) -> Pair[N]:
+    """Cosine and sine of an angle from the nearest quarter turn, as codes of 2^(width - 1)."""
+    made = turn_steps(width)
+    square = rounded(o, "turn: u^2", o.product("turn: u^2", x, x), made.square)
+    found = []
+    for coefficients, addends in (
+        (made.cosine, made.cosine_addends),
+        (made.sine, made.addends),
+    ):
+        value = o.const(coefficients[0])
+        for addend in addends:
+            product = o.product("turn: product", value, square)
+            value = o.shifted(o.total("turn: sum", product, o.const(addend)), width - 1)
+        found.append(value)
+    fall = rounded(o, "turn: fall", o.product("turn: fall", found[0], square), width)
+    cosine = o.total("turn: cosine", o.const(2 ** (width - 1)), fall)
+    cosine = o.clamp(cosine, 0, 2 ** (width - 1) - 1)  # 1 has no code; it is never below 0
+    sine = rounded(o, "turn: sine", o.product("turn: sine", found[1], x), width - 2)
+    return Pair(cosine, sine)
+
+
+def _quarter(o: Arithmetic[N, Any], width: int, x: N) -> Pair[N]:
+    """Cosine and sine of an angle within a quarter turn from the table.
+
+    The cosine is the sine of what is left of the quarter, to the last bit: it rounds the other way.
+    """
+    table = turn_steps(width).table
+    bits = width - 2 - int(math.log2(_INTERVALS))
+    index, share, half = o.shifted(x, bits), o.wrapped(x, bits), 1 << (bits - 1)
+    back = o.total("turn: index", o.const(_INTERVALS - 1), o.negative(index))
+    low, high = o.entry(table, index), o.entry(table[1:], index)
+    rise = o.product("turn: rise", o.total("turn: rise", high, o.negative(low)), share)
+    rise = o.shifted(o.total("turn: rise", rise, o.const(half)), bits)
+    below, above = o.entry(table, back), o.entry(table[1:], back)
+    fall = o.product("turn: fall", o.total("turn: fall", above, o.negative(below)), share)
+    fall = o.shifted(o.total("turn: fall", fall, o.const(half - 1)), bits)
+    cosine = o.total("turn: cosine", above, o.negative(fall))
+    sine = o.total("turn: sine", low, rise)
+    # Change no number: between two entries of the table.
+    top = 2 ** (width - 1) - 1
+    return Pair(o.clamp(cosine, 0, top), o.clamp(sine, 0, top))
 
 
 def rotation(o: Arithmetic[N, Any], width: int, angle: N) -> Pair[N]:
-    """Cosine and sine of an angle."""
-    shifted = o.wrapped(o.total("rotation: quarter turn", angle, o.const(2 ** (width - 2))), width)
-    return Pair(sine(o, width, shifted), sine(o, width, angle))
+    """Cosine and sine of an angle, 0 to 2^width - 1 codes."""
+    quarter = o.const(2 ** (width - 2))
+    if turn_steps(width).table:
+        moved = angle
+        cosine, sine = _quarter(o, width, o.wrapped(angle, width - 2))
+    else:
+        half_way = o.const(2 ** (width - 3))
+        moved = o.wrapped(o.total("turn: quarter", angle, half_way), width)
+        x = o.total("turn: from the quarter", o.wrapped(moved, width - 2), o.negative(half_way))
+        cosine, sine = _eighth(o, width, x)
+    odd = o.at_least(o.wrapped(moved, width - 1), quarter)
+    turned = Pair(o.choose(odd, o.negative(sine), cosine), o.choose(odd, cosine, sine))
+    back = o.at_least(moved, o.const(2 ** (width - 1)))
+    return Pair(*(o.choose(back, o.negative(value), value) for value in turned))
 
 
 @cache
@@ -195,7 +246,7 @@ class Codes(Generic[N]):
 
     def saturated(self, a: N) -> N:
         """The code nearest to a."""
-        return self.o.clamp(a, -full_scale(self.width), full_scale(self.width))
+        return self.o.clamp(a, -full_scale(self.width) - 1, full_scale(self.width))
 
     def ratio(self, name: str, a: N, b: N) -> N:
         """Quotient towards zero of a product by a code that is not negative, saturated."""
@@ -210,6 +261,15 @@ class Codes(Generic[N]):
         return self.o.choose(condition, a, b)
 
 
+@dataclass(frozen=True, slots=True)
+class WideCodes(Codes[N]):
+    """Codes that keep what is beyond full scale."""
+
+    def saturated(self, a: N) -> N:
+        """As it is."""
+        return a
+
+
 def duties(
     o: Arithmetic[N, Any],
     width: int,
@@ -222,15 +282,66 @@ def duties(
     """Duty cycles, 0 to 2^(width - 1), for a voltage vector and the dc link,
     whose full scale is 2^scale times larger.
 
-    The vector is divided by the dc link (towards zero) and saturated at it;
+    The vector is divided by the dc link (to nearest) and saturated at it;
     ``v_dc`` must be positive.
     """
     codes, one = Codes(o, width), 2 ** (width - 1)
-    factor = o.const(2 ** (width - 1 - scale))
-    share = [
-        codes.saturated(o.quotient("duties: v / v_dc", o.product("duties: v", value, factor), v_dc))
-        for value in vector
-    ]
-    phase = clarke_inverse(codes, Pair(*share))
-    zero = zero_sequence_of(codes, modulation, phase, i, o.const(one))
+    share = shares(o, width, scale, vector, v_dc)
+    saturating = MODULATORS[modulation].kind == "third-harmonic"
+    phase = clarke_inverse(codes if saturating else WideCodes(o, width), share)
+    turn = None
+    if MODULATORS[modulation].compared == "load angle":
+        turn = integer_load_turn(o, width, vector, clarke(codes, i))
+    seen = None if turn is None else share
+    zero = zero_sequence_of(codes, modulation, phase, i, o.const(one), seen, turn)
     return Triple(*(o.clamp(o.total("duties: sum", value, zero), 0, one) for value in phase))
+
+
+def shares(o: Arithmetic[N, Any], width: int, scale: int, vector: Pair[N], v_dc: N) -> Pair[N]:
+    """A vector over the dc link, whose full scale is 2^scale times larger, to nearest and
+    saturated.
+    """
+    codes, top = Codes(o, width), full_scale(width)
+    m, doubled = o.normalised(o.clamp(v_dc, 1, top), 1 << (width - 2), 1)
+    inverse = reciprocal(o, width, m)
+    places = o.total("duties: places", o.const(width - 2 + scale), o.negative(doubled))
+    alpha, beta = (
+        codes.saturated(
+            o.rounded_by("duties: v / v_dc", o.product("duties: v", x, inverse), places)
+        )
+        for x in vector
+    )
+    return Pair(alpha, beta)
+
+
+def integer_load_turn(
+    o: Arithmetic[N, Any], width: int, voltage: Pair[N], current: Pair[N]
+) -> Pair[N]:
+    """As `load_turn`, but for a common factor: the longer of both is at least half of full scale.
+
+    No angle where voltage times current is below that.
+    """
+    top, name = full_scale(width), "load angle"
+
+    def half(a: N, b: N) -> N:
+        return o.shifted(o.product(name, a, b), 1)
+
+    along = o.total(name, half(voltage.x, current.x), half(voltage.y, current.y))
+    across = o.total(name, half(voltage.y, current.x), o.negative(half(voltage.x, current.y)))
+    across = o.choose(o.at_least(along, o.const(0)), across, o.negative(across))
+    along = magnitude(o, along)
+    size = larger(o, magnitude(o, across), along)
+    known = o.at_least(size, o.const(1 << (width - 2)))
+    places = o.halvings(name, size, top - 1)
+    # Change no number: a range does not know that the larger of both is a code now.
+    along = o.clamp(o.rounded_by(name, along, places), 0, top)
+    across = o.clamp(o.rounded_by(name, across, places), -top, top)
+    part = o.product(name, along, o.const(round(2 ** (width - 1) / math.sqrt(3.0))))
+    most = rounded(o, name, part, width - 1)
+    one = 2 ** (width - 1)
+    side, end = o.const(round(one * math.sqrt(0.75))), o.const(one >> 1)
+    ahead = o.at_least(across, o.total(name, most, o.const(1)))
+    behind = o.at_least(o.negative(across), o.total(name, most, o.const(1)))
+    cosine = o.choose(ahead, side, o.choose(behind, side, along))
+    sine = o.choose(ahead, end, o.choose(behind, o.negative(end), across))
+    return Pair(o.choose(known, cosine, o.const(top)), o.choose(known, sine, o.const(0)))

@@ -12,9 +12,9 @@ from typing import Generic, NamedTuple
 from dqforge.machines.names import CurrentFrame, Feedforward, NumberFormat, Topology
 from dqforge.machines.transforms import N
 from dqforge.optimizer.fixed_control.transforms import (
-    SineSteps,
+    TurnSteps,
     full_scale,
-    sine_steps,
+    turn_steps,
 )
 from dqforge.optimizer.loops.integer_gains import FixedGain
 
@@ -152,9 +152,9 @@ class FixedPhaseControl:
         return full_scale(self.width)
 
     @property
-    def sine(self) -> SineSteps:
-        """Integers of the sine."""
-        return sine_steps(self.width)
+    def turn(self) -> TurnSteps:
+        """Integers of sine and cosine."""
+        return turn_steps(self.width)
 
     @property
     def nodes(self) -> int:

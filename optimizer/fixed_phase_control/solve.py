@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.optimizer.fixed_control.design import FixedControlFit
 from dqforge.optimizer.fixed_control.solve import solve_fixed
+from dqforge.optimizer.fixed_control.step import FixedReferences
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit, fit_phase_control
 
 IntegerFit = FixedControlFit | FixedPhaseFit
 
 
 @on_design("export.control")
-def solve_integers(design: Design, gains: GainSet) -> tuple[IntegerFit, ...]:
+def solve_integers(
+    design: Design,
+    gains: GainSet,
+    torque_max: float | None = None,
+    references: Mapping[int, FixedReferences] | None = None,
+) -> tuple[IntegerFit, ...]:
     """Control functions in the fixed-point formats that the design asks for.
 
-    Errors as `fit_control` and `fit_phase_control`.
+    ``torque_max`` in N m limits the speed loop, ``references`` are current references by the bits
+    of their codes. Errors as `fit_control` and `fit_phase_control`.
     """
     if gains.phases is None:
-        return solve_fixed(design, gains)
+        return solve_fixed(design, gains, torque_max, references)
     widths = [FIXED_WIDTHS[name] for name in design.export.control if name in FIXED_WIDTHS]
     return tuple(fit_phase_control(design, gains.phases.control, width) for width in widths)

@@ -267,7 +267,7 @@ class DriveBox:
             l_q=self.nominal[1] * (1.0 + points.of("l_q")),
             inertia=machine.inertia * (1.0 + points.of("inertia")),
             gain=1.0 + points.of("v_dc"),
-            torque_factor=self._torque_factor(points),
+            torque_factor=self.torque_factor(points),
             back_emf=constant,
         )
         ratio, filter_time = control.speed_loop.ratio, control.speed_loop.filter_time
@@ -275,7 +275,7 @@ class DriveBox:
             variants, machine.friction, control.t_s, current_gains, ratio, filter_time
         )
 
-    def _torque_factor(self, points: BoxPoints) -> FloatArray:
+    def torque_factor(self, points: BoxPoints) -> FloatArray:
         """Torque over commanded torque, shape (M,): by the magnets at no load,
         by all of it at full current.
 

@@ -28,9 +28,10 @@ from dqforge.machines.losses.machine_budget import MachineBudget, WindingHeat, m
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.losses.ripple_iron import ripple_iron_loss
 from dqforge.machines.modulation.dead_time import dead_time_factor
+from dqforge.machines.modulation.low_harmonics import low_harmonics
 from dqforge.machines.modulation.ripple import inverse_inductance
 from dqforge.machines.names import ModulationName
-from dqforge.machines.topologies.linear_range import amplitude_limit
+from dqforge.machines.topologies.linear_range import amplitude_limit, overmodulation_of
 
 PARTS = (
     "copper",
@@ -307,7 +308,47 @@ def waveform_averages(
         if options.ripple_resistance is None
         else inverse_inductance(machine, found.i_d, found.i_q)
     )
-    return bridge_averages(tables, modulation, voltage, current, inverter.v_dc, stiff)
+    method = overmodulation_of(inverter, modulation)
+    return bridge_averages(tables, modulation, voltage, current, inverter.v_dc, stiff, method)
+
+
+def harmonic_square(
+    machine: Machine,
+    inverter: Inverter,
+    found: MachineBudget,
+    omega_m: FloatArray,
+    modulation: ModulationName,
+    options: BudgetOptions,
+) -> FloatArray:
+    """Mean square in A^2 of the low harmonics of a phase current that overmodulation makes at N
+    points, shape (N,); zero where the ripple is left out.
+
+    Parameters
+    ----------
+    machine, inverter:
+        The drive.
+    found:
+        Budget of the machine at the points, arrays of shape (N,) without NaN.
+    omega_m:
+        Mechanical speeds in rad/s, shape (N,).
+    modulation:
+        The modulator.
+    options:
+        What is counted.
+    """
+    method = overmodulation_of(inverter, modulation)
+    if options.ripple_resistance is None or method == "none":
+        return np.zeros_like(found.i_d)
+    harmonics = low_harmonics(
+        method,
+        machine,
+        found.i_d,
+        found.i_q,
+        omega_m,
+        v_dc=inverter.v_dc,
+        voltage=(found.v_d, found.v_q),
+    )
+    return np.square(np.nan_to_num(harmonics.current))
 
 
 def switched_iron(
@@ -361,7 +402,9 @@ def _budget(
     found = machine_budget(
         machine, i_d, i_q, omega_m, loss=options.machine_loss, heat=options.winding
     )
-    average = waveform_averages(machine, inverter, tables, _quiet(found), modulation, options)
+    quiet = _quiet(found)
+    average = waveform_averages(machine, inverter, tables, quiet, modulation, options)
+    low_square = harmonic_square(machine, inverter, quiet, omega_m, modulation, options)
     frequency = carrier[:, None]
     # The share of a carrier period in each of its two gaps.
     gap = inverter.dead_time * frequency
@@ -375,6 +418,7 @@ def _budget(
     )
     ripple_square = average.ripple * (inverter.v_dc / frequency) ** 2
     ripple = 3.0 * found.resistance * (options.ripple_resistance or 0.0) * ripple_square
+    ripple = ripple + 3.0 * found.resistance * low_square
     link_square = np.maximum(average.dc_square - average.dc_current**2, 0.0)
     size = np.hypot(found.i_d, found.i_q)
     error = (
@@ -413,7 +457,7 @@ def _budget(
         "voltage": voltage,
         "voltage_error": error,
         "capacitor_current": np.sqrt(link_square),
-        "ripple_current": np.sqrt(ripple_square),
+        "ripple_current": np.sqrt(ripple_square + low_square),
         "thermal_residual": np.max(np.abs(balance.residual), axis=(0, 1)),
     }
     if inverter.device is None:

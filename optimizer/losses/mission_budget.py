@@ -27,6 +27,7 @@ from dqforge.machines.names import ModulationName
 from dqforge.optimizer.losses.drive_budget import (
     PARTS,
     BudgetOptions,
+    harmonic_square,
     known_bridge,
     switched_iron,
     waveform_averages,
@@ -216,6 +217,9 @@ def _shared(
     voltage = np.hypot(found.v_d, found.v_q) * (1.0 - _VOLTAGE_ROUNDING)
     made = reached & (voltage <= usable_limit(replace(drive.inverter, f_sw=frequencies[0]), name))
     average = waveform_averages(drive.machine, drive.inverter, drive.tables, found, name, options)
+    low_square = harmonic_square(
+        drive.machine, drive.inverter, found, drive.mission.omega_m, name, options
+    )
     missed = drive.mission.lines[~made]
     length, tables, v_dc = drive.mission.length, drive.tables, drive.inverter.v_dc
     link = v_dc * average.dc_current
@@ -252,6 +256,7 @@ def _shared(
             * found.resistance
             * (options.ripple_resistance or 0.0)
         )
+        ripple = ripple + 3.0 * found.resistance * low_square
         powers = bridge | {
             "copper": found.copper,
             "ripple_copper": ripple,

@@ -12,8 +12,9 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
-from dqforge.machines.names import ModulationName, Topology
-from dqforge.machines.topologies.linear_range import amplitude_limit
+from dqforge.machines.modulation.low_harmonics import LowHarmonics, low_harmonics
+from dqforge.machines.names import ModulationName, OvermodulationName, Topology
+from dqforge.machines.topologies.linear_range import amplitude_limit, overmodulation_of
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.operating_points.characteristics import Characteristics
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
@@ -24,7 +25,7 @@ from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_poi
 @dataclass(frozen=True, slots=True)
 class VoltageLimit:
     """Where the voltage limit comes from: modulator, dc link in V, share kept free,
-    the phase amplitude in V, and the topology.
+    the phase amplitude in V, the topology, and the method of overmodulation that is used.
     """
 
     modulation: ModulationName
@@ -32,11 +33,13 @@ class VoltageLimit:
     margin: float
     v_max: float
     topology: Topology = "three-wire"
+    overmodulation: OvermodulationName = "none"
 
     @property
     def made_by(self) -> str:
         """Name of the modulator, or of the topology that has one of its own."""
-        return self.modulation if TOPOLOGIES[self.topology].modulated else self.topology
+        name = self.modulation if TOPOLOGIES[self.topology].modulated else self.topology
+        return name if self.overmodulation == "none" else f"{name} with {self.overmodulation}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +47,15 @@ class DrivePoints:
     """Operating points with their losses, all arrays of shape (N,).
 
     ``power`` is the mechanical power in W, negative where the machine brakes; ``efficiency`` as
-    `efficiency` defines it, NaN without power.
+    `efficiency` defines it, NaN without power. ``harmonics`` is what overmodulation adds, None
+    where there is none.
     """
 
     points: OptimalPoints
     losses: DriveLosses
     power: FloatArray
     efficiency: FloatArray
+    harmonics: LowHarmonics | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,20 +96,21 @@ class OperatingMap:
 def voltage_limit(
     inverter: Inverter, modulation: ModulationName, margin: float = 0.0
 ) -> VoltageLimit:
-    """Largest phase amplitude of the linear range of topology and modulator, less a margin (0 to
-    1) that is kept for control.
+    """Largest phase amplitude of the linear range of topology and modulator, or of overmodulation,
+    less a margin (0 to 1) that is kept for control.
 
     Parameters
     ----------
     inverter:
-        Topology, DC-link voltage and dead time.
+        Topology, DC-link voltage, dead time and overmodulation.
     modulation:
         The modulator.
     margin:
         Share of 0 to 1 that is kept for control.
     """
     most = amplitude_limit(inverter, modulation, margin)
-    return VoltageLimit(modulation, inverter.v_dc, margin, most, inverter.topology)
+    method = overmodulation_of(inverter, modulation)
+    return VoltageLimit(modulation, inverter.v_dc, margin, most, inverter.topology, method)
 
 
 def efficiency(power: FloatArray, loss: FloatArray) -> FloatArray:
@@ -159,7 +165,13 @@ def drive_points(
         extra=extra,
     )
     power = np.asarray(points.torque * points.omega_m)
-    return DrivePoints(points, losses, power, efficiency(power, losses.total))
+    share = efficiency(power, losses.total)
+    if limit.overmodulation == "none":
+        return DrivePoints(points, losses, power, share)
+    harmonics = low_harmonics(
+        limit.overmodulation, machine, points.i_d, points.i_q, points.omega_m, v_dc=limit.v_dc
+    )
+    return DrivePoints(points, losses, power, share, harmonics)
 
 
 def operating_map(

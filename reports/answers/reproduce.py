@@ -16,5 +16,5 @@ def answer_reproduce(paper: str, *, figures: bool) -> Answer:
     if figures:
         stage("drawing")
         drawn = {name: to_svg(draw()).encode("utf-8") for name, draw in found.figures.items()}
-        files = Files(drawn, FIGURES, named=False)
+        files = Files(drawn | found.sources, FIGURES, named=False)
     return Answer(f"paper {paper}", found.tables, found.plain, files=files)

@@ -18,13 +18,19 @@ PI = np.float32(3.1415927)
 """The float next to pi, which lies above it; `wrap` returns less than this."""
 
 
-_EIGHTH, _THREE_EIGHTHS = np.float32(0.7853982), np.float32(2.3561945)
+_SINE = np.array([-0.16666658, 0.008332287, -0.00019525598], dtype=np.float32)
 
 
-_SINE = np.array([-0.1666666, 0.008332445, -0.00019550518], dtype=np.float32)
+_COSINE = np.array([-0.49999887, 0.041655786, -0.0013591051], dtype=np.float32)
 
 
-_COSINE = np.array([0.04166666, -0.0013888152, 0.000024528672], dtype=np.float32)
+_SMALL_SINE = np.array([-0.16666406, 0.0082862], dtype=np.float32)
+
+
+_SMALL_COSINE = np.array([-0.5, 0.0416663, -0.00138272], dtype=np.float32)
+
+
+_ZERO, _ONE, _FAR = np.float32(0.0), np.float32(1.0), np.float32(65536.0)
 
 
 def wrap(theta: SingleArray) -> SingleArray:
@@ -45,35 +51,48 @@ def wrap(theta: SingleArray) -> SingleArray:
 
 
 def rotation(theta: SingleArray) -> tuple[SingleArray, SingleArray]:
-    """Cosine and sine of angles from -pi to pi in rad; largest error 1.2e-7."""
-    back, ahead = theta < -_THREE_EIGHTHS, theta > _THREE_EIGHTHS
-    right, left = ~back & (theta < -_EIGHTH), ~ahead & (theta > _EIGHTH)
-    high, low = np.float32(1.5703125), np.float32(0.0004838268)
-    double_high, double_low = np.float32(3.140625), np.float32(0.0009676536)
-    x = np.select(
-        [ahead, left, back, right],
-        [
-            (theta - double_high) - double_low,
-            (theta - high) - low,
-            (theta + double_high) + double_low,
-            (theta + high) + low,
-        ],
-        theta,
-    )
+    """Cosine and sine of angles in rad; largest error 1.2e-7 from -pi to pi, those of 0 for
+    not-a-number and beyond 65536 rad.
+    """
+    known = np.where(np.abs(theta) < _FAR, theta, _ZERO)
+    quarters = ((known * np.float32(0.63661977)) + np.float32(65536.5)).astype(np.int32)
+    n = (quarters - 65536).astype(np.float32)
+    x = (known - (n * np.float32(1.5703125))) - (n * np.float32(0.0004838268))
     square = x * x
-    sine = x + (x * square) * (((_SINE[2] * square) + _SINE[1]) * square + _SINE[0])
-    cosine = (np.float32(1.0) - np.float32(0.5) * square) + (square * square) * (
-        ((_COSINE[2] * square) + _COSINE[1]) * square + _COSINE[0]
-    )
-    flipped = back | ahead
+    cosine = _ONE + (square * _polynomial(_COSINE, square))
+    sine = x * (_ONE + (square * _polynomial(_SINE, square)))
+    odd, back = (quarters & 1) != 0, (quarters & 2) != 0
+    across, along = np.where(odd, -sine, cosine), np.where(odd, cosine, sine)
     return (
-        np.asarray(
-            np.select([flipped, left, right], [-cosine, -sine, sine], cosine), dtype=np.float32
-        ),
-        np.asarray(
-            np.select([flipped, left, right], [-sine, cosine, -cosine], sine), dtype=np.float32
-        ),
+        np.asarray(np.where(back, -across, across), dtype=np.float32),
+        np.asarray(np.where(back, -along, along), dtype=np.float32),
     )
+
+
+def small_rotation(theta: SingleArray) -> tuple[SingleArray, SingleArray]:
+    """Cosine and sine of angles in rad, by shorter polynomials within 0.4 rad; largest error as of
+    `rotation`.
+    """
+    square = theta * theta
+    cosine = _ONE + (square * _polynomial(_SMALL_COSINE, square))
+    sine = theta * (_ONE + (square * _polynomial(_SMALL_SINE, square)))
+    small, (far_cosine, far_sine) = square <= np.float32(0.16), rotation(theta)
+    return np.where(small, cosine, far_cosine), np.where(small, sine, far_sine)
+
+
+def turned(
+    x: tuple[SingleArray, SingleArray], y: tuple[SingleArray, SingleArray]
+) -> tuple[SingleArray, SingleArray]:
+    """The rotation by the sum of two angles."""
+    return x[0] * y[0] - x[1] * y[1], x[1] * y[0] + x[0] * y[1]
+
+
+def _polynomial(coefficients: SingleArray, x: SingleArray) -> SingleArray:
+    """Horner's rule from the last coefficient on."""
+    value = coefficients[-1]
+    for coefficient in coefficients[-2::-1]:
+        value = coefficient + (x * value)
+    return np.asarray(value, dtype=np.float32)
 
 
 SINGLE = Arithmetic(np.float32, wrap, rotation)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -11,11 +11,11 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_control.design import FixedControlFit
-from dqforge.optimizer.fixed_control.step import FixedControl
+from dqforge.optimizer.fixed_control.step import IDLE, FixedControl
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
-from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.c_code.title import title
+from dqforge.reports.control.fixed_basics import fixed_basics
 from dqforge.reports.control.fixed_model import input_names, output_names, row_inputs, row_results
 from dqforge.reports.observers.speed_loop_text import margin_words
 from dqforge.reports.pages.templating import render
@@ -28,8 +28,10 @@ _LOOP_NAMES = {"i_d": "ID", "i_q": "IQ", "speed": "SPEED"}
 
 
 def plain_fixed_control(control: FixedControl) -> PlainData:
-    """The integers as plain data."""
-    return asdict(control)
+    """The integers as plain data; of a reference, that there is one (it stands in its own
+    header).
+    """
+    return asdict(replace(control, reference=None)) | {"reference": control.reference is not None}
 
 
 def _scales(control: FixedControl) -> list[PlainData]:
@@ -111,20 +113,14 @@ def _preamble(fit: FixedControlFit, design: Design) -> list[str]:
 def control_fixed_context(design: Design, fit: FixedControlFit) -> PlainData:
     """Everything that the header prints, as plain data."""
     control, bits = fit.control, fit.control.width - 1
-    error = rounded_up(fit.sine_error)
-    found = "exhaustive" if control.width == 16 else "sampled"
     return {
         **title(design),
-        "format": control.format,
-        "width": control.width,
-        "top": control.top,
+        **fixed_basics(control.turn, fit.sine_error),
         "preamble": _preamble(fit, design),
         "scales": _scales(control),
-        "sine": asdict(control.sine),
-        "sine_error": f"; error at most {error} codes ({found})",
-        "third": round(2**bits / 3),
-        "inverse_root": round(2**bits / math.sqrt(3.0)),
-        "half_root": round(2**bits * math.sqrt(0.75)),
+        "reciprocal": asdict(control.seeds[0]),
+        "root": asdict(control.seeds[1]),
+        "newton": control.newton,
         "two_thirds": round(2**bits * 2 / 3),
         "modulator": MODULATORS[control.modulation],
         "third_share": round(2**bits * 4 * MODULATORS[control.modulation].share),
@@ -132,6 +128,11 @@ def control_fixed_context(design: Design, fit: FixedControlFit) -> PlainData:
         "dc_least": control.dc_least,
         "limit": asdict(control.limit),
         "advance": asdict(control.advance),
+        "speed_filter": asdict(control.speed_filter),
+        "torque_max": control.torque_max,
+        "ratio": control.ratio,
+        "reference": control.reference is not None,
+        "idle": asdict(IDLE),
         "loops": {
             _LOOP_NAMES[k]: {f: asdict(pi) for f, pi in forms.items()}
             for k, forms in control.loops.items()

@@ -12,16 +12,20 @@ import numpy as np
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_control.step import (
+    ControlStep,
     FixedControl,
     FixedPi,
     Measured,
     ObserverState,
+    SpeedState,
     VelocityState,
     current_control,
     decouple,
     observe,
     pi_step,
     pi_velocity,
+    speed_loop,
+    torque_control,
 )
 from dqforge.optimizer.fixed_control.transforms import Codes, full_scale, rotation
 
@@ -29,6 +33,12 @@ _LOOP_INPUTS = ("integral", "output", "proportional")
 
 
 _LOOP_OUTPUTS = ("limited", "integral", "velocity", "output", "proportional")
+
+
+_SPEED_INPUTS = ("filtered", "torque", "count", "speed_ref")
+
+
+_SPEED_OUTPUTS = ("torque", "filtered", "omega", "integral", "count")
 
 
 _STEP_OUTPUTS = (
@@ -65,6 +75,7 @@ def input_names(control: FixedControl) -> tuple[str, ...]:
         "limit",
     ]
     names += [f"{loop}_{part}" for loop in control.loops for part in _LOOP_INPUTS]
+    names += _SPEED_INPUTS
     return (
         *names,
         *(("zeta", "omega_hat", "last_d", "last_q") if control.observer is not None else ()),
@@ -77,7 +88,12 @@ def output_names(control: FixedControl) -> tuple[str, ...]:
     names += ["park_d", "park_q", "back_alpha", "back_beta", "feed_d", "feed_q"]
     names += [f"{loop}_{part}" for loop in control.loops for part in _LOOP_OUTPUTS]
     names += ["next_zeta", "next_omega_hat"] if control.observer is not None else []
-    return (*names, *(f"step_{part}" for part in _STEP_OUTPUTS))
+    names += [f"speed_loop_{part}" for part in _SPEED_OUTPUTS]
+    names += [f"step_{part}" for part in _STEP_OUTPUTS]
+    if control.reference is not None:
+        names += [f"torque_{part}" for part in ("ref_d", "ref_q", *_STEP_OUTPUTS)]
+        names += [f"whole_{part}" for part in _STEP_OUTPUTS]
+    return tuple(names)
 
 
 def proportional_reach(control: FixedControl, pi: FixedPi) -> int:
@@ -97,6 +113,8 @@ def _columns(control: FixedControl) -> dict[str, tuple[int, int]]:
             found[f"{loop}_{name}"] = (-top << pi.fraction, top << pi.fraction)
         most = proportional_reach(control, forms["velocity"])
         found[f"{loop}_proportional"] = (-most, most)
+    fine = top << (width - 2)
+    found |= {"filtered": (-fine, fine), "count": (0, control.ratio - 1)}
     if control.observer is not None:
         most = control.observer.reach * top << control.observer.fraction
         found["zeta"] = (-most, most)
@@ -124,7 +142,25 @@ def row_inputs(control: FixedControl, count: int, seed: int) -> CodeArray:
         rows[:, names.index("theta")] = (
             np.arange(count) * 40_503
         ) % 65_536  # an odd step: all of them in turn
+    _calm(control, rows, generator)
     return rows
+
+
+def _calm(control: FixedControl, rows: CodeArray, generator: np.random.Generator) -> None:
+    """Let the references of a sixth of the rows be near the currents, at a part of the integrals,
+    so that the voltage is within its limit and just beyond it.
+    """
+    names, o = input_names(control), Integers()
+    some = rows[: rows.shape[0] // 6]
+    column = {name: some[:, k] for k, name in enumerate(names)}
+    codes, top = Codes(o, control.width), full_scale(control.width)
+    fixed = clarke(codes, Triple(column["i_a"], column["i_b"], column["i_c"]))
+    current = park(codes, fixed, rotation(o, control.width, column["theta"]))
+    for name, value in (("ref_d", current.x), ("ref_q", current.y)):
+        noise = np.rint(generator.normal(size=value.shape) * top / 300).astype(np.int64)
+        column[name][:] = np.clip(value + noise, -top - 1, top)
+    for name in ("i_d_integral", "i_q_integral", "omega"):
+        column[name][:] //= 4
 
 
 def _balance(rows: CodeArray, generator: np.random.Generator, top: int) -> None:
@@ -176,7 +212,21 @@ def _results(o: Integers, control: FixedControl, x: dict[str, CodeArray]) -> Ite
         yield from (seen.zeta, seen.omega)
     measured = Measured(phases, x["theta"], x["omega"], x["v_dc"])
     integral = Pair(x["i_d_integral"], x["i_q_integral"])
-    step = current_control(o, control, integral, measured, Pair(x["ref_d"], x["ref_q"]))
-    yield from (step.duty.a, step.duty.b, step.duty.c)
+    kept = np.zeros_like(x["count"]) if control.speed is None else x["speed_integral"]
+    before_speed = SpeedState(x["filtered"], kept, x["torque"], x["count"])
+    after, speed = speed_loop(o, control, before_speed, x["omega"], x["speed_ref"])
+    yield from (after.torque, after.filtered, speed, after.integral, after.count)
+    reference = Pair(x["ref_d"], x["ref_q"])
+    yield from _step(current_control(o, control, integral, measured, reference))
+    if control.reference is not None:
+        step, found = torque_control(o, control, integral, measured, x["torque"])
+        yield from (found.x, found.y)
+        yield from _step(step)
+        yield from _step(torque_control(o, control, integral, measured, after.torque)[0])
+
+
+def _step(step: ControlStep[CodeArray]) -> Iterator[CodeArray]:
+    """Columns of a step, as `_STEP_OUTPUTS`."""
+    yield from step.duty
     for pair in (step.integral, step.voltage, step.current_dq, step.voltage_dq):
-        yield from (pair.x, pair.y)
+        yield from pair

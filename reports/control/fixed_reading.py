@@ -16,6 +16,7 @@ from dqforge.optimizer.fixed_control.step import (
     FixedDecoupling,
     FixedObserver,
     FixedPi,
+    FixedReferences,
     PiForm,
 )
 from dqforge.optimizer.fixed_control.transforms import full_scale
@@ -26,9 +27,13 @@ NOT_OURS = InputError(
 )
 
 
-def fixed_control_from(plain: Mapping[str, Any], width: int) -> FixedControl:
+def fixed_control_from(
+    plain: Mapping[str, Any], width: int, reference: FixedReferences | None = None
+) -> FixedControl:
     """Read control functions in words of ``width`` bits back, and prove again that nothing
     overflows.
+
+    ``reference`` are the current references of their own header, where they have some.
 
     Raises
     ------
@@ -42,7 +47,7 @@ def fixed_control_from(plain: Mapping[str, Any], width: int) -> FixedControl:
             bases=(current, voltage, speed, torque),
             modulation=one_of(
                 plain["modulation"],
-                tuple(name for name in MODULATORS if MODULATORS[name].in_integers),
+                tuple(MODULATORS),
             ),
             dc_scale=whole(plain["dc_scale"], 0, 8),
             dc_least=whole(plain["dc_least"], 1, full_scale(width)),
@@ -55,7 +60,12 @@ def fixed_control_from(plain: Mapping[str, Any], width: int) -> FixedControl:
                 **{k: gain_from(v, width) for k, v in plain["decoupling"].items()}
             ),
             observer=None if plain["observer"] is None else _observer(plain["observer"], width),
+            speed_filter=gain_from(plain["speed_filter"], width),
+            torque_max=whole(plain["torque_max"], 0, full_scale(width)),
+            ratio=whole(plain["ratio"], 1, 2**31 - 1),
+            reference=reference,
         )
+        one_of(int(plain["reference"]), (int(reference is not None),))
         control_ranges(found)
     except (KeyError, TypeError, ValueError, AttributeError, NoSolutionError):
         raise NOT_OURS from None

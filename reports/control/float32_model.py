@@ -14,19 +14,24 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.modulation.hexagon import overmodulated
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.zero_sequence import load_turn, zero_sequence_of
-from dqforge.machines.names import ModulationName
+from dqforge.machines.names import ModulationName, OvermodulationName
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.current_reference.forms import FloatReference
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.field_weakening.drop_reference import DropReference
-from dqforge.reports.c_code.float32_functions import SINGLE, rotation, wrap
+from dqforge.reports.c_code.float32_functions import SINGLE, rotation, small_rotation, turned
+from dqforge.reports.control.reference_model import ReferenceModel, ReferenceState
 
 Singles = tuple[SingleArray, ...]
 
 
-_UNKNOWN = np.float32(1.0e15)  # beyond, and not-a-number
+_UNKNOWN, _UNKNOWN_SQUARE = np.float32(1.0e15), np.float32(1.0e30)  # beyond, and not-a-number
+
+
+_INSIDE = np.float32(0.999999)  # whose rounding keeps all duty cycles within 0 to 1
 
 
 _HALF, _ZERO, _ONE = np.float32(0.5), np.float32(0.0), np.float32(1.0)
@@ -44,6 +49,7 @@ class ControlState:
     omega_m: SingleArray
     torque: SingleArray
     count: NDArray[np.uint32]
+    moving: ReferenceState
 
     @classmethod
     def start(cls, count: int) -> ControlState:
@@ -53,6 +59,7 @@ class ControlState:
             zeros[0], zeros[1], zeros[2], (zeros[3], zeros[4]), (zeros[5], zeros[6]), zeros[7],
             zeros[8],
             np.zeros(count, dtype=np.uint32),
+            ReferenceState.start(count),
         )  # fmt: skip
 
 
@@ -73,6 +80,12 @@ class ControlModel:
         Current references of the torque.
     weakening:
         Current references of torque, voltage and speed, None where there are none.
+    overmodulation:
+        What becomes of a voltage beyond the circle in the hexagon.
+    reference_share:
+        What the references have of the controllers' voltage; the rest is kept free for control.
+    moving:
+        Slopes of the references and voltage feedback, None where there are none.
     """
 
     gains: Mapping[str, Any]
@@ -80,6 +93,9 @@ class ControlModel:
     modulation: ModulationName
     reference: FloatReference
     weakening: DropReference | None = None
+    overmodulation: OvermodulationName = "none"
+    reference_share: np.float32 = _ONE
+    moving: ReferenceModel | None = None
 
     def duties(
         self, voltage: Pair[SingleArray], v_dc: SingleArray, current: Pair[SingleArray]
@@ -100,48 +116,60 @@ class ControlModel:
         omega_e = gains["pole_pairs"] * omega_m
         v_max = gains["voltage_share"] * v_dc
         current = clarke(SINGLE, Triple(i_a, i_b, i_c))
-        i_d, i_q = park(SINGLE, current, rotation(wrap(theta)))
+        now, ahead = rotation(theta), small_rotation(omega_e * gains["advance"])
+        i_d, i_q = park(SINGLE, current, now)
         error_d, error_q = reference[0] - i_d, reference[1] - i_q
-        wanted_d = _pi_output(gains["d"], state.d, error_d) - (omega_e * (gains["l_q"] * i_q))
-        wanted_q = _pi_output(gains["q"], state.q, error_q) + (
+        integral_d = state.d + (gains["d"][1] * error_d)
+        integral_q = state.q + (gains["q"][1] * error_q)
+        wanted_d = ((gains["d"][0] * error_d) + integral_d) - (omega_e * (gains["l_q"] * i_q))
+        wanted_q = ((gains["q"][0] * error_q) + integral_q) + (
             omega_e * ((gains["l_d"] * i_d) + gains["psi_pm"])
         )
-        length = np.sqrt((wanted_d * wanted_d) + (wanted_q * wanted_q))
-        beyond = length > v_max
-        share = np.where(beyond, v_max / np.where(beyond, length, _ONE), _ONE)
-        known = (length < _UNKNOWN) & (v_max >= _ZERO)
+        square = (wanted_d * wanted_d) + (wanted_q * wanted_q)
+        told = (square < _UNKNOWN_SQUARE) & (v_max >= _ZERO)
+        state.moving.square = np.where(told, square, state.moving.square)
+        within = (square - (v_max * np.abs(v_max))) <= _ZERO
+        short = ~within & (square < _UNKNOWN_SQUARE) & (v_max >= _ZERO)
+        share = np.where(short, v_max / np.sqrt(np.where(short, square, _ONE)), _ONE)
+        known = within | short
         v_d, v_q = (
             np.where(known, share * wanted_d, _ZERO),
             np.where(known, share * wanted_q, _ZERO),
         )
-        next_d = state.d + ((gains["d"][1] * error_d) + (gains["d"][2] * (v_d - wanted_d)))
-        next_q = state.q + ((gains["q"][1] * error_q) + (gains["q"][2] * (v_q - wanted_q)))
+        back_d, back_q = gains["d"][2] * (v_d - wanted_d), gains["q"][2] * (v_q - wanted_q)
+        next_d = np.where(short, integral_d + back_d, integral_d)
+        next_q = np.where(short, integral_q + back_q, integral_q)
         state.d, state.q = np.where(known, next_d, state.d), np.where(known, next_q, state.q)
         state.reference = reference
-        turn = rotation(wrap(theta + (omega_e * gains["advance"])))
-        state.v = voltage = park_inverse(SINGLE, (v_d, v_q), turn)
+        voltage = park_inverse(SINGLE, (v_d, v_q), turned(now, ahead))
+        state.v = voltage = overmodulated(self.overmodulation, voltage, v_dc)
+        if MODULATORS[self.modulation].kind == "centred" and self.overmodulation == "none":
+            return centred_duties(voltage, v_dc)
         return self.duties(voltage, v_dc, current)
 
     def torque_control(
         self, state: ControlState, measured: SingleArray, torque: SingleArray
     ) -> Singles:
         """Duty cycles for a torque in N m."""
-        state.torque = torque
+        asked = torque if self.moving is None else self.moving.ramped_torque(state.moving, torque)
+        v_max = self.gains["voltage_share"] * measured[:, 5]
         if self.weakening is None:
-            return self.current_control(state, measured, self.reference.currents(torque))
-        v_max, omega_e = (
-            self.gains["voltage_share"] * measured[:, 5],
-            self.gains["pole_pairs"] * measured[:, 4],
-        )
-        return self.current_control(
-            state, measured, self.weakening.currents(torque, v_max, omega_e)
-        )
+            reference: Singles = self.reference.currents(asked)
+        else:
+            omega_e = self.gains["pole_pairs"] * measured[:, 4]
+            reference = self.weakening.currents(asked, self.reference_share * v_max, omega_e)
+        state.torque = torque
+        if self.moving is not None:
+            reference = self.moving.weakened(state.moving, v_max, reference)
+            reference = self.moving.ramped_current(state.moving, reference)
+        return self.current_control(state, measured, reference)
 
     def speed_loop(
         self, state: ControlState, omega_m: SingleArray, reference: SingleArray
     ) -> SingleArray:
         """Torque reference in N m for a speed in rad/s."""
-        return speed_loop(self.gains, self.ratio, state, omega_m, reference)
+        step = None if self.moving is None else self.moving.torque_step
+        return speed_loop(self.gains, self.ratio, state, omega_m, reference, step)
 
     def speed_control(
         self, state: ControlState, measured: SingleArray, reference: SingleArray
@@ -166,6 +194,7 @@ def speed_loop(
     state: SpeedLoopState,
     omega_m: SingleArray,
     reference: SingleArray,
+    torque_step: np.float32 | None = None,
 ) -> SingleArray:
     """Torque reference in N m, as ``<prefix>_speed_loop``.
 
@@ -179,6 +208,8 @@ def speed_loop(
         What the loop keeps; it is changed.
     omega_m, reference:
         Mechanical speed and its reference in rad/s, shape (N,).
+    torque_step:
+        Largest change of the torque per current sample in N m, None where there is no limit.
     """
     _, ki_ts, tracking = gains["speed"]
     most = gains["torque_max"]
@@ -187,10 +218,14 @@ def speed_loop(
     due = (state.count == 0) & (np.abs(reference) < _UNKNOWN)
     error = reference - state.omega_m
     wanted = _pi_output(gains["speed"], state.speed, error)
-    limited = np.where(wanted > most, most, np.where(wanted < -most, -most, wanted))
-    step = state.speed + ((ki_ts * error) + (tracking * (limited - wanted)))
+    high, low = most, -most
+    if torque_step is not None:
+        step = np.float32(ratio) * torque_step
+        high, low = np.minimum(state.torque + step, most), np.maximum(state.torque - step, -most)
+    limited = np.where(wanted > high, high, np.where(wanted < low, low, wanted))
+    integral = state.speed + ((ki_ts * error) + (tracking * (limited - wanted)))
     state.torque = np.where(due, limited, state.torque)
-    state.speed = np.where(due, step, state.speed)
+    state.speed = np.where(due, integral, state.speed)
     state.count = np.where(state.count + 1 < ratio, state.count + 1, 0).astype(np.uint32)
     return state.torque
 
@@ -212,6 +247,9 @@ def three_leg_duties(
     v_dc:
         DC-link voltage in V, shape (N,).
     """
+    if MODULATORS[modulation].kind == "centred":
+        duty = centred_duties(voltage, v_dc)
+        return tuple(np.where(v_dc > _ZERO, one, _HALF) for one in duty)
     v = clarke_inverse(SINGLE, voltage)
     compares_currents = MODULATORS[modulation].compared == "currents"
     i = clarke_inverse(SINGLE, current) if compares_currents else v
@@ -220,7 +258,38 @@ def three_leg_duties(
     powered = v_dc > _ZERO
     scale = np.where(powered, _ONE / np.where(powered, v_dc, _ONE), _ZERO)
     duty = (np.where(powered, (phase + zero) * scale, _HALF) for phase in v)
-    return tuple(np.where(one > _ONE, _ONE, np.where(one > _ZERO, one, _ZERO)) for one in duty)
+    return tuple(_clamped(one) for one in duty)
+
+
+def _clamped(duty: SingleArray) -> SingleArray:
+    """Within 0 to 1; 0 for not-a-number."""
+    return np.where(duty > _ONE, _ONE, np.where(duty > _ZERO, duty, _ZERO))
+
+
+def centred_duties(voltage: Pair[SingleArray], v_dc: SingleArray) -> Singles:
+    """Duty cycles of three legs with a centred zero sequence, as ``<prefix>_centred_duties``.
+
+    Parameters
+    ----------
+    voltage:
+        Alpha and beta in V, shape (N,); 0 where ``v_dc`` is not above 0.
+    v_dc:
+        DC-link voltage in V, shape (N,).
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = _ONE / v_dc
+        alpha = scale * voltage.x
+        middle = -_HALF * alpha
+        side = np.float32(0.8660254) * (scale * voltage.y)
+        high, low = middle + np.abs(side), middle - np.abs(side)
+        above = alpha > high
+        below = ~above & (alpha < low)
+        high, low = np.where(above, alpha, high), np.where(below, alpha, low)
+        zero = _HALF - (_HALF * (high + low))
+        duty = alpha + zero, (middle + side) + zero, (middle - side) + zero
+        inside = (high + zero) <= _INSIDE
+    beyond = (np.where(v_dc > _ZERO, _clamped(one), _HALF) for one in duty)
+    return tuple(np.where(inside, one, other) for one, other in zip(duty, beyond, strict=True))
 
 
 def _turn(

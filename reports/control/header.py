@@ -11,10 +11,16 @@ from typing import Any
 
 import numpy as np
 
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.settings import filter_share
 from dqforge.machines.errors import InputError
+from dqforge.machines.modulation.hexagon import LEAST_HOLD, METHODS, SIX_STEP
 from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.machines.topologies.linear_range import fundamental_share
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.optimizer.dynamic_references.solve import DynamicReferences
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.harness import Programme
@@ -22,8 +28,10 @@ from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.c_code.read_back import single_from
 from dqforge.reports.c_code.title import title
 from dqforge.reports.control.float32_model import ControlModel, ControlState
+from dqforge.reports.control.reference_model import reference_model
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.field_weakening.header import weakening_from
+from dqforge.reports.loops.proven_text import proven_lines
 from dqforge.reports.loops.stability_text import stability_lines
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
@@ -92,8 +100,7 @@ def plain_control(solution: Solution) -> PlainData:
         "l_d": machine.l_d,
         "l_q": machine.l_q,
         "psi_pm": machine.psi_pm,
-        "voltage_share": MODULATORS[operation.modulation].linear_limit
-        * (1.0 - operation.voltage_margin),
+        "voltage_share": _controlled_share(design),
         "advance": 1.5 * control.t_s,
         "torque_max": float(solution.reference.torque_max),
         "speed_filter": speed_filter(
@@ -102,6 +109,8 @@ def plain_control(solution: Solution) -> PlainData:
     }
     return {
         "modulation": operation.modulation,
+        **_plain_overmodulation(design),
+        **_plain_references(solution.gains.references),
         "weakening": solution.weakening is not None,
         "ratio": 1 if settings is None else settings.ratio,
         "d": _pi(solution.gains.i_d),
@@ -111,11 +120,51 @@ def plain_control(solution: Solution) -> PlainData:
     }
 
 
+def _controlled_share(design: Design) -> float:
+    """Largest fundamental of the current controllers over the dc link.
+
+    With overmodulation the margin is kept free for them, who answer its harmonics; else they keep
+    to what the references have.
+    """
+    share = fundamental_share(design.inverter, design.operation.modulation)
+    if design.inverter.overmodulation != "none":
+        return share
+    return share * (1.0 - design.operation.voltage_margin)
+
+
+def _plain_overmodulation(design: Design) -> PlainData:
+    """Method, and what of the controllers' voltage the references get; empty without."""
+    method, margin = design.inverter.overmodulation, design.operation.voltage_margin
+    if method == "none":
+        return {}
+    return {"overmodulation": method, "reference_share": shortest(np.float32(1.0 - margin))}
+
+
+def _plain_references(found: DynamicReferences | None) -> PlainData:
+    """Members of ``<prefix>_reference_gains_t`` by name, None where one is not asked for."""
+    if found is None:
+        return {}
+    feedback = found.feedback
+    members = {
+        "torque_step": found.torque_step,
+        "current_step": found.current_step,
+        "feedback": None if feedback is None else feedback.gain / (2.0 * feedback.voltage),
+        "feedback_max": None if feedback is None else feedback.current,
+        "i_max": None if feedback is None else feedback.i_max,
+    }
+    return {
+        "references": {
+            name: None if value is None or not math.isfinite(value) else shortest(np.float32(value))
+            for name, value in members.items()
+        }
+    }
+
+
 def speed_filter(filter_time: float, t_s: float) -> float:
     """Share of a new sample in the sampled first-order filter of a time constant in s: 1 -
     exp(-t_s/filter_time).
     """
-    return 1.0 if filter_time <= 0.0 else -math.expm1(-t_s / filter_time)
+    return filter_share(filter_time, t_s)
 
 
 def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> ControlModel:
@@ -132,6 +181,9 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
         }
         gains |= {name: single_from(described[name]) for name in _NUMBERS}
         modulation, ratio = described["modulation"], described["ratio"]
+        method = described.get("overmodulation", "none")
+        moving = reference_model(described.get("references"))
+        left = single_from(described.get("reference_share", 1.0))
         reference = from_plain(whole["header"]["reference"])
         weakening = weakening_from(whole["weakening_header"]) if described["weakening"] else None
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -140,9 +192,9 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
     triples = all(len(gains[name]) == 3 for name in _PIS)
     if modulation not in tuple(MODULATORS) or not whole_ratio or not triples:
         raise _FAULT
-    if isinstance(reference, FixedReference):
+    if isinstance(reference, FixedReference) or method not in ("none", *METHODS):
         raise _FAULT
-    return ControlModel(gains, ratio, modulation, reference, weakening)
+    return ControlModel(gains, ratio, modulation, reference, weakening, method, left, moving)
 
 
 def control_inputs(model: ControlModel) -> SingleArray:
@@ -173,6 +225,8 @@ def control_inputs(model: ControlModel) -> SingleArray:
     rows[..., 7] = np.where(
         rows[..., 0] == 2, speed * generator.uniform(0.0, 2.0, shape), rows[..., 7]
     )
+    if model.overmodulation != "none":
+        _run_near_six_step(model, rows, generator)
     rows[:3, :, 1:4] = 0.0  # references and voltages that are exactly equal
     rows[2, :, 7:] = 0.0
     rows[5, :, 6] = 0.0  # no DC-link voltage
@@ -184,6 +238,20 @@ def control_inputs(model: ControlModel) -> SingleArray:
         np.eye(8, dtype=np.bool_)[:, np.newaxis], np.inf, rows[20:28][..., columns]
     )
     return np.ascontiguousarray(rows.reshape(-1, 9), dtype=np.float32)
+
+
+def _run_near_six_step(
+    model: ControlModel, rows: FloatArray, generator: np.random.Generator
+) -> None:
+    """Let the second half of the steps need little more than the back-EMF, about the voltages
+    between the linear range and six-step operation.
+    """
+    quiet = rows[_STEPS // 2 :]
+    quiet[..., 1:4] *= 0.003
+    quiet[..., 7:] *= 0.003
+    share = generator.uniform(0.5, 0.7, quiet.shape[:2])
+    flux = float(model.gains["pole_pairs"]) * max(float(model.gains["psi_pm"]), 1e-3)
+    quiet[..., 5] = np.sign(quiet[..., 5]) * share * quiet[..., 6] / flux
 
 
 def control_results(model: ControlModel, inputs: SingleArray) -> SingleArray:
@@ -234,7 +302,18 @@ def _gain_lines(plain: PlainData) -> list[tuple[str, str]]:
         for name in _PIS
     ]
     numbers = [(float_literal(plain[name]), f"{name}, {_COMMENTS[name]}") for name in _NUMBERS]
-    return [*triples, *numbers, (f"{plain['ratio']}U", "current samples per speed sample")]
+    lines = [*triples, *numbers, (f"{plain['ratio']}U", "current samples per speed sample")]
+    moving = _moving(plain)
+    if moving:
+        values = ", ".join(float_literal(value) for value in moving.values())
+        lines.append(("{ " + values + " }", "references: " + ", ".join(moving)))
+    return lines
+
+
+def _moving(plain: Mapping[str, Any]) -> dict[str, float]:
+    """Members of ``<prefix>_reference_gains_t`` that there are, in their order."""
+    members = plain.get("references") or {}
+    return {name: value for name, value in members.items() if value is not None}
 
 
 def control_files(solution: Solution) -> dict[str, bytes]:
@@ -251,6 +330,11 @@ def control_files(solution: Solution) -> dict[str, bytes]:
         **title(design),
         "weakening": plain["weakening"],
         "modulator": MODULATORS[plain["modulation"]],
+        "overmodulation": METHODS.get(plain.get("overmodulation", "none")),
+        "reference_share": plain.get("reference_share", 1.0) != 1.0 and plain["reference_share"],
+        "six_step": SIX_STEP,
+        "least_hold": LEAST_HOLD,
+        "dynamic": plain.get("references"),
         "gains": _gain_lines(plain),
         "preamble": [
             (
@@ -267,6 +351,7 @@ def control_files(solution: Solution) -> dict[str, bytes]:
             ),
             "Compile with -ffp-contract=off to equal the model bit for bit.",
             *stability_lines(solution.loops, solution.design.machine.pole_pairs),
+            *proven_lines(solution.loops),
         ],
     }
     return {f"{prefix}_control.h": render("control/control.h.j2", context).encode("ascii")}
@@ -277,4 +362,5 @@ def gain_bytes(plain: Mapping[str, Any]) -> bytes:
     `plain_control` makes them.
     """
     numbers = [value for name in _PIS for value in plain[name]] + [plain[name] for name in _NUMBERS]
-    return struct.pack(f"={len(numbers)}fI", *numbers, plain["ratio"])
+    moving = _moving(plain).values()
+    return struct.pack(f"={len(numbers)}fI{len(moving)}f", *numbers, plain["ratio"], *moving)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
 from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind
 from dqforge.reports.capability import Capability, Draw, Outcome, Quantity, ReportPart, Rows, Tile
@@ -166,6 +167,12 @@ NO_LOOPS = Capability(
     sentences=lambda _, why: [f"There are no control loops: {why}."],
 )
 
+
+def _gains_files(solution: Solution, schedule: GainSchedule) -> dict[str, bytes]:
+    assert solution.loops is not None
+    return gains_files(solution.design, solution.loops, schedule)
+
+
 GAIN_SCHEDULE = Capability(
     name="gain_schedule",
     title="gains over the current",
@@ -173,7 +180,7 @@ GAIN_SCHEDULE = Capability(
     headers=(
         HeaderKind(
             name="gains",
-            files=lambda solution, schedule: gains_files(solution.design, schedule),
+            files=_gains_files,
             plain=lambda _, schedule: plain_evaluator(schedule.fit.evaluator),
             read=lambda own, _: evaluator_from(own),
             programme=gains_programme,

@@ -11,6 +11,7 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
 from dqforge.optimizer.loops.schedule.schedule_fit import GAIN_NAMES, GainEvaluator
@@ -18,6 +19,7 @@ from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.read_back import single_from, singles_from
 from dqforge.reports.c_code.title import title
+from dqforge.reports.loops.proven_text import changing_lines
 from dqforge.reports.loops.schedule_text import schedule_lines
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
@@ -125,7 +127,7 @@ def schedule_inputs(
     return np.concatenate([np.array(special, dtype=np.float32), across, bits])
 
 
-def _context(design: Design, schedule: GainSchedule) -> PlainData:
+def _context(design: Design, gains: GainSet, schedule: GainSchedule) -> PlainData:
     evaluator = schedule.fit.evaluator
     plain = plain_evaluator(evaluator)
     ends = [*plain["starts"][1:], None]
@@ -157,29 +159,34 @@ def _context(design: Design, schedule: GainSchedule) -> PlainData:
         ],
         "comment": [
             (
-                "i_q_A: q-axis current reference in A, either sign; beyond SCHEDULE_END the gains "
-                "stay as they are there."
+                "i_q_A: q-axis current in A as it is measured, either sign; beyond SCHEDULE_END "
+                "the gains stay as they are there."
             ),
             (
                 "kp_d, kp_q: proportional gains, V/A; ki_ts_d, ki_ts_q: integral gains times the "
                 "sampling period, V/A."
             ),
             (
-                "d[k] = d[k-1] + kp (e[k] - e[k-1]) + ki_ts e[k]: in this form the output does not "
-                "step with the gains."
+                "Parallel form: I[k] = I[k-1] + ki_ts[k] e[k], d[k] = kp[k] e[k] + I[k]; or as "
+                "differences d[k] = d[k-1] + kp[k] e[k] - kp[k-1] e[k-1] + ki_ts[k] e[k]."
+            ),
+            (
+                "Not d[k-1] + kp[k] (e[k] - e[k-1]) + ki_ts[k] e[k]: what kp changes by would stay "
+                "in d for good, and the loop can grow though it is stable at every current."
             ),
             "Not-a-number gives the constant gains, those for the least inductance.",
             "",
             *schedule_lines(schedule),
+            *changing_lines(gains),
             "Margins are those of frozen currents along the current reference.",
         ],
     }
 
 
-def gains_files(design: Design, schedule: GainSchedule) -> dict[str, bytes]:
+def gains_files(design: Design, gains: GainSet, schedule: GainSchedule) -> dict[str, bytes]:
     """Names and bytes of the header of gains over the current and of its test vectors."""
     context, prefix, evaluator = (
-        _context(design, schedule),
+        _context(design, gains, schedule),
         design.export.prefix,
         schedule.fit.evaluator,
     )

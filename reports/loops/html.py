@@ -14,6 +14,7 @@ from dqforge.reports.loops.judged_text import (
     judged_notes,
     judged_rows,
 )
+from dqforge.reports.loops.proven_text import box_notes, changing_notes
 from dqforge.reports.loops.robustness_text import ROBUST_COLUMNS, robust_notes, robust_rows
 from dqforge.reports.loops.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
 from dqforge.reports.loops.stability_text import stability_notes
@@ -117,7 +118,10 @@ def loop_table(gains: GainSet) -> HtmlTable:
     rows = tuple(
         Row((label, *cells)) for label, *cells in zip(labels, *columns, strict=True) if any(cells)
     )
-    return HtmlTable("Gains and margins of the sampled loops", ("", *heading_cells(*names)), rows)
+    caption = "Gains and margins of the sampled loops"
+    if gains.schedule is None:
+        caption = "; ".join((caption, *changing_notes(gains)))
+    return HtmlTable(symbols(caption), ("", *heading_cells(*names)), rows)
 
 
 def _table(
@@ -145,7 +149,11 @@ def tolerance_tables(gains: GainSet, pole_pairs: int) -> list[HtmlTable]:
     """
     tables = []
     if gains.robust is not None:
-        notes = (*robust_notes(gains.robust), *stability_notes(gains, pole_pairs))
+        notes = (
+            *robust_notes(gains.robust),
+            *stability_notes(gains, pole_pairs),
+            *box_notes(gains),
+        )
         caption = f"Worst within control.tolerances; {'; '.join(notes)}"
         tables.append(
             _table(caption, ROBUST_COLUMNS, robust_rows(gains.robust), len(ROBUST_COLUMNS))
@@ -153,7 +161,7 @@ def tolerance_tables(gains: GainSet, pole_pairs: int) -> list[HtmlTable]:
     if gains.schedule is not None:
         caption = (
             "Scheduled gains along the current reference. "
-            f"{'; '.join(schedule_notes(gains.schedule))}"
+            f"{'; '.join((*schedule_notes(gains.schedule), *changing_notes(gains)))}"
         )
         tables.append(_table(caption, SCHEDULE_COLUMNS, schedule_rows(gains.schedule), 1))
     return tables

@@ -10,6 +10,7 @@ from dqforge.optimizer.loops.integer_gains import PerUnitGains
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
 from dqforge.reports.loops.judged_text import plain_judged
+from dqforge.reports.loops.proven_text import plain_box_proofs, plain_changing
 from dqforge.reports.loops.robustness_text import plain_robustness
 from dqforge.reports.loops.schedule_text import plain_schedule
 from dqforge.reports.observers.plain import plain_observer_errors
@@ -54,6 +55,13 @@ def _plain_loop(gains: LoopGains, scaled: PerUnitGains) -> PlainData:
     }
 
 
+def _plain_tolerances(gains: GainSet) -> PlainData:
+    found = plain_robustness(gains.robust)
+    if found:
+        found["tolerances"]["single_loops"] = plain_box_proofs(gains)
+    return found
+
+
 def plain_gains(
     design: Design, gains: GainSet, observer_errors: tuple[ErrorsAtLoad, ...] = ()
 ) -> PlainData:
@@ -71,7 +79,8 @@ def plain_gains(
         **plain_observer_errors(gains.observer_slopes, observer_errors),
         "position": None if gains.position is None else plain_position(gains.position),
         "bases": asdict(design.control.bases),
-        **plain_robustness(gains.robust),
+        **_plain_tolerances(gains),
         **plain_schedule(gains.schedule),
+        **plain_changing(gains),
         **({} if gains.phases is None else plain_judged(gains.phases)),
     }

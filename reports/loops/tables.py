@@ -15,6 +15,7 @@ from dqforge.reports.loops.judged_text import (
     judged_notes,
     judged_rows,
 )
+from dqforge.reports.loops.proven_text import box_notes, changing_notes
 from dqforge.reports.loops.robustness_text import (
     FORM_COLUMNS,
     ROBUST_COLUMNS,
@@ -83,6 +84,8 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
         f"{design.name}: gains, sampled every {design.control.t_s * 1e6:.4g} us",
         observed_notes(gains.speed),
     )
+    if gains.schedule is None:
+        notes = (*notes, *changing_notes(gains))
     tables = [Table(title, columns, tuple(rows), notes)]
     tables.append(Table("Parallel, series and velocity form", FORM_COLUMNS, form_rows(gains)))
     if gains.phases is not None and gains.phases.judged is not None:
@@ -94,10 +97,12 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
         notes = (
             *robust_notes(gains.robust),
             *stability_notes(gains, design.machine.pole_pairs),
+            *box_notes(gains),
         )
         tables.append(Table("Worst within control.tolerances", ROBUST_COLUMNS, rows_, notes))
     if gains.schedule is not None:
-        rows_, notes = schedule_rows(gains.schedule), schedule_notes(gains.schedule)
+        rows_ = schedule_rows(gains.schedule)
+        notes = (*schedule_notes(gains.schedule), *changing_notes(gains))
         tables.append(
             Table("Scheduled gains along the current reference", SCHEDULE_COLUMNS, rows_, notes)
         )

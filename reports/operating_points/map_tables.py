@@ -78,7 +78,37 @@ def points_tables(
     worst = float(np.max(points.kkt_residual, initial=0.0))
     violation = f"largest violation of the optimality conditions {worst:.1e} (relative)"
     notes = (_limit_note(limit), violation, *_extrapolation_notes(points))
-    return [Table(f"{design.name}: least {objective} loss within the limits", columns, rows, notes)]
+    title = f"{design.name}: least {objective} loss within the limits"
+    return [Table(title, columns, rows, notes), *_harmonics_tables(found)]
+
+
+def _harmonics_tables(found: DrivePoints) -> list[Table]:
+    """What overmodulation adds where the points need it."""
+    ripple, points = found.harmonics, found.points
+    if ripple is None or not np.any(ripple.distortion > 0.0):
+        return []
+    columns = ("speed rpm", "torque N m", "of six-step %", "distortion %", "ripple A", "peak A")
+    torque = ("torque p-p N m", "6th N m", "12th N m", "copper W")
+    rows = tuple(
+        (
+            _number(points.omega_m[k] * _RPM),
+            _number(points.torque[k]),
+            _number(100.0 * ripple.index[k]),
+            _number(100.0 * ripple.distortion[k]),
+            _number(ripple.current[k]),
+            _number(ripple.peak_current[k]),
+            _number(ripple.torque[k]),
+            _number(ripple.torque_6[k]),
+            _number(ripple.torque_12[k]),
+            _number(ripple.copper[k]),
+        )
+        for k in np.flatnonzero(ripple.distortion > 0.0)
+    )
+    note = (
+        "ripple of a phase current (r.m.s.), peak of the current vector, torque peak to peak and "
+        "at 6 and 12 times the fundamental, copper loss beside that of the fundamental"
+    )
+    return [Table("Low harmonics beyond the linear range", (*columns, *torque), rows, (note,))]
 
 
 def _extrapolation_notes(points: OptimalPoints) -> tuple[str, ...]:
@@ -167,7 +197,8 @@ def point_tables(
             ("", ""),
             tuple(rows),
             notes,
-        )
+        ),
+        *_harmonics_tables(found),
     ]
 
 
@@ -271,6 +302,26 @@ def _plain_limit(limit: VoltageLimit) -> PlainData:
         "v_dc_V": limit.v_dc,
         "margin": limit.margin,
         "v_max_V": limit.v_max,
+    } | ({} if limit.overmodulation == "none" else {"overmodulation": limit.overmodulation})
+
+
+def _plain_harmonics(found: DrivePoints) -> PlainData:
+    """What overmodulation adds, of `plain_points`; empty without."""
+    ripple = found.harmonics
+    if ripple is None:
+        return {}
+    return {
+        "overmodulation": {
+            "index": ripple.index,
+            "distortion": ripple.distortion,
+            "harmonics_V": ripple.voltage,
+            "current_rms_A": ripple.current,
+            "current_peak_A": ripple.peak_current,
+            "torque_ripple_Nm": ripple.torque,
+            "torque_6_Nm": ripple.torque_6,
+            "torque_12_Nm": ripple.torque_12,
+            "copper_W": ripple.copper,
+        }
     }
 
 
@@ -311,6 +362,7 @@ def plain_points(
         "power_W": found.power,
         "efficiency": found.efficiency,
         "most_torque": _plain_points(most),
+        **_plain_harmonics(found),
     }
 
 

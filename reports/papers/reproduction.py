@@ -18,47 +18,51 @@ PAPERS = ("000", "001", "002")
 
 @dataclass(frozen=True, slots=True)
 class Reproduced:
-    """Tables for people, plain data for programs, and figures by file name, drawn when called."""
+    """Tables for people, plain data for programs, figures by file name, drawn when called, and C
+    files that lie beside them.
+    """
 
     tables: list[Table]
     plain: dict[str, Any]
     figures: dict[str, Callable[[], Figure]] = field(default_factory=dict)
+    sources: dict[str, bytes] = field(default_factory=dict)
 
 
 def _paper000(*, figures: bool) -> Reproduced:
-    from dqforge.reports.papers import paper000, paper000_tables
+    from dqforge.reports.papers.paper000 import plain, tables
+    from dqforge.reports.papers.paper000.whole_paper import reproduce_whole
 
-    found = paper000.reproduce_paper()
-    tables, plain = (
-        paper000_tables.reproduction_tables(found),
-        paper000_tables.plain_reproduction(found),
-    )
-    if not figures:
-        return Reproduced(tables, plain)
-    from dqforge.reports.papers.figures_transients import plot_load_tests
-    from dqforge.reports.papers.paper000_transient import load_tests
+    found = reproduce_whole()
+    drawn: dict[str, Callable[[], Figure]] = {}
+    if figures:
+        from dqforge.reports.papers.paper000.figures import figures_of
 
-    tests = load_tests()
-    plain = {**plain, "figure_5": paper000_tables.plain_load_tests(tests)}
+        drawn = figures_of(found)
     return Reproduced(
-        [*tables, paper000_tables.load_test_table(tests)],
-        plain,
-        {"figure-5.svg": lambda: plot_load_tests(tests)},
+        tables.whole_tables(found), plain.plain_whole(found), drawn, found.header.files
     )
 
 
 def _paper001(*, figures: bool) -> Reproduced:
-    from dqforge.reports.papers import paper001, paper001_tables
+    from dqforge.reports.papers.paper001 import tables
+    from dqforge.reports.papers.paper001.bench_transients import reproduce_paper
 
-    found = paper001.reproduce_paper()
+    found = reproduce_paper()
     drawn: dict[str, Callable[[], Figure]] = {}
     if figures:
-        from dqforge.reports.papers.figures_transients import plot_bench
+        from dqforge.reports.papers.paper001.figures import plot_bench
+        from dqforge.reports.papers.paper001.program_figures import (
+            plot_at_1200,
+            plot_climbs,
+            plot_reversal,
+        )
 
+        runs = found.program.runs
+        drawn["figures-8.3-to-8.13.svg"] = lambda: plot_at_1200(runs)
+        drawn["figures-8.14-to-8.20.svg"] = lambda: plot_climbs(runs)
+        drawn["figures-8.21-to-8.28.svg"] = lambda: plot_reversal(runs)
         drawn["figures-8.3-to-8.31.svg"] = lambda: plot_bench(found.runs)
-    return Reproduced(
-        paper001_tables.reproduction_tables(found), paper001_tables.plain_reproduction(found), drawn
-    )
+    return Reproduced(tables.reproduction_tables(found), tables.plain_reproduction(found), drawn)
 
 
 def _paper002(*, figures: bool) -> Reproduced:

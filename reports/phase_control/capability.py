@@ -69,7 +69,7 @@ def _fixed_kind(width: Literal[16, 32]) -> HeaderKind[Fits, IntegerModel]:
         name=f"control_q{width - 1}",
         files=files,
         plain=plain,
-        read=lambda own, _: integers_from(own, width),
+        read=lambda own, result: integers_from(own, width, result),
         programme=integer_programme,
     )
 

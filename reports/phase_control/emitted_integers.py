@@ -21,6 +21,7 @@ from dqforge.reports.control.fixed_header import (
 )
 from dqforge.reports.control.fixed_reading import fixed_control_from
 from dqforge.reports.control.fixed_tables import control_fixed_html, control_fixed_tables
+from dqforge.reports.fixed_reference.mesh_reading import mesh_from
 from dqforge.reports.pages.html_table import HtmlTable
 from dqforge.reports.pages.table import Table
 from dqforge.reports.phase_control.fixed_phase_header import (
@@ -57,16 +58,21 @@ def plain_integer_evidence(fit: IntegerFit) -> PlainData:
     )
 
 
-def integers_from(plain: Mapping[str, Any], width: int) -> IntegerModel:
-    """Read the control in words of ``width`` bits back.
+def integers_from(plain: Mapping[str, Any], width: int, result: Mapping[str, Any]) -> IntegerModel:
+    """Read the control in words of ``width`` bits back, with the references of the ``result`` that
+    it is part of.
 
     Raises
     ------
     InputError
         The data are not what `plain_integers` makes.
     """
-    read = phase_integers_from if "shape" in plain else fixed_control_from
-    return read(plain, width)
+    if "shape" in plain:
+        return phase_integers_from(plain, width)
+    if not plain.get("reference", False):
+        return fixed_control_from(plain, width)
+    described = result.get(f"reference_q{width - 1}_header")
+    return fixed_control_from(plain, width, mesh_from(described or {}, width))
 
 
 def integer_programme(model: IntegerModel) -> Programme:

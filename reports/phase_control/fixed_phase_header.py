@@ -15,8 +15,8 @@ from dqforge.optimizer.fixed_phase_control.integers import (
 )
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_SEED
-from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.c_code.title import title
+from dqforge.reports.control.fixed_basics import fixed_basics
 from dqforge.reports.control.fixed_header import integer_rows, sweep_rows
 from dqforge.reports.pages.templating import render
 from dqforge.reports.phase_control.fixed_phase_model import (
@@ -92,22 +92,14 @@ def phase_fixed_context(design: Design, fit: FixedPhaseFit) -> PlainData:
     ]
     link = control.bases[1] * 2.0**control.dc_scale
     scales.append({"name": "BASE_DC_VOLTAGE_V", "value": link, "comment": "V, of the dc link"})
-    found = "exhaustive" if control.width == 16 else "sampled"
     return {
         **title(design),
-        "format": control.format,
-        "width": control.width,
-        "top": control.top,
+        **fixed_basics(control.turn, fit.sine_error),
         "control": control,
         "rule": TOPOLOGIES[control.topology],
         "legs": TOPOLOGIES[control.topology].legs,
         "preamble": _preamble(fit, design),
         "scales": scales,
-        "sine": asdict(control.sine),
-        "sine_error": f"; error at most {rounded_up(fit.sine_error)} codes ({found})",
-        "third": round(2**bits / 3),
-        "inverse_root": round(2**bits / math.sqrt(3.0)),
-        "half_root": round(2**bits * math.sqrt(0.75)),
         "root_half": round(2**bits * math.sqrt(0.5)),
     }
 

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.optimizer.curves.single_precision import SingleArray
+from dqforge.reports.c_code.float32_functions import turned
 from dqforge.reports.phase_control.float32_duties import Stationary
-from dqforge.reports.phase_control.float32_parts import Gains, Turn, turned
+from dqforge.reports.phase_control.float32_parts import Gains, Turn
 from dqforge.reports.phase_control.structure import Structure
 
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)

@@ -18,7 +18,7 @@ from dqforge.machines.transforms import Pair, Triple, clarke, park, park_inverse
 from dqforge.optimizer.current_reference.forms import FloatReference
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.waveforms.firmware_form import PhaseReference
-from dqforge.reports.c_code.float32_functions import SINGLE, rotation, wrap
+from dqforge.reports.c_code.float32_functions import SINGLE, rotation, small_rotation, turned, wrap
 from dqforge.reports.control.float32_model import speed_loop, three_leg_duties
 from dqforge.reports.phase_control.float32_duties import (
     Stationary,
@@ -39,7 +39,6 @@ from dqforge.reports.phase_control.float32_parts import (
     shape_at,
     slope_at,
     to_frame,
-    turned,
     turns_per_rad,
 )
 from dqforge.reports.phase_control.structure import Structure
@@ -155,9 +154,8 @@ class PhaseControlModel:
         columns = [np.ascontiguousarray(column) for column in measured.T]
         i, theta, omega_m, v_dc = Triple(*columns[:3]), columns[3], columns[4], columns[5]
         omega_e, t_s = self.gains["pole_pairs"] * omega_m, self.gains["t_s"]
-        angle = wrap(theta)
-        now = rotation(angle)
-        half = rotation(wrap(_HALF * (omega_e * t_s)))
+        now = rotation(theta)
+        half = small_rotation(_HALF * (omega_e * t_s))
         following = turned(turned(now, half), half)
         acting = turned(following, half)
         plane = clarke(SINGLE, i)
@@ -166,7 +164,7 @@ class PhaseControlModel:
             Stationary(plane.x, plane.y, mean_of_phases(i)),
             omega_e, theta, v_dc, columns[6] if self.structure.midpoint else None,
             now, following, acting, turned(acting, half),
-            (angle if self.structure.turns == 1 else theta) * per_rad,
+            (wrap(theta) if self.structure.turns == 1 else theta) * per_rad,
             (omega_e * t_s) * per_rad,
         )  # fmt: skip
 

@@ -25,11 +25,6 @@ _ROOT_2, _HALF_ROOT_2 = np.float32(1.4142135), np.float32(0.70710677)
 _THIRD = np.float32(0.33333334)
 
 
-def turned(x: Turn, y: Turn) -> Turn:
-    """Cosine and sine of the sum of two angles."""
-    return (x[0] * y[0]) - (x[1] * y[1]), (x[1] * y[0]) + (x[0] * y[1])
-
-
 def mean_of_phases(x: Triple[SingleArray]) -> SingleArray:
     """The zero sequence."""
     return _THIRD * ((x.a + x.b) + x.c)

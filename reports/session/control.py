@@ -11,6 +11,7 @@ from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
 from dqforge.optimizer.observers.proof import ObserverProof, prove
+from dqforge.reports.dynamic_references.tables import plain_references
 from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.phase_control.emitted_integers import plain_integer_evidence
 from dqforge.reports.plain_data import PlainData
@@ -41,6 +42,11 @@ class Tuning(DrawnResult):
         evidence = {found.control.format: plain_integer_evidence(found) for found in self.fixed}
         return {
             "gains": plain_gains(self.design, self.gains),
+            **(
+                {}
+                if self.gains.references is None
+                else {"dynamic_references": plain_references(self.gains.references)}
+            ),
             **({} if self.proof is None else {"observer_proof": asdict(self.proof)}),
             **({"control_fixed": evidence} if evidence else {}),
         }

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 from dqforge.machines.names import NumberFormat
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.capability import Capability, Draw, Outcome, ReportPart
 from dqforge.reports.pages.chapters import SIMULATION as CHAPTER
 from dqforge.reports.simulation.design_run import DriveSimulation
-from dqforge.reports.simulation.number_format import format_text, not_simulated
-from dqforge.reports.simulation.tables import plain_simulation, simulation_part, simulation_tables
+from dqforge.reports.simulation.number_format import format_text, not_simulated, simulated
+from dqforge.reports.simulation.tables import (
+    figure_name,
+    plain_simulation,
+    simulation_part,
+    simulation_tables,
+)
 
 
 def _figures(_: Solution, found: DriveSimulation) -> Mapping[str, Draw]:
     from dqforge.reports.simulation.figures import plot_simulation
 
-    return {"simulation": lambda: plot_simulation(found)}
+    return {
+        figure_name(each.format, number): partial(plot_simulation, each)
+        for number, each in enumerate(found.every)
+    }
 
 
 def _parts(_: Solution, found: DriveSimulation) -> list[ReportPart]:
@@ -33,7 +42,7 @@ FORMATS_NOT_SIMULATED = Capability(
     name="not_simulated",
     title="number formats that no simulation runs",
     of=_not_simulated,
-    summary=lambda _, formats: [("simulation", format_text(formats))],
+    summary=lambda solution, formats: [("simulation", format_text(simulated(solution), formats))],
 )
 
 

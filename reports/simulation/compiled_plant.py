@@ -20,9 +20,10 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.machines.names import Topology
+from dqforge.machines.names import NumberFormat, Topology
 from dqforge.machines.plants.scenario import Scenario
 from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.reports.observers.speed_header import REDUCED_ORDER
 from dqforge.reports.pages.templating import render
 from dqforge.reports.simulation.plant_input import (
@@ -63,13 +64,14 @@ class Simulator:
 
     ``observers`` are the names in C of those that run in it: at most one of the position,
     and ``reduced_order``. ``topology`` is that of a controller for phase machines, None for one
-    that drives three legs, or none.
+    that drives three legs, or none. ``format`` is the number format of its control functions.
     """
 
     program: Path
     prefix: str
     observers: tuple[str, ...] = ()
     topology: Topology | None = None
+    format: NumberFormat = "float32"
 
 
 def require_compiler() -> str:
@@ -88,6 +90,7 @@ def compile_simulator(
     prefix: str = "",
     observers: tuple[str, ...] = (),
     topology: Topology | None = None,
+    number_format: NumberFormat = "float32",
 ) -> Simulator:
     """Compile the plant around a controller.
 
@@ -97,8 +100,8 @@ def compile_simulator(
         Where sources and program are written; it must exist, and programs
         must be allowed to run there.
     files:
-        Emitted headers by name, ``<prefix>_control.h`` among them; None for a plant without
-        controller, which runs scenarios of the mode ``open-loop`` only.
+        Emitted headers by name, that of the control functions in ``number_format`` among them; None
+        for a plant without controller, which runs scenarios of the mode ``open-loop`` only.
     prefix:
         That of the headers.
     observers:
@@ -107,6 +110,9 @@ def compile_simulator(
     topology:
         That of the header where it controls a phase machine (duty cycles by the names of legs, a
         back-EMF to swap); None for the control of machines with a sinusoidal back-EMF.
+    number_format:
+        Whose control functions (and observers) run: those of ``<prefix>_control.h``, or those in
+        integers of ``<prefix>_control_q15.h`` and the like.
 
     Raises
     ------
@@ -115,8 +121,12 @@ def compile_simulator(
     """
     compiler = require_compiler()
     controller = prefix if files else ""
+    integers = number_format != "float32"
     context = {
         "prefix": controller,
+        "macro": controller.upper(),
+        "format": number_format,
+        "width": FIXED_WIDTHS.get(number_format, 0),
         "position": next((name for name in observers if name != REDUCED_ORDER), ""),
         "reduced": REDUCED_ORDER in observers,
         "topology": topology or "",
@@ -124,6 +134,8 @@ def compile_simulator(
         "neutral": topology is not None and TOPOLOGIES[topology].neutral,
         "midpoint": topology is not None and TOPOLOGIES[topology].midpoint,
         "torque_limit": any(b"*torque_limit;" in content for content in (files or {}).values()),
+        "torque_control": not integers
+        or any(b"_torque_control_" in content for content in (files or {}).values()),
         "parameters": PARAMETERS,
         "columns": COLUMNS,
         "summary": SUMMARY,
@@ -134,6 +146,8 @@ def compile_simulator(
         "phase_plant.c": render("simulation/phase_plant.c.j2", context),
         "main.c": render("simulation/simulate_main.c.j2", context),
     }
+    if integers:
+        sources["integer_border.h"] = render("simulation/integer_border.h.j2", context)
     for name, content in (files or {}).items():
         (folder / name).write_bytes(content)
     for name, text in sources.items():
@@ -154,7 +168,7 @@ def compile_simulator(
         lines = done.stderr.decode("utf-8", "replace").splitlines()
         first = next((line for line in lines if "error" in line), "; ".join(lines)[:200])
         raise VerificationError(f"the simulation does not compile with {_COMPILER}: {first}")
-    return Simulator(program, controller, observers, topology)
+    return Simulator(program, controller, observers, topology, number_format)
 
 
 @contextmanager
@@ -163,13 +177,14 @@ def simulator(
     prefix: str = "",
     observers: tuple[str, ...] = (),
     topology: Topology | None = None,
+    number_format: NumberFormat = "float32",
 ) -> Iterator[Simulator]:
     """A compiled program in a folder that goes with the block.
 
     Parameters and errors as `compile_simulator`.
     """
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        yield compile_simulator(Path(name), files, prefix, observers, topology)
+        yield compile_simulator(Path(name), files, prefix, observers, topology, number_format)
 
 
 def _execute(program: Path, content: bytes, progress: Progress | None) -> bytes:

@@ -22,12 +22,15 @@ from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.field_weakening.header import weakening_files
+from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
+from dqforge.reports.fixed_reference.header import reference_files
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
 from dqforge.reports.phase_control.emitted import emitted_control_files, phase_control_of
+from dqforge.reports.phase_control.emitted_integers import integer_files
 from dqforge.reports.simulation.compiled_plant import require_compiler, simulate, simulator
-from dqforge.reports.simulation.number_format import SIMULATED, not_simulated
+from dqforge.reports.simulation.number_format import not_simulated, simulated
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import PhaseRecord, Simulation, Summary
 from dqforge.reports.waveforms.header import waveform_files
@@ -107,8 +110,8 @@ class DriveSimulation:
     reference over the run. ``copper`` is the mean copper loss in W; ``speed_largest`` in rad/s and
     ``torque_largest`` in N m are the largest magnitudes of the run; ``observed`` says how well
     observers did, None where none ran; ``phases`` are the figures of a phase machine, None for
-    others. ``not_simulated`` are the fixed-point formats that the
-    design emits; what ran is float32.
+    others. ``format`` is that of the control functions that ran, ``others`` are the same run with
+    those in further formats; ``not_simulated`` are formats that the design emits and nothing ran.
     """
 
     design: Design
@@ -122,6 +125,18 @@ class DriveSimulation:
     observed: ObservedFigures | None
     not_simulated: tuple[NumberFormat, ...] = ()
     phases: PhaseFigures | None = None
+    format: NumberFormat = "float32"
+    others: tuple[DriveSimulation, ...] = ()
+
+    @property
+    def every(self) -> tuple[DriveSimulation, ...]:
+        """The run and those of further formats."""
+        return (self, *self.others)
+
+    @property
+    def formats(self) -> tuple[NumberFormat, ...]:
+        """Formats of the control functions that ran."""
+        return tuple(found.format for found in self.every)
 
     @property
     def angle_error(self) -> FloatArray:
@@ -129,7 +144,7 @@ class DriveSimulation:
         return angle_error(self.run)
 
     def files(self) -> dict[str, bytes]:
-        """Name and bytes of the file of samples."""
+        """Names and bytes of the files of samples."""
         return simulation_files(self)
 
 
@@ -140,8 +155,31 @@ def drive_of(design: Design) -> Drive:
     return Drive(design.machine, design.inverter, design.control.t_s, ratio, design.phase_machine)
 
 
+def emitted_files(solution: Solution, number_format: NumberFormat) -> dict[str, bytes]:
+    """The headers that the controller in a format consists of.
+
+    Raises
+    ------
+    ValueError
+        The design does not emit that format.
+    """
+    if number_format == "float32":
+        return controller_files(in_float32(solution))
+    fits = [fit for fit in solution.fixed if fit.control.format == number_format]
+    if not fits:
+        raise ValueError(f"the design emits no control functions in {number_format}")
+    files = integer_files(solution.design, fits[0])
+    for reference in solution.fixed_references:
+        if reference.reference.format == number_format:
+            files |= reference_files(solution.design, reference)
+    for observer in solution.fixed_observers:
+        if observer.observer.format == number_format:
+            files |= fixed_observer_files(solution.design, observer)
+    return files
+
+
 def controller_files(solution: Solution) -> dict[str, bytes]:
-    """The headers that the controller consists of.
+    """The headers that the controller in float32 consists of.
 
     Raises
     ------
@@ -202,7 +240,7 @@ def in_float32(solution: Solution) -> Solution:
     fit = solution.fit
     if not isinstance(fit.reference, FixedReference):
         return solution
-    settings = replace(fit.settings, format=SIMULATED, full_scale=None, budget=None)
+    settings = replace(fit.settings, format="float32", full_scale=None, budget=None)
     return replace(
         solution, fit=fit_reference(current_choice(solution.design), settings), certificate=None
     )
@@ -216,8 +254,8 @@ def simulate_design(
     solution: Solution | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> DriveSimulation:
-    """Solve a design, emit its controller in float32, compile it with the plant,
-    and run the scenario.
+    """Solve a design, emit its controller in every format that it asks for, compile each with the
+    plant, and run the scenario.
 
     Parameters
     ----------
@@ -240,17 +278,46 @@ def simulate_design(
     scenario = require_scenario(design, switched=switched)
     require_compiler()
     whole = solve(design) if solution is None else solution
-    solved = in_float32(whole)
-    drive = drive_of(design)
+    formats = simulated(whole)
+    found = [
+        replace(
+            _simulated_in(
+                design, whole, scenario, number_format, _part(progress, place, len(formats))
+            ),
+            not_simulated=not_simulated(whole),
+        )
+        for place, number_format in enumerate(formats)
+    ]
+    return replace(found[0], others=tuple(found[1:]))
+
+
+def _simulated_in(
+    design: Design,
+    solution: Solution,
+    scenario: Scenario,
+    number_format: NumberFormat,
+    progress: Callable[[float], None] | None,
+) -> DriveSimulation:
+    """The run of the control functions in one format."""
     stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
     with simulator(
-        controller_files(solved),
+        emitted_files(solution, number_format),
         design.export.prefix,
-        observers_of(solved)[1],
-        controlled_topology(solved),
+        observers_of(solution)[1],
+        controlled_topology(solution),
+        number_format,
     ) as program:
-        run = simulate(program, drive, scenario, stride=stride, progress=progress)
-    return replace(evaluate(design, run), not_simulated=not_simulated(whole))
+        run = simulate(program, drive_of(design), scenario, stride=stride, progress=progress)
+    return replace(evaluate(design, run), format=number_format)
+
+
+def _part(
+    progress: Callable[[float], None] | None, place: int, count: int
+) -> Callable[[float], None] | None:
+    """The progress of one of several runs."""
+    if progress is None:
+        return None
+    return lambda share: progress((place + share) / count)
 
 
 def evaluate(design: Design, run: Simulation) -> DriveSimulation:
@@ -392,5 +459,9 @@ def npz_bytes(run: Simulation) -> bytes:
 
 
 def simulation_files(found: DriveSimulation) -> dict[str, bytes]:
-    """Name and bytes of the file of samples."""
-    return {f"{found.design.export.prefix}_simulation.npz": npz_bytes(found.run)}
+    """Names and bytes of the files of samples: one per format, the first without its name."""
+    prefix = found.design.export.prefix
+    first = {f"{prefix}_simulation.npz": npz_bytes(found.run)}
+    return first | {
+        f"{prefix}_simulation_{other.format}.npz": npz_bytes(other.run) for other in found.others
+    }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
+from dqforge.machines.names import NumberFormat
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.reports.pages.html_table import HtmlTable, Row
@@ -12,7 +13,7 @@ from dqforge.reports.pages.html_text import symbols
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.simulation.design_run import DriveSimulation
-from dqforge.reports.simulation.number_format import SIMULATED, format_text
+from dqforge.reports.simulation.number_format import format_text
 
 _SHOWN = {"rad/s": "rpm"}
 
@@ -43,7 +44,6 @@ def _figure_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
     run, figures = found.run, found.run.figures
     return (
         ("simulated", f"{_value(float(figures.t[0]), 's')}, {run.scenario.inverter} inverter"),
-        *((("arithmetic", format_text(found.not_simulated)),) if found.not_simulated else ()),
         ("largest deviation from the reference", _value(found.tracking[0], found.unit)),
         ("r.m.s. deviation from the reference", _value(found.tracking[1], found.unit)),
         ("largest speed", _value(found.speed_largest, "rad/s")),
@@ -112,27 +112,51 @@ def _notes(found: DriveSimulation) -> tuple[str, ...]:
     )
 
 
+def _lines(found: DriveSimulation) -> list[tuple[str, ...]]:
+    """Label and a value per format."""
+    text = format_text(found.formats, found.not_simulated)
+    blank = ("",) * len(found.others)
+    columns = [
+        (*_figure_rows(each), *_phase_rows(each), *_observer_rows(each)) for each in found.every
+    ]
+    lines = [(rows[0][0], *(value for _, value in rows)) for rows in zip(*columns, strict=True)]
+    return [lines[0], *([("arithmetic", text, *blank)] if text else []), *lines[1:]]
+
+
+def _heads(found: DriveSimulation, single: str) -> tuple[str, ...]:
+    return ("", *found.formats) if found.others else ("", single)
+
+
+def _step_title(found: DriveSimulation, each: DriveSimulation) -> str:
+    title = f"Steps of the {found.run.scenario.mode}"
+    return f"{title}, {each.format}" if found.others else title
+
+
 def simulation_tables(found: DriveSimulation) -> list[Table]:
-    """Figures of the run and of each step of its reference."""
-    rows = (*_figure_rows(found), *_phase_rows(found), *_observer_rows(found))
-    tables = [Table(f"{found.design.name}: simulation", ("", ""), rows, _notes(found))]
-    if found.steps:
-        tables.append(
-            Table(f"Steps of the {found.run.scenario.mode}", _STEP_COLUMNS, _step_rows(found))
-        )
-    return tables
+    """Figures of the run, a column per format, and of each step of its reference."""
+    notes = tuple(dict.fromkeys(note for each in found.every for note in _notes(each)))
+    title = f"{found.design.name}: simulation"
+    steps = [
+        Table(_step_title(found, each), _STEP_COLUMNS, _step_rows(each))
+        for each in found.every
+        if each.steps
+    ]
+    return [Table(title, _heads(found, ""), tuple(_lines(found)), notes), *steps]
 
 
 def simulation_html(found: DriveSimulation) -> list[HtmlTable]:
     """The same for the report."""
-    lines = (*_figure_rows(found), *_phase_rows(found), *_observer_rows(found))
-    figures = tuple(Row((symbols(label), symbols(value))) for label, value in lines)
-    tables = [HtmlTable("Figures of the run", ("", "value"), figures)]
-    if found.steps:
-        rows = tuple(Row(cells) for cells in _step_rows(found))
-        title = f"Steps of the {found.run.scenario.mode}; settled within 2 % of the step"
-        tables.append(HtmlTable(title, _STEP_COLUMNS, rows))
-    return tables
+    figures = tuple(Row(tuple(symbols(cell) for cell in line)) for line in _lines(found))
+    steps = [
+        HtmlTable(
+            f"{_step_title(found, each)}; settled within 2 % of the step",
+            _STEP_COLUMNS,
+            tuple(Row(cells) for cells in _step_rows(each)),
+        )
+        for each in found.every
+        if each.steps
+    ]
+    return [HtmlTable("Figures of the run", _heads(found, "value"), figures), *steps]
 
 
 def simulation_part(found: DriveSimulation) -> PlainData:
@@ -140,9 +164,20 @@ def simulation_part(found: DriveSimulation) -> PlainData:
     prefix = found.design.export.prefix
     return {
         "tables": simulation_html(found),
-        "file": f"{prefix}_simulation.npz",
-        "controller": f"{prefix}_control.h",
+        "files": list(found.files()),
+        "controllers": [control_header_name(prefix, each.format) for each in found.every],
+        "figures": [figure_name(each.format, number) for number, each in enumerate(found.every)],
     }
+
+
+def control_header_name(prefix: str, number_format: NumberFormat) -> str:
+    """Name of the header of the control functions in a format."""
+    return f"{prefix}_control{'' if number_format == 'float32' else '_' + number_format}.h"
+
+
+def figure_name(number_format: NumberFormat, number: int) -> str:
+    """Name of the figure of a run; those after the first bear their format."""
+    return "simulation" if number == 0 else f"simulation_{number_format}"
 
 
 def _plain_phases(found: DriveSimulation) -> PlainData:
@@ -164,13 +199,17 @@ def _plain_phases(found: DriveSimulation) -> PlainData:
 
 
 def plain_simulation(found: DriveSimulation) -> PlainData:
-    """Figures as plain data, in SI units; the samples are in the archive."""
+    """Figures as plain data, in SI units; the samples are in the archives."""
+    others = [_plain_run(other) for other in found.others]
+    return _plain_run(found) | {"not_simulated": list(found.not_simulated), "others": others}
+
+
+def _plain_run(found: DriveSimulation) -> PlainData:
     run, figures, seen = found.run, found.run.figures, found.observed
     return _plain_phases(found) | {
         "mode": run.scenario.mode,
         "inverter": run.scenario.inverter,
-        "format": SIMULATED,
-        "not_simulated": list(found.not_simulated),
+        "format": found.format,
         "unit": found.unit,
         "duration_s": float(figures.t[0]),
         "bounded": bool(figures.bounded[0]),

@@ -1,12 +1,12 @@
-"""What an evaluator costs on an emulated Cortex-M: instructions that it really executes,
-estimated cycles, bytes.
+"""What an evaluator, or any called function, costs on an emulated Cortex-M: instructions that it
+really executes, estimated cycles, bytes.
 """
 
 from __future__ import annotations
 
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,26 @@ from dqforge.reports.verification.cycle_model import (
 from dqforge.reports.verification.host import WARNINGS
 
 _CHUNK = 1 << 24
+
+_RESULTS = "currents.bin"
+
+
+@dataclass(frozen=True, slots=True)
+class CallCost:
+    """Cost of a called function over all calls of a program, the return included.
+
+    The call itself is left out. ``instructions`` is the mean number executed and
+    ``instructions_largest`` the largest, both exact; ``cycles`` the mean (lo, hi) of `cycle_model`
+    and ``cycles_largest`` the largest lo and the largest hi of one call; ``flash`` the bytes of the
+    files that were sized, with their constants, without library routines.
+    """
+
+    calls: int
+    instructions: float
+    instructions_largest: int
+    cycles: tuple[float, float]
+    cycles_largest: Span
+    flash: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +73,75 @@ def _chunks(path: Path) -> Iterator[bytes]:
     with path.open("rb") as file:
         while chunk := file.read(_CHUNK):
             yield chunk
+
+
+def _traced_calls(
+    sources: Mapping[str, bytes],
+    function: str,
+    target: str,
+    flags: Sequence[str],
+    sized: Sequence[str],
+    folder: Path,
+) -> CallCost:
+    """As `cost_of_calls`, in a folder that keeps what the program wrote."""
+    objdump, sizer = program("arm-none-eabi-objdump"), program("arm-none-eabi-size")
+    build(sources, (*WARNINGS, *flags), target, folder)
+    emulate(target, folder, "-singlestep", "-d", "exec,nochain", "-D", "trace.log")
+    listing = execute([objdump, "-d", "target.elf"], "arm-none-eabi-objdump", folder).stdout
+    modules = [f"{Path(name).stem}.o" for name in sized]
+    sizes = execute([sizer, *modules], "arm-none-eabi-size", folder).stdout.splitlines()[1:]
+    code = parse_disassembly(listing)
+    addresses = traced_addresses(_chunks(folder / "trace.log"))
+    paths = Counter(calls_of(addresses, address_of(listing, function), code))
+    if not paths:
+        raise VerificationError(f"the program for the emulated {target} never calls {function}")
+    spans = np.array([cycles([code[address] for address in path], target) for path in paths])
+    lengths = np.array([len(path) for path in paths])
+    weights = np.array(list(paths.values())) / paths.total()
+    mean = weights @ spans
+    return CallCost(
+        calls=paths.total(),
+        instructions=float(weights @ lengths),
+        instructions_largest=int(lengths.max()),
+        cycles=(float(mean[0]), float(mean[1])),
+        cycles_largest=(int(spans[:, 0].max()), int(spans[:, 1].max())),
+        flash=sum(int(line.split()[0]) for line in sizes),
+    )
+
+
+def cost_of_calls(
+    sources: Mapping[str, bytes],
+    function: str,
+    target: str,
+    sized: Sequence[str],
+    flags: Sequence[str] = (),
+) -> CallCost:
+    """Compile a program for a target, run it in single steps on the emulation, and sum what the
+    calls of one of its functions executed.
+
+    Parameters
+    ----------
+    sources:
+        Contents of C files, one of them with ``main``, and of headers by name.
+    function:
+        A function with a symbol of its own: it is called from another file.
+    target:
+        One of `target_tools.TARGETS`.
+    sized:
+        The C files whose bytes count.
+    flags:
+        Further flags of the compiler.
+
+    Raises
+    ------
+    InputError
+        There is no such target.
+    VerificationError
+        A tool is missing (its Debian package is named), the files do not compile, the emulation
+        failed, or the function was never called.
+    """
+    with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
+        return _traced_calls(sources, function, target, flags, sized, Path(name))
 
 
 def cost_on_target(
@@ -83,7 +172,6 @@ def cost_on_target(
         A tool is missing (its Debian package is named), the files do not compile,
         or the emulation failed.
     """
-    objdump, sizer = program("arm-none-eabi-objdump"), program("arm-none-eabi-size")
     bits = f"uint{8 * torques.itemsize}_t"
     number = "float" if torques.dtype == np.float32 else bits[1:]
     words = torques.view(f"u{torques.itemsize}").tolist()
@@ -96,35 +184,13 @@ def cost_on_target(
             {"header": header, "function": function, "number": number},
         ),
     }
+    files = {**sources, **{key: text.encode("ascii") for key, text in made.items()}}
+    sized = [name for name in (*sources, "target_evaluator.c") if name.endswith(".c")]
     with tempfile.TemporaryDirectory(prefix="dqforge-") as name:
-        folder = Path(name)
-        build(
-            {**sources, **{key: text.encode("ascii") for key, text in made.items()}},
-            WARNINGS,
-            target,
-            folder,
-        )
-        emulate(target, folder, "-singlestep", "-d", "exec,nochain", "-D", "trace.log")
-        listing = execute([objdump, "-d", "target.elf"], "arm-none-eabi-objdump", folder).stdout
-        modules = [
-            f"{Path(key).stem}.o" for key in (*sources, "target_evaluator.c") if key.endswith(".c")
-        ]
-        sizes = execute([sizer, *modules], "arm-none-eabi-size", folder).stdout.splitlines()[1:]
-        code = parse_disassembly(listing)
-        addresses = traced_addresses(_chunks(folder / "trace.log"))
-        paths = Counter(calls_of(addresses, address_of(listing, "evaluator"), code))
+        cost = _traced_calls(files, "evaluator", target, (), sized, Path(name))
         currents = np.fromfile(
-            folder / "currents.bin", dtype=torques.dtype.newbyteorder("<")
+            Path(name) / _RESULTS, dtype=torques.dtype.newbyteorder("<")
         ).reshape(-1, 2)
-    if paths.total() != len(torques) or len(currents) != len(torques):
+    if cost.calls != len(torques) or len(currents) != len(torques):
         raise VerificationError(f"the trace of the emulated {target} is not complete")
-    spans = np.array([cycles([code[address] for address in path], target) for path in paths])
-    weights = np.array(list(paths.values())) / paths.total()
-    mean = weights @ spans
-    return TargetCost(
-        instructions=float(weights @ np.array([len(path) for path in paths])),
-        cycles=(float(mean[0]), float(mean[1])),
-        cycles_largest=(int(spans[:, 0].max()), int(spans[:, 1].max())),
-        flash=sum(int(line.split()[0]) for line in sizes),
-        currents=currents,
-    )
+    return TargetCost(cost.instructions, cost.cycles, cost.cycles_largest, cost.flash, currents)

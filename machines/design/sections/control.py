@@ -12,6 +12,7 @@ from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
 from dqforge.machines.design.from_section import settings_from
 from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
 from dqforge.machines.design.sections.per_unit import PerUnitSection, read_bases
+from dqforge.machines.design.sections.references import ReferencesSection, read_references
 from dqforge.machines.design.sections.tolerances import TolerancesSection, read_tolerances
 from dqforge.machines.design.settings import (
     ControlSettings,
@@ -238,6 +239,9 @@ class ControlSection(Section):
         default=None,
         description="how far the drive may be from its data; every loop must hold throughout",
     )
+    references: ReferencesSection | None = Field(
+        default=None, description="slopes of the references, and what corrects them"
+    )
     gains: bool = Field(
         default=True, description="false: no loops are tuned, the header holds the references alone"
     )
@@ -427,6 +431,7 @@ def read_control(
         tolerances=read_tolerances(
             section.tolerances, speed_loop is not None, machine, inverter, i_max, reading
         ),
+        references=read_references(section.references),
     )
 
 

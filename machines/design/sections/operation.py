@@ -13,17 +13,22 @@ from dqforge.machines.design.settings import (
     OperationSettings,
 )
 from dqforge.machines.design.speed_remarks import bare_speed_hint
+from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.kinds import (
     Section,
     Share,
+    SixStepShare,
     Speed,
 )
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.files.positioned_yaml import YamlDocument
+from dqforge.machines.modulation.hexagon import follows_hexagon
 from dqforge.machines.names import (
+    OvermodulationName,
     Strategy,
 )
+from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.units.quantities import format_quantity
 
 _OPERATION = OperationSettings()
@@ -48,6 +53,20 @@ class OperationSection(Section):
     voltage_margin: Share | None = Field(
         default=None,
         description="share of that voltage kept free for control (write 5 %); default 0",
+    )
+    overmodulation: OvermodulationName = Field(
+        default=_OPERATION.overmodulation,
+        description=(
+            "none; least-phase-error, least-magnitude-error: voltages beyond the linear range, "
+            "with the fundamental asked for"
+        ),
+    )
+    overmodulation_limit: SixStepShare | None = Field(
+        default=None,
+        description=(
+            "largest fundamental then, as a share of that of six-step operation; default 95.14 %, "
+            "where a vector follows the hexagon"
+        ),
     )
 
 
@@ -85,6 +104,44 @@ def check_operation(
             f"{bare_speed_hint(operation.speed)}"
         )
         raise document.error(message, ("operation", "speed"))
+
+
+def check_overmodulation(
+    operation: OperationSection,
+    inverter: Inverter,
+    formats: tuple[str, ...],
+    any_back_emf: bool,
+    document: YamlDocument,
+) -> None:
+    """Check that what is asked for can overmodulate.
+
+    ``formats`` are those of the emitted control; ``any_back_emf`` says that the machine's phase
+    currents have a shape. Raises `InputError` with a position.
+    """
+    if operation.overmodulation == "none":
+        if operation.overmodulation_limit is not None:
+            message = (
+                "operation.overmodulation_limit: nothing goes beyond the linear range; write "
+                "overmodulation: least-phase-error, or remove the key"
+            )
+            raise document.error(message, ("operation", "overmodulation_limit"), key=True)
+        return
+    fixed = [name for name in formats if name != "float32"]
+    found = ""
+    if any_back_emf:
+        found = "a machine with any back-EMF asks for voltages of any shape; remove the key"
+    elif not TOPOLOGIES[inverter.topology].modulated:
+        found = f"{inverter.topology} has a modulator of its own; remove the key"
+    elif not follows_hexagon(operation.modulation):
+        found = (
+            f"the duty cycles of {operation.modulation} leave the rails at the corners of the "
+            "hexagon; write modulation: svpwm, or a discontinuous one"
+        )
+    elif fixed:
+        found = f"there is no {fixed[0]} of it; write export.control: float32, or remove the key"
+    if found:
+        message = f"operation.overmodulation: {found}"
+        raise document.error(message, ("operation", "overmodulation"), key=True)
 
 
 def read_operation(section: OperationSection) -> OperationSettings:

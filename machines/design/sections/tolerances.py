@@ -61,6 +61,10 @@ class TolerancesSection(Section):
             "smallest phase current at which the loops must hold in spite of it; default 10 %"
         ),
     )
+    thorough: bool = Field(
+        default=Tolerances().thorough,
+        description="prove the speed loop with fifty times the effort, up to some minutes",
+    )
 
 
 _SECTION = ("control", "tolerances")
@@ -147,6 +151,7 @@ def read_tolerances(
         v_dc=_scaled(section.v_dc),
         dead_time=dead_time,
         low_current=low_current,
+        thorough=section.thorough,
     )
 
 

@@ -159,13 +159,6 @@ def test_all_modulators_are_proven(modulation: ModulationName) -> None:
         assert all(reach.fits for reach in fitted(salient(), width, modulation).reaches)
 
 
-def test_gdpwm_is_not_there_and_says_so() -> None:
-    with pytest.raises(
-        ValueError, match=r"export.control: gdpwm .* write operation.modulation: ddt-gdpwm"
-    ):
-        fitted(salient(), 16, "gdpwm")
-
-
 def with_gain(kp: float, formats: tuple[int, int]) -> Design:
     """A loop whose gain per unit is kp.
 

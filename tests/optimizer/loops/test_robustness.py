@@ -159,7 +159,7 @@ def test_torque_factor_is_that_of_the_changed_machine(machine: LinearMachine) ->
     points = box.speed_points()
     plants = box.speed_loop_plants(points, (1.0, 100.0))
     assert plants.size == len(points.deviations)
-    factor = box._torque_factor(points)
+    factor = box.torque_factor(points)
     i_d, i_q = mtpa_at_current(machine, np.array([made.i_max]))
     for row in range(points.corners):
         d, q, psi = (points.of(name)[row] for name in ("l_d", "l_q", "psi_pm"))

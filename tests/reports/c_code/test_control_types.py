@@ -18,6 +18,7 @@ from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.host import COMPILERS, WARNINGS, Compiler
 
 HARNESS = """
+#include <math.h>
 #include <stdio.h>
 %s
 int main(void)

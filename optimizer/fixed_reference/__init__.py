@@ -1,0 +1,1 @@
+"""Current references in integers for the integer control: torque, dc link and speed to currents."""

@@ -1,0 +1,53 @@
+"""The integer references that a design asks for."""
+
+from __future__ import annotations
+
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.numerical import on_design
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.current_reference.fit import ReferenceFit
+from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
+from dqforge.optimizer.field_weakening.fit import WeakeningFit
+from dqforge.optimizer.fixed_control.design import dc_link
+from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit, fit_line, fit_mesh
+from dqforge.optimizer.operating_points.solve import current_choice
+
+
+@on_design("export.control")
+def solve_fixed_references(
+    design: Design, fit: ReferenceFit, weakening: WeakeningFit | None
+) -> tuple[FixedReferenceFit, ...]:
+    """Integer references for the fixed-point formats of the control functions.
+
+    Parameters
+    ----------
+    design:
+        The design.
+    fit:
+        Its current reference over torque: strategy, speed and end of the domain.
+    weakening:
+        Its reference over torque, voltage and speed, None where it asks for none.
+
+    Raises
+    ------
+    InputError
+        The halves of a flux map have references of their own.
+    NoSolutionError
+        As `fit_line` and `fit_mesh`.
+    """
+    widths = [FIXED_WIDTHS[name] for name in design.export.control if name in FIXED_WIDTHS]
+    if widths and design.halves is not None:
+        raise InputError(
+            "export.control: machine.flux_map.symmetry: keep has a reference for each sign of the "
+            "torque, which fixed point does not; write export.control: float32"
+        )
+    return tuple(_solve(design, fit, weakening, width) for width in widths)
+
+
+def _solve(
+    design: Design, fit: ReferenceFit, weakening: WeakeningFit | None, width: int
+) -> FixedReferenceFit:
+    if weakening is not None:
+        return fit_mesh(design, weakening.domain, fit.torque_max, width, dc_link(design, width))
+    permitted = fit.errors.torque_relative
+    return fit_line(design, current_choice(design), fit.torque_max, permitted, width)

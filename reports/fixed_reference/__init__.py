@@ -1,0 +1,1 @@
+"""Current references in integers as C, data, tables and words."""

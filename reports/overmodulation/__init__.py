@@ -1,0 +1,1 @@
+"""Overmodulation as tables, JSON, HTML and a figure."""

@@ -1,0 +1,129 @@
+"""Overmodulation in words and tables."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dqforge.machines.units.quantities import format_quantity
+from dqforge.optimizer.overmodulation.solve import LargestTorque, Overmodulation
+from dqforge.reports.pages.html_table import HtmlTable, Row
+from dqforge.reports.pages.table import Table
+from dqforge.reports.plain_data import PlainData
+
+_RPM = 30.0 / math.pi
+
+ASSUMED = (
+    "At constant speed; the current controllers are taken to leave the harmonics alone. Faster "
+    "than about the frequency of the fundamental they answer them, and raise them."
+)
+
+
+def reach_text(found: Overmodulation) -> str:
+    """How far the fundamental reaches, and how far it did."""
+    volts, linear = (format_quantity(x, "V", 4) for x in (found.v_max, found.linear_v_max))
+    return (
+        f"{found.method}, up to {100.0 * found.limit:.4g} % of six-step operation: {volts} instead "
+        f"of {linear}"
+    )
+
+
+def gain_text(largest: LargestTorque) -> str:
+    """What that gives the machine."""
+    speeds = [
+        format_quantity(figures.base_speed, "rpm", 4)
+        for figures in (largest.figures, largest.linear_figures)
+    ]
+    powers = [
+        format_quantity(figures.power_max, "W", 4)
+        for figures in (largest.figures, largest.linear_figures)
+    ]
+    return (
+        f"base speed {speeds[0]} instead of {speeds[1]}, largest power {powers[0]} instead of "
+        f"{powers[1]}"
+    )
+
+
+def _percent(value: float) -> str:
+    return f"{100.0 * value:.2f}"
+
+
+def voltage_rows(found: Overmodulation) -> list[tuple[str, ...]]:
+    """Index, and each order over the fundamental, in percent."""
+    return [
+        (_percent(index), *(_percent(value) for value in row))
+        for index, row in zip(found.index, found.voltage, strict=True)
+    ]
+
+
+def _voltage_columns(found: Overmodulation) -> tuple[str, ...]:
+    return ("of six-step %", *(f"order {order} %" for order in found.orders))
+
+
+POINT_COLUMNS = (
+    "speed rpm", "torque N m", "linear N m", "of six-step %", "ripple A", "peak A",
+    "torque p-p N m", "6th N m", "12th N m", "copper W",
+)  # fmt: skip
+
+
+def point_rows(largest: LargestTorque) -> list[tuple[str, ...]]:
+    """The points of most torque with what the harmonics do there."""
+    points, ripple = largest.points, largest.harmonics
+    columns = (
+        _RPM * points.omega_m, points.torque, largest.linear_torque, 100.0 * ripple.index,
+        ripple.current, ripple.peak_current, ripple.torque, ripple.torque_6, ripple.torque_12,
+        ripple.copper,
+    )  # fmt: skip
+    return [
+        tuple(f"{value:.4g}" if math.isfinite(value) else "-" for value in row)
+        for row in np.stack(columns, axis=-1)
+    ]
+
+
+def overmodulation_tables(found: Overmodulation) -> list[Table]:
+    """Harmonics over the index, and the largest torque with its ripple."""
+    title = f"Overmodulation: {reach_text(found)}"
+    tables = [
+        Table(
+            title,
+            _voltage_columns(found),
+            tuple(voltage_rows(found)),
+            ("harmonics of the phase voltage over its fundamental",),
+        )
+    ]
+    if found.largest is not None:
+        tables.append(
+            Table(
+                f"Largest torque beyond the linear range: {gain_text(found.largest)}",
+                POINT_COLUMNS,
+                tuple(point_rows(found.largest)),
+                (ASSUMED,),
+            )
+        )
+    return tables
+
+
+def overmodulation_part(found: Overmodulation) -> PlainData:
+    """What the report prints of overmodulation."""
+    largest = found.largest
+    rows = [Row(row) for row in voltage_rows(found)]
+    return {
+        "reach": reach_text(found),
+        "gain": "" if largest is None else gain_text(largest),
+        "assumed": ASSUMED,
+        "voltage": HtmlTable(
+            "Harmonics of the phase voltage over its fundamental",
+            _voltage_columns(found),
+            tuple(rows),
+            0,
+        ),
+        "points": None
+        if largest is None
+        else HtmlTable(
+            "Largest torque beyond the linear range, and what the harmonics add",
+            POINT_COLUMNS,
+            tuple(Row(row) for row in point_rows(largest)),
+            0,
+        ),
+    }

@@ -1,0 +1,1 @@
+"""Paper 000 (polynomials of the MTPA, discontinuous modulation) recomputed."""

@@ -1,0 +1,1 @@
+"""Paper 001 (a bench with a fixed-point signal processor) recomputed."""

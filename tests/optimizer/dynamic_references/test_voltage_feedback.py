@@ -1,0 +1,192 @@
+"""Field weakening by voltage feedback: its loop against a simulation of its equations, and what it
+needs of a drive that is off its map.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import make_design
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.settings import (
+    CurrentLoopSettings,
+    ReferenceSettings,
+    Tolerances,
+    VoltageFeedbackSettings,
+)
+from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.optimizer.control_design.gain_set import solve_gains
+from dqforge.optimizer.dynamic_references.voltage_feedback import (
+    VoltageFeedback,
+    feedback_matrices,
+    limit_points,
+    voltage_feedback,
+)
+from dqforge.optimizer.loops.coupled_loops import CurrentControl, TurningMachines
+from dqforge.optimizer.loops.inductances import inductance_range
+from dqforge.optimizer.loops.tolerance_box import drive_box
+
+T_S = 1e-4
+OMEGA = 2400.0  # electrical
+FLOW = np.array([0.3e-3, 0.7e-3])
+MACHINE = LinearMachine(
+    pole_pairs=4, r_s=0.05, l_d=0.3e-3, l_q=0.7e-3, psi_pm=0.06, i_max=100.0, omega_m_max=800.0
+)
+
+
+def designed(
+    bandwidth: float, tolerances: Tolerances | None = None, current: float | None = None
+) -> Design:
+    base = make_design(MACHINE)
+    references = ReferenceSettings(
+        voltage_feedback=VoltageFeedbackSettings(bandwidth=bandwidth, current=current)
+    )
+    control = replace(
+        base.control,
+        t_s=T_S,
+        current_loop=CurrentLoopSettings("magnitude-optimum"),
+        speed_loop=None,
+        observer=None,
+        references=references,
+        tolerances=tolerances,
+    )
+    return replace(base, control=control, inverter=Inverter(300.0, 1.0 / T_S), losses=None)
+
+
+def judged(design: Design) -> VoltageFeedback:
+    gains = solve_gains(design)
+    box = drive_box(design, *inductance_range(design.machine, design.i_max))
+    return voltage_feedback(design, box, (gains.i_d, gains.i_q), design.v_max)
+
+
+def test_operating_points_take_all_of_the_voltage_and_no_more() -> None:
+    design = designed(500.0)
+    points = limit_points(MACHINE, 100.0, design.v_max, 800.0)
+    omega = 4.0 * points.omega_m
+    v_d = 0.05 * points.i_d - omega * 0.7e-3 * points.i_q
+    v_q = 0.05 * points.i_q + omega * (0.06 + 0.3e-3 * points.i_d)
+    np.testing.assert_allclose(np.hypot(v_d, v_q), design.v_max, rtol=1e-6)
+    assert points.torque.size > 40
+    assert (np.sign(points.torque).min(), np.sign(points.torque).max()) == (-1.0, 1.0)
+
+
+PARTS = 20
+
+
+def slope(held: FloatArray, current: FloatArray, place: float) -> FloatArray:
+    """Slope of the currents under a voltage that rests in the stator, at a place of its period."""
+    turn = OMEGA * T_S * (0.5 - place / PARTS)
+    c, s = math.cos(turn), math.sin(turn)
+    back = np.array([0.7e-3 * current[1], -0.3e-3 * current[0] - 0.06])
+    v = np.array([c * held[0] - s * held[1], s * held[0] + c * held[1]])
+    return np.asarray((v - 0.05 * current + OMEGA * back) / FLOW)
+
+
+def stepped(gain: float, steps: int) -> FloatArray:
+    """Currents, voltages asked for, and what the feedback adds, shape (steps, 5)."""
+    omega, i = OMEGA, np.array([-80.0, 40.0])
+    v_0 = np.array(
+        [0.05 * i[0] - omega * 0.7e-3 * i[1], 0.05 * i[1] + omega * (0.06 + 0.3e-3 * i[0])]
+    )
+    kp, ki = FLOW / (3.0 * T_S), np.array([0.05, 0.05]) / 3.0
+    limit = float(np.hypot(*v_0))
+    reference = i + np.array([1.0, 0.0])  # the map asks for one ampere too little
+    current, acting, asked = i.copy(), v_0.copy(), v_0.copy()
+    integral = v_0 - np.array([-omega * 0.7e-3 * i[1], omega * (0.3e-3 * i[0] + 0.06)])
+    added, found = 0.0, []
+    for _ in range(steps):
+        added = min(0.0, added + gain * (limit**2 - asked @ asked) / (2.0 * limit))
+        error = reference + np.array([added, 0.0]) - current
+        feed = omega * np.array([-0.7e-3 * current[1], 0.3e-3 * current[0] + 0.06])
+        held, acting = acting, kp * error + integral + ki * error + feed
+        integral = integral + ki * error
+        asked = acting
+        for place in range(PARTS):
+            half = current + 0.5 * slope(held, current, place) * T_S / PARTS
+            current = current + slope(held, half, place + 0.5) * T_S / PARTS
+        found.append([*current, *asked, added])
+    return np.array(found)
+
+
+def test_the_sampled_loop_is_that_of_its_equations() -> None:
+    """The decay of a simulation of the nonlinear equations is the slowest pole of the matrix."""
+    gain = 2.0 * math.pi * 40.0 * T_S / (2400.0 * 0.3e-3)
+    omega = OMEGA
+    i = np.array([-80.0, 40.0])
+    v_0 = np.array(
+        [0.05 * i[0] - omega * 0.7e-3 * i[1], 0.05 * i[1] + omega * (0.06 + 0.3e-3 * i[0])]
+    )
+    one = np.ones(1)
+    machines = TurningMachines(0.05 * one, 0.3e-3 * one, 0.7e-3 * one, one, omega * one)
+    control = CurrentControl(
+        (0.3e-3 / (3.0 * T_S), 0.7e-3 / (3.0 * T_S)),
+        (0.05 / 3.0, 0.05 / 3.0),
+        0.3e-3,
+        0.7e-3,
+        1.5 * T_S,
+        T_S,
+    )
+    matrix = feedback_matrices(machines, control, (v_0 / np.hypot(*v_0))[None], gain)[0]
+    run = stepped(gain, 2200)
+    # it takes away what was too little: the voltage asked for comes to its limit
+    assert np.max(np.hypot(run[:50, 2], run[:50, 3])) > 1.0001 * float(np.hypot(*v_0))
+    assert math.hypot(*run[-1, 2:4]) == pytest.approx(float(np.hypot(*v_0)), rel=1e-6)
+    away = run[:, 4] - run[-1, 4]
+    slowest = np.sort(np.abs(np.linalg.eigvals(matrix)))[::-1]
+    shares = away[850:900] / away[849:899]
+    assert float(np.median(shares)) == pytest.approx(float(slowest[0]), abs=2e-5)
+
+
+def test_gain_margin_is_where_the_equations_oscillate() -> None:
+    """Just below and just above the gain at which the matrix has a pole on the unit circle."""
+    found = judged(designed(2.0 * math.pi * 20.0))
+    assert 0.9 < found.largest_pole < 1.0
+    assert found.bandwidth[1] <= 2.0 * math.pi * 20.0 * (1.0 + 1e-9)
+    assert 3.0 < found.gain_margin < math.inf
+    with pytest.raises(NoSolutionError, match="bandwidth"):
+        judged(designed(2.0 * math.pi * 20.0 * 1.05 * found.gain_margin))
+    assert judged(designed(2.0 * math.pi * 20.0 * 0.95 * found.gain_margin)).largest_pole < 1.0
+
+
+def test_a_stronger_magnet_lacks_voltage_and_more_current_gives_it_back() -> None:
+    found = judged(designed(100.0, Tolerances(psi_pm=0.05, l_q=0.1))).worst
+    assert found is not None
+    assert "psi_pm +5 %" in found.text
+    omega = 4.0 * found.omega_m
+    points = limit_points(MACHINE, 100.0, designed(100.0).v_max, 800.0)
+    place = np.flatnonzero((points.omega_m == found.omega_m) & (points.torque == found.torque))[0]
+    i_d, i_q = float(points.i_d[place]), float(points.i_q[place])
+    l_q = 0.7e-3 * (1.1 if "l_q +10 %" in found.text else 0.9)
+
+    def voltage(i_d: float, i_q: float) -> float:
+        return math.hypot(
+            0.05 * i_d - omega * l_q * i_q, 0.05 * i_q + omega * (0.063 + 0.3e-3 * i_d)
+        )
+
+    v_max = designed(100.0).v_max
+    assert voltage(i_d, i_q) - v_max == pytest.approx(found.missing, rel=1e-6)
+    assert found.missing > 3.0
+    d = i_d - found.current
+    q = math.copysign(min(abs(i_q), math.sqrt(100.0**2 - d * d)), i_q)
+    assert voltage(d, q) <= v_max * (1.0 + 1e-9)
+    assert voltage(d + 0.02 * found.current, i_q) > v_max * 0.999
+    assert 0.5 < found.kept <= 1.05
+
+
+def test_a_current_that_turns_the_flux_is_refused() -> None:
+    with pytest.raises(InputError, match=r"weakest magnet.*write current: "):
+        judged(designed(100.0, Tolerances(psi_pm=0.05), current=2000.0))
+
+
+def test_a_voltage_that_limits_nothing_is_refused() -> None:
+    slow = replace(MACHINE, omega_m_max=50.0)
+    design = designed(100.0)
+    with pytest.raises(InputError, match="limits nothing"):
+        judged(replace(design, machine=slow))

@@ -1,0 +1,76 @@
+"""The box of the speed loop: no drive is lost when cells are cut to what drives can reach."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dqforge.optimizer.box_proofs.cell_queue import Cell
+from dqforge.optimizer.speed_box.speed_parameters import SpeedBox
+
+BOX = SpeedBox(
+    resistance=(0.7, 1.6),
+    inductance=(0.7, 1.3),
+    gain=(0.8, 1.2),
+    dead_time=(-0.9, 0.2),
+    torque=(0.9, 1.1),
+    inertia=(0.7, 1.3),
+    back_emf=(-0.02, 0.05),
+)
+
+
+def cut_up(box: SpeedBox, depth: int) -> list[Cell]:
+    cells = [box.root()]
+    for turn in range(depth):
+        axis = (0, 1, 3)[turn % 3]
+        halves = [half for cell in cells for half in cell.halves(axis, float(cell.middle[axis]))]
+        cells = [kept for half in halves if (kept := box.contracted(half)) is not None]
+    return cells
+
+
+NARROW = replace(BOX, dead_time=(-0.1, 0.1))
+
+
+@pytest.mark.parametrize("box", [BOX, NARROW])
+def test_every_drive_stays_in_a_cell(box: SpeedBox) -> None:
+    cells = cut_up(box, 9)
+    volume = [float(np.prod(cell.width)) for cell in (*cells, box.root())]
+    assert sum(volume[:-1]) < 0.97 * volume[-1]
+    points = box.samples(3000, np.random.default_rng(3))
+    held = np.zeros(len(points), dtype=np.bool_)
+    for cell in cells:
+        held |= np.all((points >= cell.low) & (points <= cell.high), axis=1)
+    assert held.all()
+
+
+def test_what_has_no_tolerance_stays_one_value() -> None:
+    fixed = replace(BOX, torque=(1.0, 1.0), inertia=(1.0, 1.0), back_emf=(0.0, 0.0))
+    assert fixed.root().width[2:].tolist() == [0.0, 0.0]
+    assert fixed.root().width[:2].min() > 0.5
+
+
+def test_cells_without_a_drive_are_dropped() -> None:
+    root = NARROW.root()
+    low, high = root.low.copy(), root.high.copy()
+    low[0], high[1] = 1.68, 0.75  # the largest b has the least inductance, and so a large c
+    assert NARROW.contracted(Cell(low, high)) is None
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_drive_of_a_cell_is_one_of_the_box(seed: int) -> None:
+    """Its parameters come from a gain and an inductance of the box."""
+    generator = np.random.default_rng(seed)
+    cell = cut_up(BOX, 6)[int(generator.integers(20))]
+    point = BOX.drive(cell)
+    assert point is not None
+    b, c, j, e = point
+    g = np.linspace(0.8, 1.2, 4001)
+    inductance = g / b
+    ohm = c * inductance
+    fits = (inductance >= 0.7 - 1e-9) & (inductance <= 1.3 + 1e-9)
+    fits &= (ohm >= 0.7 - 0.9 * g - 1e-9) & (ohm <= 1.6 + 0.2 * g + 1e-9)
+    fits &= (e * g >= -0.02 - 1e-9) & (e * g <= 0.05 + 1e-9)
+    assert fits.any()
+    assert 0.63 - 1e-9 <= j <= 1.43 + 1e-9
