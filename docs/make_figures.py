@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import figures_box_proofs
 import figures_certificates
 import figures_current_feedback
 import figures_estimators
 import figures_fixed_control
 import figures_fixed_point
+import figures_fixed_reference
 import figures_flux_maps
 import figures_gains
 import figures_losses
@@ -23,6 +25,7 @@ import figures_operating_points
 import figures_overmodulation
 import figures_phase_control
 import figures_phase_design
+import figures_references
 import figures_simulation
 import figures_stability
 import figures_waveforms
@@ -41,9 +44,11 @@ def main() -> None:
     folder.mkdir(exist_ok=True)
     design = catalogue.load("paper000-ipmsm-100kw")
     save(plot_mtpa(design, solve_curves(design)), folder / "mtpa.svg")
+    figures_box_proofs.box_proof(folder / "box-proof.svg")
     save(plot_fit(design, solve_fit(design).fit), folder / "fit.svg")
     figures_fixed_point.sixteen_bits(folder / "fixed-point.svg")
     figures_fixed_control.integers_of_a_loop(folder / "fixed-control.svg")
+    figures_fixed_reference.reference_in_integers(folder / "fixed-reference.svg")
     figures_flux_maps.flux_map(folder / "flux-map.svg")
     figures_gains.current_loop_step(folder / "current-loop-step.svg")
     figures_gains.gain_schedule(folder / "gain-schedule.svg")
@@ -69,6 +74,7 @@ def main() -> None:
     figures_measured_drive.capture(folder / "measured-drive-capture.svg")
     figures_measured_drive.running(folder / "measured-drive-running.svg")
     figures_phase_design.torque_and_currents(folder / "phase-design.svg")
+    figures_references.voltage_feedback(folder / "voltage-feedback.svg")
     figures_weakening.weakening_errors(folder / "weakening-errors.svg")
     figures_certificates.proven_bounds(folder / "certificate.svg")
 

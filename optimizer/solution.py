@@ -56,7 +56,7 @@ class Solution:
     that could not be proven; ``trials`` are the forms that were tried for a budget. ``weakening``
     is None where no two-dimensional reference, ``choice`` where no choice of modulator and
     switching frequency, ``mission`` where no mission is asked for. ``fixed`` are control functions
-    in fixed point, ``fixed_observers`` its position observer. ``data`` says where the reference is
+    in fixed point, ``fixed_observers`` the position observer. ``data`` says where the reference is
     held by the data of a flux map, or leaves them. ``loops`` is None where none are wanted, or
     where a design without a section ``control`` has none that hold; ``gains_left_out`` then says
     why. ``negative`` is None where one reference serves torques of both signs; else ``fit`` and

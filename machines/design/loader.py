@@ -224,6 +224,12 @@ def _remarks(
         remarks += [warning] if warning else []
     if "strategy" not in file.operation.model_fields_set:
         remarks.append("operation.strategy is mtpa: the least current for each torque")
+    operation = file.operation
+    if operation.overmodulation != "none" and operation.overmodulation_limit is None:
+        remarks.append(
+            "operation.overmodulation_limit is 95.14 % of six-step operation: a vector that "
+            "follows the hexagon"
+        )
     if file.fit.torque_max is None:
         remarks.append("fit.torque_max is the largest torque within the current limit")
     if "prefix" not in file.export.model_fields_set:

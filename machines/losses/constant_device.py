@@ -198,7 +198,9 @@ def bridge_load(
     chunks = []
     for start in range(0, max(flat.shape[1], 1), _CHUNK):
         part = flat[:, start : start + _CHUNK]
-        wave = sector_waveforms(modulation, *part, inverter.v_dc, method)
+        wave = sector_waveforms(
+            modulation, part[0], part[1], part[2], part[3], inverter.v_dc, method
+        )
         chunks.append(_chunk_load(inverter, device, wave))
     load = np.concatenate(chunks, axis=-1).reshape(3, *points[0].shape)
     return BridgeLoad(threshold=load[0, ...], resistive=load[1, ...], switching=load[2, ...])

@@ -19,7 +19,7 @@ from dqforge.optimizer.fixed_reference.mesh_errors import (
     weakened_errors,
     weakened_targets,
 )
-from dqforge.optimizer.fixed_reference.nodes import Nodes, line_nodes, mesh_nodes
+from dqforge.optimizer.fixed_reference.nodes import Nodes, line_nodes, mesh_nodes, row_ways
 from dqforge.optimizer.fixed_reference.proven_excess import ProvenExcess, proven_excess
 from dqforge.optimizer.fixed_reference.quantised import in_integers, mesh_ranges
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
@@ -183,9 +183,9 @@ def fit_mesh(
         raise InputError("there is no section field_weakening")
     end = _end(design, min(end, domain.flux.torque_max), width)
     region: WeakeningRegion = replace(domain.flux, flux_min=_least_flux(domain))
-    best, targets = np.inf, None
+    best, targets, ways = np.inf, None, row_ways(region, end)
     for shape in _SHAPES:
-        mesh = in_integers(design, mesh_nodes(region, end, shape), width, dc)
+        mesh = in_integers(design, mesh_nodes(region, ways, shape), width, dc)
         if targets is None:
             targets = weakened_targets(design, mesh, settings.omega_m)
         errors = weakened_errors(design, mesh, targets)

@@ -14,7 +14,7 @@ from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 
-_TORQUES, _SPEEDS = 37, 33
+_TORQUES, _SPEEDS = 25, 24
 
 
 _VOLTAGES = (1.0, LEAST_VOLTAGE, 0.9, 1.1)

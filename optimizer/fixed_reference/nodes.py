@@ -16,12 +16,17 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 
-_FINE_ROWS, _FINE_COLUMNS = 401, 65
+_FINE_ROWS, _FINE_COLUMNS = 161, 33
 
 """Points on the way of the currents, whose lengths decide where nodes lie."""
 
 
-_HALVINGS = 50
+_LEVELS = 257
+
+
+_HALVINGS = 20
+
+"""Levels of the flux linkage at which the largest torque is looked up, and steps from there."""
 
 
 _LEAST_FLUX = 1e-9  # of the largest one
@@ -74,61 +79,80 @@ def line_nodes(currents: Callable[[FloatArray], Currents], end: float, rows: int
     return Nodes(torque, i_d[:, np.newaxis], i_q[:, np.newaxis])
 
 
-def _least_flux(region: WeakeningRegion, torque: FloatArray, taken: FloatArray) -> FloatArray:
+def _least_flux(
+    region: WeakeningRegion, torque: FloatArray, taken: FloatArray, halvings: int
+) -> FloatArray:
     """Least flux linkage in Wb within which torques in N m can be had, shape (N,); not below that
     of the domain, not above ``taken``, that of the least currents.
     """
-    low = np.full(torque.shape, region.flux_min)
-    high = np.maximum(taken, region.flux_min)
-    enough = region.largest_torque(low) >= torque
-    for _ in range(_HALVINGS):
+    levels = np.linspace(region.flux_min, region.flux_max, _LEVELS)
+    most = np.maximum.accumulate(region.largest_torque(levels))
+    place = np.minimum(np.searchsorted(most, torque), _LEVELS - 1)
+    low, high = levels[np.maximum(place - 1, 0)], levels[place]
+    for _ in range(halvings):
         middle = 0.5 * (low + high)
         reached = region.largest_torque(middle) >= torque
         low, high = np.where(reached, low, middle), np.where(reached, middle, high)
-    return np.minimum(np.where(enough, region.flux_min, high), taken)
+    return np.minimum(high, taken)
 
 
-def _rows(region: WeakeningRegion, end: float, rows: int) -> FloatArray:
-    """Torques of the rows in N m; one of them is the largest at the least flux linkage."""
+@dataclass(frozen=True, slots=True)
+class RowWays:
+    """How far the currents of both ends of the rows move along the torque, up to the corner of the
+    domain and beyond it: arrays of torques in N m, and of lengths in A.
+    """
+
+    torque: tuple[FloatArray, ...]
+    length: tuple[FloatArray, ...]
+
+
+def row_ways(region: WeakeningRegion, end: float) -> RowWays:
+    """Ways up to the largest torque at the least flux linkage, where the ends of the rows turn a
+    corner, and from there to ``end`` in N m.
+    """
     corner = float(region.largest_torque(np.array([region.flux_min]))[0])
     share = np.linspace(0.0, 1.0, _FINE_ROWS)
-    whole = 0.5 - 0.5 * np.cos(np.pi * share)
-    parts = [(0.0, end)] if corner >= 0.999 * end else [(0.0, corner), (corner, end)]
-    fine = [low + (high - low) * (share**3 if low == 0.0 else whole) for low, high in parts]
-    ways = [_way(region, torque) for torque in fine]
-    total = sum(float(way[-1]) for way in ways)
-    first = rows if len(parts) == 1 else round(rows * float(ways[0][-1]) / total)
-    first = min(max(first, 1), rows - len(parts) + 1)
-    cells = [first, rows - first]
-    nodes = [_even(way, at, n) for way, at, n in zip(ways, fine, cells, strict=False)]
+    parts = [end * share**3]
+    if corner < 0.999 * end:
+        parts = [corner * share**3, corner + (end - corner) * (0.5 - 0.5 * np.cos(np.pi * share))]
+    return RowWays(tuple(parts), tuple(_way(region, torque) for torque in parts))
+
+
+def _rows(ways: RowWays, rows: int) -> FloatArray:
+    """Torques of the rows in N m; one of them is that of the corner."""
+    parts = len(ways.length)
+    total = sum(float(way[-1]) for way in ways.length)
+    first = rows if parts == 1 else round(rows * float(ways.length[0][-1]) / total)
+    first = min(max(first, 1), rows - parts + 1)
+    pairs = zip(ways.length, ways.torque, [first, rows - first], strict=False)
+    nodes = [_even(way, at, cells) for way, at, cells in pairs]
     return np.concatenate([nodes[0], *(part[1:] for part in nodes[1:])])
 
 
 def _way(region: WeakeningRegion, torque: FloatArray) -> FloatArray:
-    """How far the currents of both ends of the rows move along the torque, in A."""
     least = region.mtpa(torque)
     taken = region.flux(*least)
-    levels = _least_flux(region, torque, taken)[:, np.newaxis]
+    levels = _least_flux(region, torque, taken, 3)[:, np.newaxis]
     end = [part[:, 0] for part in _points(region, torque, levels)]
     return np.asarray(_lengths(least) + _lengths((end[0], end[1])))
 
 
-def mesh_nodes(region: WeakeningRegion, end: float, shape: tuple[int, int]) -> Nodes:
+def mesh_nodes(region: WeakeningRegion, ways: RowWays, shape: tuple[int, int]) -> Nodes:
     """Nodes over torque and flux linkage.
 
     Parameters
     ----------
     region:
         Domain of torque and flux linkage.
-    end:
-        Largest torque in N m.
+    ways:
+        Its ways along the torque.
     shape:
         Cells along the torque, and along the flux linkage.
     """
     rows, columns = shape
-    torque = _rows(region, end, rows)
+    torque = _rows(ways, rows)
     taken = region.flux(*region.mtpa(torque))
-    least = _least_flux(region, torque, taken)
+    least = _least_flux(region, torque, taken, _HALVINGS)
     share = np.linspace(0.0, 1.0, _FINE_COLUMNS)
     fine = taken[:, np.newaxis] + (least - taken)[:, np.newaxis] * share
     ways = _lengths(_points(region, torque, fine))

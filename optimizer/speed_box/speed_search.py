@@ -46,7 +46,7 @@ class Effort:
     """``cells`` at most are looked at; below ``remainder`` a cell is worth an inequality."""
 
     cells: int
-    remainder: float = 1e-3
+    remainder: float = 1e-2
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.current_reference.signed import signed_designs
 from dqforge.optimizer.operating_points.solve import solve_curves
+from dqforge.optimizer.overmodulation.solve import solve_overmodulation
 from dqforge.reports.operating_points.plain import plain_curves
 from dqforge.reports.operating_points.question import Request, answer
 from dqforge.reports.operating_points.tables import mtpa_tables
+from dqforge.reports.overmodulation.plain import plain_overmodulation
+from dqforge.reports.overmodulation.tables import overmodulation_tables
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 from dqforge.reports.plain_data import PlainData
@@ -44,4 +47,8 @@ def _curves(design: Design) -> Answer:
     plain: PlainData = {"mtpa": plain_curves(curves)}
     if mirrored is not None:
         plain["mtpa_negative"] = plain_curves(mirrored)
-    return Answer(design.name, mtpa_tables(design, curves, mirrored), plain, figure)
+    tables, beyond = mtpa_tables(design, curves, mirrored), solve_overmodulation(design)
+    if beyond is not None:
+        plain["overmodulation"] = plain_overmodulation(beyond)
+        tables = [*tables, *overmodulation_tables(beyond)]
+    return Answer(design.name, tables, plain, figure)

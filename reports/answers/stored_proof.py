@@ -13,54 +13,54 @@ from dqforge.optimizer.box_proofs.current_loop_checker import (
     confirm,
     confirm_sensitivity,
 )
+from dqforge.optimizer.solution import Solution
 from dqforge.reports.loops.stability_text import CERTIFICATE
 from dqforge.reports.pages.files import LARGEST_JSON, read_output
 
 
-def check_stored_proof(folder: Path) -> Confirmation | None:
-    """Whether the certificate of a folder proves what its ``result.json`` states.
+def check_stored_proof(folder: Path, solution: Solution) -> Confirmation | None:
+    """Whether the certificate of a folder proves what the design in it states.
 
-    Bound to the drive by its inputs: those of ``result.json``, which `recompute` holds against the
-    design in the folder. None where the run stored no certificate.
+    None where the run stored no certificate, or the design asks for none.
 
     Parameters
     ----------
     folder:
         What 'dqforge run' wrote.
+    solution:
+        What the design in the folder gives; the certificate must have its inputs, to the bit.
 
     Raises
     ------
     VerificationError
         The certificate proves something else, or nothing; says what is wrong.
     InputError
-        A file cannot be read.
+        The file cannot be read.
     """
-    result = _load(folder / "result.json")
-    stated = _stated(result)
-    path = folder / f"{result['header']['prefix']}{CERTIFICATE}"
-    if stated is None or not path.is_file():
+    loops = solution.loops
+    proof = None if loops is None or loops.robust is None else loops.robust.proof
+    path = folder / f"{solution.design.export.prefix}{CERTIFICATE}"
+    if proof is None or proof.certificate is None or not path.is_file():
         return None
-    certificate = _load(path)
-    confirmation = confirm(certificate, stated["inputs"])
+    stored, inputs = _load(path), proof.certificate["inputs"]
+    confirmation = confirm(stored, inputs)
     if confirmation.fault:
         raise VerificationError(f"{path}: {confirmation.fault}")
-    _check_sensitivity(path, certificate, stated)
-    if confirmation.proven != stated["proven"]:
+    if confirmation.proven != proof.proven:
         raise VerificationError(f"{path}: it leaves open what result.json states as proven")
+    bound = None if proof.sensitivity is None else proof.sensitivity.bound
+    if bound is not None:
+        _check_sensitivity(path, stored, inputs, bound)
     return confirmation
 
 
 def _check_sensitivity(
-    path: Path, certificate: Mapping[str, Any], stated: Mapping[str, Any]
+    path: Path, stored: Mapping[str, Any], inputs: Mapping[str, Any], bound: float
 ) -> None:
     """Raises unless the certificate proves the bound of the sensitivity that is stated."""
-    bound = (stated.get("sensitivity") or {}).get("bound")
-    if bound is None:
-        return
-    own = certificate.get("sensitivity")
-    own = own if isinstance(own, Mapping) else {}
-    tree = {"inputs": certificate["inputs"], "tree": own.get("tree")}
-    found = confirm_sensitivity(tree, stated["inputs"], bound)
+    own = stored.get("sensitivity")
+    tree = own.get("tree") if isinstance(own, Mapping) else None
+    found = confirm_sensitivity({"inputs": stored["inputs"], "tree": tree}, inputs, bound)
     if not found.proven:
         raise VerificationError(f"{path}: sensitivity: {found.fault or 'it leaves cells open'}")
 
@@ -74,14 +74,6 @@ def _load(path: Path) -> dict[str, Any]:
     if not isinstance(loaded, dict):
         raise InputError("is not what dqforge writes; run the design again", source=str(path))
     return loaded
-
-
-def _stated(result: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What a result says of the proof; None where it says nothing."""
-    found: Any = result
-    for key in ("gains", "tolerances", "stability"):
-        found = found.get(key) if isinstance(found, Mapping) else None
-    return found if isinstance(found, dict) else None
 
 
 def stored_proof_text(found: Confirmation) -> str:

@@ -37,7 +37,7 @@ def answer_verify(folder: Path, target: str | None) -> Answer:
     found = read_folder(folder)
     stage("compiling and comparing")
     verified = verify_written(found)
-    proof = check_stored_proof(folder)
+    proof = check_stored_proof(folder, recomputed.solution)
     notes = [recomputation_text(recomputed), verification_text(verified)]
     notes += [] if proof is None else [stored_proof_text(proof)]
     plain: PlainData = {

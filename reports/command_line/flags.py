@@ -159,4 +159,6 @@ Harmonics = Annotated[int, _text("--harmonics", "N", "Highest order.")]
 Interval = Annotated[str | None, _text("--interval", "TIME", "Between two samples, e.g. '2 us'.")]
 
 
-Figures = Annotated[Path | None, _text("--figures", "OUT", "Folder for the paper's figures.")]
+Figures = Annotated[
+    Path | None, _text("--figures", "OUT", "Folder for the paper's figures and C files.")
+]

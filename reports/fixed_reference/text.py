@@ -38,11 +38,13 @@ def preamble_lines(design: Design, fit: FixedReferenceFit) -> list[str]:
     mesh, fullest = fit.reference, fit.fullest
     current, voltage, speed, torque = mesh.bases
     bits = mesh.width
-    scales = f"{torque:.6g} N m of torque, {current:.6g} A (peak) of current, {speed:.6g} rad/s of"
+    link = "; the dc link is not looked at."
+    if mesh.voltage is not None:
+        full = voltage * mesh.voltage.limit.value / (design.v_max / design.inverter.v_dc)
+        link = f", {full:.6g} V of the dc link."
     return [
-        f"Codes are int{bits}_t, 2^{bits - 1} of them full scale: {scales}",
-        f"mechanical speed, and the dc link as in {design.export.prefix}_control_{mesh.format}.h",
-        f"(a power of two times {voltage:.6g} V).",
+        f"Codes are int{bits}_t, 2^{bits - 1} of them full scale: {torque:.6g} N m of torque,",
+        f"{current:.6g} A (peak) of current, {speed:.6g} rad/s of mechanical speed{link}",
         f"{size_words(fit)}. Plain C99 and C++11 in integers, no library function.",
         (
             f"No overflow for any codes: {len(fit.reaches)} products and sums proven by interval "
@@ -85,15 +87,15 @@ def _voltage_lines(design: Design, fit: FixedReferenceFit) -> list[str]:
     assert over is not None
     assert speed is not None
     share = design.v_max / design.inverter.v_dc
-    kept = [
-        f"The phase voltage, resistance drop included, exceeds that by {percent(over)} (sampled)."
-    ]
+    what = "The phase voltage, resistance drop included, exceeds that by"
+    kept = [f"{what} {percent(over)} (sampled)."]
     if fit.proven.voltage is not None:
         kept = [
-            "The phase voltage, resistance drop included, exceeds that by at most "
-            f"{percent(fit.proven.voltage)} (proven",
-            f"from {100.0 * LEAST_VOLTAGE:g} % of it up, for speeds in proportion; {percent(over)} "
-            "found by sampling).",
+            f"{what} at most {percent(fit.proven.voltage)}: proven",
+            (
+                f"from {100.0 * LEAST_VOLTAGE:g} % of the dc link up, for speeds in proportion to "
+                f"it ({percent(over)} found by sampling)."
+            ),
         ]
     return [
         f"v_dc: of it {share:.6g} is the largest phase amplitude. omega_m: either sign.",

@@ -57,10 +57,16 @@ def speed_text(proof: SpeedProof) -> str:
             "speed loop: proven stable for every drive in the box, which within a cell may change "
             f"at every current sample ({cells}, {samples} each): {scope}"
         )
+    if proof.cells == 0:
+        return (
+            f"speed loop: not tried to prove, {samples} per cell are more than every run can "
+            "afford; control.tolerances.thorough: true tries"
+        )
     share = math.floor(1000.0 * proof.share) / 10.0
+    cells = "one cell" if proof.leaves == 1 else f"{proof.leaves} cells"
     return (
-        f"speed loop: proven stable for {share:.1f} % of the drives in the box ({proof.leaves} "
-        f"cells, {samples} each), the others at corners and points alone; "
+        f"speed loop: proven stable for {share:.1f} % of the drives in the box ({cells}, "
+        f"{samples} each), the others at corners and points alone; "
         f"control.tolerances.thorough: true tries longer: {scope}"
     )
 

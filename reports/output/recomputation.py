@@ -14,6 +14,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.reading import MAX_FILE_BYTES
 from dqforge.machines.errors import InputError, VerificationError
+from dqforge.optimizer.solution import Solution
 from dqforge.reports.output.folder import INPUT_DESIGN, INPUT_FILES, RUN
 from dqforge.reports.output.folder_swap import PENDING, files_below
 from dqforge.reports.output.line_comparison import Tally, first_difference, tally
@@ -39,12 +40,13 @@ _AGAIN = "run the design again"
 class Recomputation:
     """Outcome of a comparison that found no difference.
 
-    ``tally`` counts what was recomputed; ``listed`` names files that only had to have the SHA-256
+    ``solution`` is what the design gave. ``tally`` counts what was recomputed; ``listed`` names files that only had to have the SHA-256
     of the manifest, ``foreign`` those that dqforge did not write, ``line_ends`` those whose line
     endings alone were changed.
     """
 
     digest: str
+    solution: Solution
     tally: Tally
     listed: tuple[str, ...]
     foreign: tuple[str, ...]
@@ -181,7 +183,8 @@ def recompute(folder: Path) -> Recomputation:
     part = _part(folder, manifest)
     inputs = _read_inputs(folder, part, contents)
     design = _load(folder, inputs, part)
-    expected = export_design(design, verify=False).files
+    again = export_design(design, verify=False)
+    expected = again.files
     total = Tally()
     for name, content in expected.items():
         if name not in part.files:
@@ -198,4 +201,6 @@ def recompute(folder: Path) -> Recomputation:
     known = {*expected, *inputs}
     foreign = sorted({*files_below(folder)} - {*manifest.files, MANIFEST})
     listed = tuple(name for name in sorted(manifest.files) if name not in known)
-    return Recomputation(design.digest, total, listed, tuple(foreign), tuple(line_ends))
+    return Recomputation(
+        design.digest, again.solution, total, listed, tuple(foreign), tuple(line_ends)
+    )

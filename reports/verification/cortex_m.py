@@ -59,6 +59,12 @@ _LARGEST_TRACE = 1024
 """Vectors that are run in single steps; those with special values come first."""
 
 
+_LARGEST_BATCH = 600_000
+
+"""Bytes of text of the test vectors of one program; the flash of the smallest board holds 256 KiB,
+which are about 900,000 bytes of text."""
+
+
 @dataclass(frozen=True, slots=True)
 class TargetVerification:
     """Outcome on a target that found no difference.
@@ -93,10 +99,24 @@ def _torques(vectors: bytes) -> SingleArray:
     return np.array(words, dtype=np.uint32).view(np.float32)
 
 
+def _batches(files: Mapping[str, bytes], prefix: str, kinds: Sequence[str]) -> list[list[str]]:
+    """Kinds of headers whose test vectors fit the flash of a board together, in their order."""
+    found: list[list[str]] = [[]]
+    text = 0
+    for kind in kinds:
+        own = len(files[f"{prefix}_{kind}{_VECTORS}"])
+        if found[-1] and text + own > _LARGEST_BATCH:
+            found.append([])
+            text = 0
+        found[-1].append(kind)
+        text += own
+    return found
+
+
 def _run_vectors(
     files: Mapping[str, bytes], prefix: str, target: str, kinds: Sequence[str]
 ) -> bytes:
-    """Run all test vectors on the target, those of the main header and of further kinds; the
+    """Run test vectors on the target, those of the main header and of further kinds; the
     source of the program that did.
     """
     context = {
@@ -163,9 +183,9 @@ def verify_on_target(
         for name in files
         if name.startswith(f"{prefix}_") and name.endswith(_VECTORS) and name != prefix + _VECTORS
     )
-    main = _run_vectors(files, prefix, target, kinds)
+    mains = [_run_vectors(files, prefix, target, batch) for batch in _batches(files, prefix, kinds)]
     runs = run_on_target(files, prefix, programmes, target)
-    seen = reached(files, [main, *(harness_of(part, prefix) for part in programmes)])
+    seen = reached(files, [*mains, *(harness_of(part, prefix) for part in programmes)])
     costed = torques[:_LARGEST_TRACE]
     named = f"{function}_{number_format}" if number_format else function
     cost = cost_on_target(files, f"{prefix}.h", named, target, costed)

@@ -89,9 +89,20 @@ def without_loops() -> Design:
     return replace(design, control=control, losses=None)
 
 
+def beyond() -> Design:
+    """Voltages beyond the linear range, with float32 control."""
+    design = without_loops()
+    return replace(
+        design,
+        inverter=replace(design.inverter, overmodulation="least-phase-error"),
+        operation=replace(design.operation, overmodulation="least-phase-error"),
+    )
+
+
 DESIGNS: dict[str, Callable[[], Design]] = {
     "bare": without_loops,
     "small": small,
+    "beyond": beyond,
     "everything": everything,
     "sections": with_sections,
     "schedule": scheduled,
@@ -101,6 +112,7 @@ DESIGNS: dict[str, Callable[[], Design]] = {
 NAMED = [
     "bare",
     "small",
+    "beyond",
     "everything",
     *(pytest.param(name, marks=pytest.mark.slow) for name in ("sections", "schedule", "waveforms")),
 ]
@@ -115,11 +127,12 @@ def outcome_of(name: str) -> Outcome:
     return Outcome(exported(name).solution)
 
 
-# Which design asks for what. Negative torques, a mission, a simulation and loops that do not hold
-# have tests of their own in their rooms.
+# Which design asks for what. Negative torques, a mission, tolerances, a simulation and loops that
+# do not hold have tests of their own in their rooms.
 ASKED = {
     "bare": {"mtpa", "fit", "gains"},
     "small": {"mtpa", "fit", "gains", "losses", "speed_observer"},
+    "beyond": {"mtpa", "fit", "gains", "overmodulation"},
     "everything": {"mtpa", "fit", "gains", "losses", "control", "control_fixed"}
     | {"position_observer"},
     "sections": {"mtpa", "fit", "gains", "losses", "speed_observer", "weakening"}
@@ -133,6 +146,7 @@ ELSEWHERE = {
     "gains_left_out",
     "mission",
     "not_simulated",
+    "stability",
     "simulation",
 }
 

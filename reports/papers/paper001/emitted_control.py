@@ -15,6 +15,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import NumberFormat
 from dqforge.machines.plants.scenario import Encoder, Profile, Scenario
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.control.header import gain_bytes, plain_control
 from dqforge.reports.papers.paper001.thesis_program import CONVERTER
 from dqforge.reports.papers.transients import RPM, settling_time
 from dqforge.reports.simulation.compiled_plant import simulate, simulator
@@ -22,6 +23,9 @@ from dqforge.reports.simulation.design_run import drive_of, emitted_files, obser
 from dqforge.reports.simulation.recorded_run import Simulation
 
 DESIGN_NAME = "paper001-pmsm-bench"
+
+
+HELD = "float32, speed output held"
 
 
 FORMATS: tuple[NumberFormat, ...] = ("float32", "q15", "q31")
@@ -35,12 +39,13 @@ _BAND = 0.02
 
 @dataclass(frozen=True, slots=True)
 class EmittedRun:
-    """One format: times in s until the speed stays within 2 %, the largest speed beyond 1200 rpm as
-    a share, the largest current in A, and by how much i_q stays below its reference in A at 1200
-    rpm.
+    """One format, by its name or with what was changed.
+
+    Times in s until the speed stays within 2 %, the largest speed beyond 1200 rpm as a share, the
+    largest current in A, and by how much i_q stays below its reference in A at 1200 rpm.
     """
 
-    format: NumberFormat
+    name: str
     start: float
     reversal: float
     overshoot: float
@@ -63,19 +68,27 @@ def has_speed_control(files: dict[str, bytes], number_format: NumberFormat) -> b
     return any(wanted in content for content in files.values())
 
 
-def _run(solution: Solution, files: dict[str, bytes], number_format: NumberFormat) -> Simulation:
+def _run(
+    solution: Solution, files: dict[str, bytes], number_format: NumberFormat, gains: bytes = b""
+) -> Simulation:
     design = solution.design
     reference = Profile((0.0, _REVERSAL), (_TARGET * RPM, -_TARGET * RPM))
     scenario = Scenario(_END, "speed", reference, encoder=Encoder(1024), sensor=CONVERTER)
     observers = observers_of(solution)[1] if number_format == "float32" else ()
     with simulator(files, design.export.prefix, observers, number_format=number_format) as program:
-        return simulate(program, drive_of(design), scenario)
+        return simulate(program, drive_of(design), scenario, gains=gains)
 
 
-def _figures(found: Simulation, number_format: NumberFormat) -> EmittedRun:
+def _held(solution: Solution) -> bytes:
+    """Gains in float32 whose speed controller holds its output at the limit, as the thesis does."""
+    plain = plain_control(solution)
+    return gain_bytes({**plain, "speed": [*plain["speed"][:2], 1.0]})
+
+
+def _figures(found: Simulation, name: str) -> EmittedRun:
     steady = (found.t >= 1.0) & (found.t < _REVERSAL)
     return EmittedRun(
-        format=number_format,
+        name=name,
         start=_settling(found, 0.0, _TARGET),
         reversal=_settling(found, _REVERSAL, -_TARGET),
         overshoot=float(np.max(np.abs(found.omega_m))) / (_TARGET * RPM) - 1.0,
@@ -105,11 +118,14 @@ def emitted_control() -> EmittedControl:
         shipped, losses=None, simulation=None, export=replace(shipped.export, control=FORMATS)
     )
     solution = solve(design)
-    runs, left_out = [], []
+    runs: list[EmittedRun] = []
+    left_out: list[NumberFormat] = []
     for number_format in FORMATS:
         files = emitted_files(solution, number_format)
         if has_speed_control(files, number_format):
             runs.append(_figures(_run(solution, files, number_format), number_format))
         else:
             left_out.append(number_format)
+    held = _run(solution, emitted_files(solution, "float32"), "float32", _held(solution))
+    runs.append(_figures(held, HELD))
     return EmittedControl(tuple(runs), tuple(left_out))

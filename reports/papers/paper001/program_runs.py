@@ -11,7 +11,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
-from dqforge.machines.plants.scenario import Profile
+from dqforge.machines.plants.scenario import InverterModel, Profile
 from dqforge.reports.papers.paper001.thesis_program import (
     BASE_CURRENT,
     LISTED_LINE,
@@ -122,10 +122,13 @@ def codes_of(current: float) -> int:
 
 
 def _run_reversal(
-    place: ProgramBench, constants: Constants, dead_time: float | None = None
+    place: ProgramBench,
+    constants: Constants,
+    dead_time: float | None = None,
+    inverter: InverterModel = "averaged",
 ) -> Simulation:
     reference = Profile((0.0, REVERSAL), (TARGET * RPM, -TARGET * RPM))
-    return place.run(3.0, reference, constants, dead_time)
+    return place.run(3.0, reference, constants, dead_time, inverter)
 
 
 def _transient(found: Simulation, name: str, limit: float, origin: str) -> ProgramTransient:
@@ -142,6 +145,11 @@ def _transients(place: ProgramBench, listed: Simulation) -> tuple[ProgramTransie
     whole = Constants().max_w / 32_768.0 * BASE_CURRENT
     rows = [
         _transient(listed, name, whole, "program: 32000 in Q15") for name in ("start", "reversal")
+    ]
+    switched = _run_reversal(place, Constants(), inverter="switched")
+    rows += [
+        _transient(switched, name, whole, "the same, every switching instant")
+        for name in ("start", "reversal")
     ]
     wanted: tuple[tuple[Constants, float | None, float, str, tuple[str, ...]], ...] = (
         (LISTED_LINE, None, whole, "the same, 25 for 26", ("start", "reversal")),

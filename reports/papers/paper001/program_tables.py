@@ -76,7 +76,7 @@ def emitted_table(found: EmittedControl) -> Table:
     """Start and reversal by the control of the design, in every format."""
     rows = tuple(
         (
-            row.format,
+            row.name,
             _seconds(row.start),
             _seconds(row.reversal),
             f"{100.0 * row.overshoot:.1f}",
@@ -88,8 +88,13 @@ def emitted_table(found: EmittedControl) -> Table:
     notes = [
         (
             "Both axes controlled and decoupled, current limit of the drive; converter, encoder, "
-            "dead time and machine as above."
-        )
+            "dead time and machine as"
+        ),
+        (
+            "above. The speed controller takes back what the limit cut by 1/8 a sample; the thesis "
+            "holds its output, as the"
+        ),
+        "last line does.",
     ]
     if found.left_out:
         notes.append(f"Without a speed control, so not run: {', '.join(found.left_out)}.")

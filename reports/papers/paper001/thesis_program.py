@@ -16,7 +16,13 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from dqforge.machines.design.design import Design
-from dqforge.machines.plants.scenario import CurrentSensor, Encoder, Profile, Scenario
+from dqforge.machines.plants.scenario import (
+    CurrentSensor,
+    Encoder,
+    InverterModel,
+    Profile,
+    Scenario,
+)
 from dqforge.reports.pages.templating import render
 from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
 from dqforge.reports.simulation.design_run import drive_of
@@ -150,12 +156,19 @@ class ProgramBench:
         reference: Profile,
         constants: Constants | None = None,
         dead_time: float | None = None,
+        inverter: InverterModel = "averaged",
     ) -> Simulation:
         """One run from standstill: seconds, reference in rad/s, other integers or dead time in s
-        where they are given.
+        where they are given, duty cycles as voltages or every switching instant.
         """
         scenario = Scenario(
-            duration, "speed", reference, encoder=ENCODER, sensor=CONVERTER, dead_time=dead_time
+            duration,
+            "speed",
+            reference,
+            encoder=ENCODER,
+            sensor=CONVERTER,
+            dead_time=dead_time,
+            inverter=inverter,
         )
         gains = (constants or Constants()).content()
         return simulate(self.program, self.drive, scenario, gains=gains)

@@ -35,8 +35,10 @@ def made(
     name: OvermodulationName, index: float, angle: FloatArray, number: type = np.float64
 ) -> NDArray[np.complex128]:
     """Vectors over v_dc for a turning one of an asked amplitude over v_dc."""
-    vector = Pair(*(np.asarray(index * V_DC * f(angle), dtype=number) for f in (np.cos, np.sin)))
-    x, y = overmodulated(name, vector, np.full(angle.shape, V_DC, dtype=number))
+    axes: list[Any] = [
+        np.asarray(index * V_DC * part(angle), dtype=number) for part in (np.cos, np.sin)
+    ]
+    x, y = overmodulated(name, Pair(axes[0], axes[1]), np.full(angle.shape, V_DC, dtype=number))
     assert x.dtype == number
     return np.asarray((x.astype(np.float64) + 1j * y) / V_DC)
 
@@ -142,12 +144,12 @@ def shortened(radius: float) -> float:
 def test_polynomials_of_least_phase_error_invert_the_closed_forms() -> None:
     method = METHODS["least-phase-error"]
     for index in np.linspace(INSCRIBED * 1.0001, HEXAGON, 400):
-        radius = np.polyval(method.arc[::-1], math.sqrt(HEXAGON - index))
+        radius = float(np.polyval(method.arc[::-1], math.sqrt(HEXAGON - index)))
         clipped = min(max(radius, INSCRIBED), 2.0 / 3.0)
         assert abs(radius - clipped) < 1.1e-3
         assert shortened(clipped) == pytest.approx(index, rel=3.2e-5)
     for index in np.linspace(HEXAGON, SIX_STEP * 0.99999, 400):
-        hold = np.polyval(method.hold[::-1], math.sqrt(SIX_STEP - index))
+        hold = float(np.polyval(method.hold[::-1], math.sqrt(SIX_STEP - index)))
         assert held_corners(1.0 / hold) == pytest.approx(index, rel=4e-6)
 
 

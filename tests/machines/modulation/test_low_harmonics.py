@@ -75,7 +75,7 @@ def test_currents_of_a_salient_machine_solve_its_equations() -> None:
     """The ripple is put back into the differential equations by a fine step in time."""
     i_d, i_q, omega_m = -8.0, 12.0, 700.0
     omega_e = 3 * omega_m
-    v_d, v_q = SALIENT.voltage(i_d, i_q, omega_e)
+    v_d, v_q = SALIENT.voltage(np.array(i_d), np.array(i_q), np.array(omega_e))
     v_dc = math.hypot(v_d, v_q) / (0.965 * SIX_STEP)
     found = low_harmonics("least-phase-error", SALIENT, i_d, i_q, omega_m, v_dc=v_dc)
     wave = v_dc * waveform("least-phase-error", np.array([0.965 * SIX_STEP]))[0]

@@ -25,7 +25,7 @@ ORDINARY = BudgetOptions()
 
 def at_index(method: OvermodulationName, index: float) -> Inverter:
     """The inverter with the link at which the point needs a share of six-step operation."""
-    v_d, v_q = MACHINE.voltage(np.array(I_D), np.array(I_Q), MACHINE.pole_pairs * OMEGA)
+    v_d, v_q = MACHINE.voltage(*(np.array(x) for x in (I_D, I_Q, MACHINE.pole_pairs * OMEGA)))
     v_dc = float(np.hypot(v_d, v_q)) / (index * SIX_STEP)
     return replace(
         DRIVE.inverter, v_dc=v_dc, dead_time=0.0, overmodulation=method, overmodulation_limit=1.0

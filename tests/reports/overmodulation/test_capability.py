@@ -11,6 +11,7 @@ from drives import SURFACE, make_design
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
+from dqforge.machines.names import OvermodulationName
 from dqforge.optimizer.operating_points.drive_points import limited_drive, points_within
 from dqforge.reports.operating_points.question import Request, answer
 from dqforge.reports.overmodulation.tables import gain_text, point_rows, reach_text
@@ -32,12 +33,12 @@ def drive() -> Design:
 def output() -> RunOutput:
     """A drive whose current reference is exact, which saves the fit."""
     base = make_design(replace(SURFACE, omega_m_max=900.0))
-    method = {"overmodulation": "least-magnitude-error", "overmodulation_limit": 0.98}
+    method: OvermodulationName = "least-magnitude-error"
     return run_design(
         replace(
             base,
-            inverter=replace(base.inverter, **method),
-            operation=replace(base.operation, **method),
+            inverter=replace(base.inverter, overmodulation=method, overmodulation_limit=0.98),
+            operation=replace(base.operation, overmodulation=method, overmodulation_limit=0.98),
             losses=None,
         ),
         verify=False,

@@ -13,6 +13,7 @@ import pytest
 from drives import make_design
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.devices.inverter import Inverter
@@ -148,3 +149,35 @@ def amplitude_of(samples: FloatArray, time: FloatArray, order: int) -> float:
     """Amplitude of a multiple of the fundamental frequency."""
     turn = np.exp(-1j * order * OMEGA * time)
     return float(2.0 * np.abs(np.mean((samples - samples.mean()) * turn)))
+
+
+@pytest.mark.slow
+def test_weakening_beyond_the_linear_range_holds_the_torque_within_the_margin() -> None:
+    """References of the surface at the voltage limit, which leave the controllers a margin for
+    their answer to the harmonics.
+    """
+    keys = {
+        "operation.overmodulation": "least-phase-error",
+        "operation.overmodulation_limit": "98 %",
+        "operation.voltage_margin": "3 %",
+        "field_weakening.speed": "1500 rpm",
+        "inverter.v_dc": "420 V",
+        "inverter.dead_time": "0 us",
+        "export.control": "float32",
+    }
+    loaded = catalogue.load("abb-ipmsm-2k2", [f"{key}={value}" for key, value in keys.items()])
+    solved, speed = solve(loaded), 1300.0 * math.pi / 30.0
+    scenario = Scenario(
+        0.5, "torque", constant(20.0), shaft=constant(speed), omega_m=speed,
+        encoder=Encoder(speed="exact"),
+    )  # fmt: skip
+    prefix = loaded.export.prefix
+    with simulator(controller_files(solved), prefix) as compiled:
+        found = simulate(compiled, drive_of(loaded), scenario)
+    settled = found.t > 0.2
+    assert float(np.mean(found.torque[settled])) == pytest.approx(20.0, rel=4e-3)
+    voltage = np.hypot(*loaded.machine.voltage(
+        *(np.mean(x[settled], keepdims=True) for x in (found.i_d, found.i_q)),
+        np.array([3.0 * speed]),
+    ))  # fmt: skip
+    assert float(voltage[0]) / (SIX_STEP * 420.0) == pytest.approx(0.9506, rel=5e-3)

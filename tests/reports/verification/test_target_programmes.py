@@ -106,7 +106,16 @@ DESIGNS: dict[str, Callable[[], Design]] = {
     ),
 }
 KINDS = {
-    "control and position observer": {"control", "control_q15", "control_q31", "observer"},
+    "control and position observer": {
+        "control",
+        "control_q15",
+        "control_q31",
+        "reference_q15",
+        "reference_q31",
+        "observer",
+        "observer_q15",
+        "observer_q31",
+    },
     "speed observer": {"speed_observer"},
     "phase currents": {"waveform", "frames"},
     "salient phase currents": {"waveform", "control"},
@@ -167,9 +176,10 @@ def test_every_header_gives_the_bits_of_its_model_on_the_core(name: str, target:
 def test_every_position_observer_runs_on_the_core(method: ObserverMethodName, target: str) -> None:
     drive = catalogue.load(BENCH)
     control = replace(drive.control, observer=ObserverSettings(method=method))
-    output = export_design(replace(drive, control=control), verify=False)
+    export = replace(drive.export, control=("q15", "q31"))
+    output = export_design(replace(drive, control=control, export=export), verify=False)
     kinds, parts = parts_of(output)
-    assert kinds & {"observer", "speed_observer"}
+    assert {"observer", "observer_q15", "observer_q31"} <= kinds or "speed_observer" in kinds
     prefix = output.solution.design.export.prefix
     assert [run.compared for run in run_on_target(headers(output), prefix, parts, target)] == [
         ROWS

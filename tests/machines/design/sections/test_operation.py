@@ -24,6 +24,7 @@ def test_key_raises_the_largest_fundamental_of_all_that_ask_for_it() -> None:
     linear = load_text(drive(), "drive.yaml")
     assert linear.v_max == pytest.approx(540.0 / math.sqrt(3.0), rel=1e-15)
     hexagon = load_text(drive("  overmodulation: least-phase-error"), "drive.yaml")
+    assert any("95.14 % of six-step" in remark for remark in hexagon.assumptions)
     assert hexagon.v_max == pytest.approx(540.0 * math.sqrt(3.0) * math.log(3.0) / math.pi)
     for method in ("least-phase-error", "least-magnitude-error"):
         whole = load_text(

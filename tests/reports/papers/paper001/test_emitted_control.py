@@ -8,7 +8,12 @@ import pytest
 
 from dqforge.reports.papers.paper001 import emitted_control, program_tables
 from dqforge.reports.papers.paper001.bench_transients import Reproduction
-from dqforge.reports.papers.paper001.emitted_control import FORMATS, EmittedControl, EmittedRun
+from dqforge.reports.papers.paper001.emitted_control import (
+    FORMATS,
+    HELD,
+    EmittedControl,
+    EmittedRun,
+)
 
 
 @pytest.fixture(scope="module")
@@ -17,8 +22,8 @@ def found(reproduced: Reproduction) -> EmittedControl:
 
 
 def test_every_format_runs_or_is_named(found: EmittedControl) -> None:
-    assert {row.format for row in found.runs} | set(found.left_out) == set(FORMATS)
-    assert found.runs[0].format == "float32"
+    assert {row.name for row in found.runs} | set(found.left_out) == {*FORMATS, HELD}
+    assert found.runs[0].name == "float32"
 
 
 def test_every_format_gives_the_transients_of_float32(found: EmittedControl) -> None:
@@ -27,11 +32,17 @@ def test_every_format_gives_the_transients_of_float32(found: EmittedControl) -> 
     assert first.start < 0.2
     assert first.reversal < 0.3
     assert first.start < first.reversal
-    for row in found.runs:
+    for row in found.runs[:-1]:
         assert abs(row.error) < 0.02
         assert row.start == pytest.approx(first.start, rel=0.1)
         assert row.reversal == pytest.approx(first.reversal, rel=0.1)
         assert row.peak_current == pytest.approx(first.peak_current, rel=0.1)
+
+
+def test_holding_the_output_as_the_thesis_does_overshoots_less(found: EmittedControl) -> None:
+    held = found.runs[-1]
+    assert held.name == HELD
+    assert held.overshoot < 0.5 * found.runs[0].overshoot
 
 
 def test_a_speed_control_is_known_by_its_name() -> None:

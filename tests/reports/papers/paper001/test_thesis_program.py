@@ -153,6 +153,10 @@ def test_start_and_reversal_beside_the_printed_time(found: Program) -> None:
     # with a limit of its own each takes the printed time
     assert rows["start", "chosen for the printed time"].seconds == pytest.approx(0.4, rel=0.05)
     assert rows["reversal", "chosen for it"].seconds == pytest.approx(0.4, rel=0.05)
+    # duty cycles as voltages are enough: the instants of switching change little
+    for name in ("start", "reversal"):
+        switched = rows[name, "the same, every switching instant"].seconds
+        assert switched == pytest.approx(rows[name, "program: 32000 in Q15"].seconds, rel=0.07)
     # a dead band that a small limit hardly leaves brings start and reversal together
     start, reversal = rows["start", "one for both"], rows["reversal", "one for both"]
     assert reversal.seconds / start.seconds < 1.5

@@ -1,0 +1,97 @@
+"""The choice of the smallest integer reference, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from weakened_drives import CASES, domain, line_fit, weakened_design, weakened_fit
+
+from dqforge.machines.design.settings import WeakeningSettings
+from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.optimizer.current_reference.solve import solve_fit
+from dqforge.optimizer.fixed_control.design import dc_link
+from dqforge.optimizer.fixed_reference.fit import fit_line, fit_mesh
+from dqforge.optimizer.fixed_reference.mesh_errors import weakened_errors, weakened_targets
+from dqforge.optimizer.fixed_reference.nodes import line_nodes, mesh_nodes, row_ways
+from dqforge.optimizer.fixed_reference.quantised import in_integers
+from dqforge.optimizer.fixed_reference.solve import solve_fixed_references
+from dqforge.optimizer.operating_points.solve import current_choice
+
+
+def test_a_wider_budget_takes_a_smaller_mesh() -> None:
+    design = weakened_design("small ipm")
+    assert design.weakening is not None
+    loose = replace(design, weakening=replace(design.weakening, torque_error=0.02))
+    small = fit_mesh(loose, domain("small ipm"), np.inf, 16, dc_link(design, 16))
+    usual = weakened_fit("small ipm", 16)
+    assert small.reference.table_bytes < usual.reference.table_bytes < 1000
+    assert usual.errors.torque_relative <= 0.005 < small.errors.torque_relative <= 0.02
+
+
+def test_a_budget_that_nothing_keeps_is_refused_with_what_to_write() -> None:
+    design, speed = weakened_design("interior"), CASES["interior"][2]
+    narrow = replace(design, weakening=WeakeningSettings(speed, torque_error=1e-6))
+    with pytest.raises(NoSolutionError, match=r"16 bits keeps the permitted errors.*torque_error"):
+        fit_mesh(narrow, domain("interior"), np.inf, 16, dc_link(design, 16))
+
+
+def test_a_torque_that_is_lost_in_its_full_scale_is_refused() -> None:
+    design = weakened_design("interior")
+    bases = replace(design.control.bases, torque=1e6)
+    lost = replace(design, control=replace(design.control, bases=bases))
+    with pytest.raises(NoSolutionError, match=r"per_unit\.torque.*write torque: 257 N m"):
+        fit_mesh(lost, domain("interior"), np.inf, 16, dc_link(design, 16))
+
+
+def test_halves_of_a_flux_map_are_refused() -> None:
+    design = weakened_design("interior")
+    export = replace(design.export, control=("q15",))
+    both = replace(design, export=export, halves=(design.machine, design.machine))
+    with pytest.raises(InputError, match=r"symmetry: keep.*export\.control: float32"):
+        solve_fixed_references(both, solve_fit(design).fit, None)
+
+
+def test_a_full_scale_below_the_largest_torque_ends_the_reference_there() -> None:
+    design = weakened_design("interior")
+    bases = replace(design.control.bases, torque=100.0)
+    short = replace(design, control=replace(design.control, bases=bases))
+    most = domain("interior").flux.torque_max
+    found = fit_line(short, current_choice(short), most, 0.0, 16)
+    assert most > 200.0
+    assert found.reference.end == 2**15 - 1
+    assert found.errors.torque_relative < 0.0011
+
+
+def test_errors_of_finer_meshes_fall() -> None:
+    """By the square of the cells: twice as many in either direction take at least a third."""
+    design, region = weakened_design("inverse"), domain("inverse").flux
+    errors = []
+    for shape in ((8, 4), (16, 8), (32, 16)):
+        nodes = mesh_nodes(region, row_ways(region, region.torque_max), shape)
+        mesh = in_integers(design, nodes, 32, dc_link(design, 32))
+        targets = weakened_targets(design, mesh, 0.9 * CASES["inverse"][2])
+        errors.append(weakened_errors(design, mesh, targets).torque_relative)
+    assert errors[1] < 0.4 * errors[0]
+    assert errors[2] < 0.4 * errors[1]
+
+
+def test_a_row_lies_at_the_corner_of_the_domain() -> None:
+    """The largest torque at the least flux linkage is a row, and no node leaves the limits."""
+    region = domain("small ipm").flux
+    nodes = mesh_nodes(region, row_ways(region, region.torque_max), (8, 4))
+    corner = float(region.largest_torque(np.array([region.flux_min]))[0])
+    assert np.min(np.abs(nodes.torque - corner)) < 1e-9 * corner
+    assert np.max(np.hypot(nodes.i_d, nodes.i_q)) < region.i_max * (1.0 + 1e-9)
+    assert np.min(region.flux(nodes.i_d, nodes.i_q)) > region.flux_min * (1.0 - 1e-6)
+    made = region.machine.torque(nodes.i_d, nodes.i_q)
+    assert np.max(np.abs(made - nodes.torque[:, np.newaxis])) < 1e-6 * region.torque_max
+
+
+def test_rows_crowd_where_currents_rise_like_a_root() -> None:
+    """Without magnets the currents go with the root of the torque: even steps of the currents."""
+    nodes = line_nodes(lambda t: (np.sqrt(t), np.sqrt(t)), 1.0, 16)
+    steps = np.diff(nodes.i_q[:, 0])
+    assert np.max(steps) < 1.1 * np.min(steps)
+    assert line_fit("reluctance", 16).reference.torque[1] < 2**15 / 300
