@@ -11,9 +11,9 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.box_proofs.cell_queue import Proven, Tree
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.tolerance_box import DriveBox
+from dqforge.optimizer.speed_box.speed_loop_steps import SpeedLoopNumbers, cell_corners, speed_scale
 from dqforge.optimizer.speed_box.speed_parameters import Interval, SpeedBox
 from dqforge.optimizer.speed_box.speed_search import Chain, Effort, SpeedSearch
-from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers, cell_corners, speed_scale
 
 _ROUNDED = 1e-12
 

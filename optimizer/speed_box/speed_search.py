@@ -28,8 +28,8 @@ from dqforge.optimizer.box_proofs.cell_queue import (
 from dqforge.optimizer.box_proofs.contraction import Contraction
 from dqforge.optimizer.box_proofs.matrix_inequalities import chained_matrices
 from dqforge.optimizer.speed_box.cycle_contraction import step_contracts
+from dqforge.optimizer.speed_box.speed_loop_steps import SpeedLoopNumbers, cell_corners
 from dqforge.optimizer.speed_box.speed_parameters import SpeedBox
-from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers, cell_corners
 
 Chain = tuple[FloatArray, ...]
 

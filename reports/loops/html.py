@@ -151,8 +151,8 @@ def tolerance_tables(gains: GainSet, pole_pairs: int) -> list[HtmlTable]:
     if gains.robust is not None:
         notes = (
             *robust_notes(gains.robust),
-            *stability_notes(gains, pole_pairs),
             *box_notes(gains),
+            *stability_notes(gains, pole_pairs),
         )
         caption = f"Worst within control.tolerances; {'; '.join(notes)}"
         tables.append(

@@ -96,8 +96,8 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
         rows_ = robust_rows(gains.robust)
         notes = (
             *robust_notes(gains.robust),
-            *stability_notes(gains, design.machine.pole_pairs),
             *box_notes(gains),
+            *stability_notes(gains, design.machine.pole_pairs),
         )
         tables.append(Table("Worst within control.tolerances", ROBUST_COLUMNS, rows_, notes))
     if gains.schedule is not None:

@@ -10,8 +10,8 @@ from random_speed_loops import SpeedDrive, random_speed_drive
 
 from dqforge.optimizer.box_proofs.cell_queue import Proven, Tree
 from dqforge.optimizer.box_proofs.contraction import contracts
+from dqforge.optimizer.speed_box.speed_loop_steps import SpeedLoopNumbers
 from dqforge.optimizer.speed_box.speed_search import Chain, Effort, SpeedSearch
-from dqforge.optimizer.speed_box.speed_steps import SpeedLoopNumbers
 
 
 def searched(drive: SpeedDrive, cells: int, **changed: float) -> Tree[Chain]:

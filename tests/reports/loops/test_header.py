@@ -134,13 +134,16 @@ def test_damaged_data_are_refused(damage: dict[str, Any]) -> None:
 @pytest.mark.slow
 def test_the_header_says_what_its_gains_keep() -> None:
     output = exported("polynomial")
-    schedule = output.solution.gains.schedule
-    assert schedule is not None
-    text = gains_files(output.solution.design, schedule)[
+    gains = output.solution.gains
+    assert gains.schedule is not None
+    text = gains_files(output.solution.design, gains, gains.schedule)[
         f"{output.solution.design.export.prefix}_gains.h"
     ].decode()
     for phrase in (
-        "q-axis current reference in A",
+        "q-axis current in A as it is measured",
+        "d[k] = d[k-1] + kp[k] e[k] - kp[k-1] e[k-1] + ki_ts[k] e[k]",
+        "Not d[k-1] + kp[k] (e[k] - e[k-1]) + ki_ts[k] e[k]",
+        "however fast the current changes",
         "least phase margin",
         "V/A",
         "Not-a-number",

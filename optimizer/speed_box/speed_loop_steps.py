@@ -147,7 +147,7 @@ class SpeedLoopNumbers:
         """What the flow is at most over a cell, moduli beside the diagonal."""
         flows = self.flow(cell_corners(cell))
         diagonal = np.max(np.diagonal(flows, axis1=1, axis2=2), axis=0)
-        most = np.max(np.abs(flows), axis=0)
+        most: FloatArray = np.max(np.abs(flows), axis=0)
         np.fill_diagonal(most, diagonal)
         return most
 
