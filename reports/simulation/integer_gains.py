@@ -36,7 +36,7 @@ def _gains(control: FixedControl) -> ctypes.Structure:
 
     class Pi(ctypes.Structure):
         _fields_ = (
-            ("kp", Gain), ("ki", Gain), ("tracking", Gain), ("fraction", FRACTION),
+            ("kp", Gain), ("ki", Gain), ("tracking", Gain), ("fraction", ctypes.c_uint32),
             ("half", wide), ("most", wide),
         )  # fmt: skip
 
