@@ -51,12 +51,8 @@ def design_of(modulation: ModulationName = "svpwm", **changes: Any) -> Design:
     export = replace(base.export, control=("float32", "q15", "q31"))
     bases = replace(base.control.bases, speed=1000.0)
     control = replace(base.control, bases=bases)
-    return replace(
-        base,
-        **(
-            {"control": control, "operation": operation, "export": export, "losses": None} | changes
-        ),
-    )
+    made = replace(base, control=control, operation=operation, export=export, losses=None)
+    return replace(made, **changes)
 
 
 @cache

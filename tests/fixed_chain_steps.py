@@ -17,7 +17,7 @@ from dqforge.machines.design.settings import FitSettings, ObserverSettings
 from dqforge.machines.names import ModulationName, NumberFormat
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.current_reference.integer_form import FixedReference
-from dqforge.optimizer.fixed_control.design import fit_control
+from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import solve_fixed_observers
 from dqforge.optimizer.observers.methods.registry import METHODS
@@ -41,7 +41,7 @@ def control_in_integers(number_format: NumberFormat) -> dict[str, bytes]:
     """Headers of the control and of the references that it calls."""
     found, width = solution(), _width(number_format)
     references = {fit.reference.width: fit for fit in found.fixed_references}
-    controls = {fit.control.width: fit for fit in found.fixed}
+    controls = {fit.control.width: fit for fit in found.fixed if isinstance(fit, FixedControlFit)}
     return control_fixed_files(found.design, controls[width]) | reference_files(
         found.design, references[width]
     )
@@ -50,14 +50,14 @@ def control_in_integers(number_format: NumberFormat) -> dict[str, bytes]:
 def _codes(values: NDArray[np.float64], number_format: str) -> NDArray[np.int32]:
     """Shares of full scale as codes, held within them."""
     full = 2.0 ** (_width(number_format) - 1)
-    return np.clip(np.round(values * full), -full, full - 1.0).astype(np.int32)
+    return np.asarray(np.clip(np.round(values * full), -full, full - 1.0), dtype=np.int32)
 
 
 def _angles(theta: NDArray[np.float64], number_format: str) -> NDArray[np.int32]:
     """Angles in rad as codes of a turn."""
     width = _width(number_format)
     turns = np.round(theta / (2.0 * np.pi) * 2.0**width).astype(np.int64) % 2**width
-    return turns.astype(np.uint32).view(np.int32)
+    return np.asarray(turns.astype(np.uint32).view(np.int32), dtype=np.int32)
 
 
 @cache
@@ -192,7 +192,7 @@ def turning_rows(f: NumberFormat) -> NDArray[np.int32]:
     found = []
     for share in (0.1, -0.4, 0.7):
         omega_e = share * bases.speed * IPM.pole_pairs
-        theta = 0.3 + omega_e * design.control.t_s * np.arange(count)
+        theta = 0.3 + omega_e * design.control.t_s * np.arange(count, dtype=np.float64)
         voltage = omega_e * IPM.psi_pm / bases.voltage
         sizes = ((voltage, 1.6), (voltage, 0.03), (0.3, 1.5), (0.3, -0.1))
         seen = [size * np.cos(theta + shift) for size, shift in sizes]

@@ -424,7 +424,8 @@ def excess_reach(width: int, kp: float, ki_ts: float, further: int) -> int:
     """Codes that the excess of a limited output stays within: kp e + integral + ki t_s e and
     ``further`` codes of feedforward less what is left of them.
     """
-    return math.ceil(1.01 * (abs(kp) + abs(ki_ts)) * 2**width) + 2**width + further
+    codes: int = 2**width
+    return math.ceil(1.01 * (abs(kp) + abs(ki_ts)) * codes) + codes + further
 
 
 def _decoupling(design: Design, width: int) -> FixedDecoupling:

@@ -49,7 +49,9 @@ def _relative_fit(values: FloatArray, x: FloatArray, degree: int) -> FloatArray:
     found: FloatArray = np.zeros(degree + 1)
     for _ in range(_ROUNDS):
         root = np.sqrt(weight)
-        found = np.linalg.lstsq(matrix * root[:, None], root, rcond=None)[0]
+        found = np.asarray(
+            np.linalg.lstsq(matrix * root[:, None], root, rcond=None)[0], dtype=np.float64
+        )
         weight = weight * np.abs(matrix @ found - 1.0)
         weight = weight / np.sum(weight)
     return found

@@ -214,15 +214,15 @@ def _results(o: Integers, control: FixedControl, x: dict[str, CodeArray]) -> Ite
     integral = Pair(x["i_d_integral"], x["i_q_integral"])
     kept = np.zeros_like(x["count"]) if control.speed is None else x["speed_integral"]
     before_speed = SpeedState(x["filtered"], kept, x["torque"], x["count"])
-    after, speed = speed_loop(o, control, before_speed, x["omega"], x["speed_ref"])
-    yield from (after.torque, after.filtered, speed, after.integral, after.count)
+    ran, speed = speed_loop(o, control, before_speed, x["omega"], x["speed_ref"])
+    yield from (ran.torque, ran.filtered, speed, ran.integral, ran.count)
     reference = Pair(x["ref_d"], x["ref_q"])
     yield from _step(current_control(o, control, integral, measured, reference))
     if control.reference is not None:
         step, found = torque_control(o, control, integral, measured, x["torque"])
         yield from (found.x, found.y)
         yield from _step(step)
-        yield from _step(torque_control(o, control, integral, measured, after.torque)[0])
+        yield from _step(torque_control(o, control, integral, measured, ran.torque)[0])
 
 
 def _step(step: ControlStep[CodeArray]) -> Iterator[CodeArray]:

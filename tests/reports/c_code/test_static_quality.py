@@ -152,9 +152,9 @@ def headers() -> dict[str, dict[str, bytes]]:
         current = CurrentLoopSettings("magnitude-optimum", schedule=True)
         control = replace(made.control, current_loop=current, speed_loop=None, observer=None)
         made = replace(made, control=control, export=replace(made.export, prefix="drive"))
-        schedule = solve_gains(made).schedule
-        assert schedule is not None
-        found[f"gains {name}"] = gains_files(made, schedule)
+        gains = solve_gains(made)
+        assert gains.schedule is not None
+        found[f"gains {name}"] = gains_files(made, gains, gains.schedule)
     return found
 
 

@@ -17,6 +17,7 @@ from dqforge.machines.design.settings import (
     VoltageFeedbackSettings,
     WeakeningSettings,
 )
+from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, constant
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import control_files, gain_bytes, plain_control
@@ -32,6 +33,7 @@ T_S = 1.0 / 8000.0
 def designed(references: ReferenceSettings) -> Design:
     """The IPM of 2.2 kW with its field weakened up to 2400 rpm."""
     base = catalogue.load("abb-ipmsm-2k2")
+    assert isinstance(base.machine, LinearMachine)
     return replace(
         base,
         machine=replace(base.machine, omega_m_max=MOST),

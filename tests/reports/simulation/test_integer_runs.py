@@ -48,6 +48,7 @@ MOST = 2400.0 * RPM
 def ipm() -> Design:
     """The IPM of 9.1 A, its field weakened, emitted in every format."""
     base = catalogue.load("abb-ipmsm-2k2")
+    assert isinstance(base.machine, LinearMachine)
     control = replace(base.control, bases=PerUnitBases(12.5, 312.0, 1.25 * MOST, 25.0))
     return replace(
         base,
