@@ -9,7 +9,7 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ReferenceSettings
-from dqforge.optimizer.dynamic_references.speed_steps import answered_step
+from dqforge.optimizer.dynamic_references.answered_steps import answered_step
 from dqforge.optimizer.dynamic_references.voltage_feedback import (
     VoltageFeedback,
     voltage_feedback,

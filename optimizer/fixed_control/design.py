@@ -74,6 +74,25 @@ class FixedControlFit:
     word_dead_bands: dict[str, DeadBand]
     sine_error: float
 
+    def physical_band(self, loop: str) -> float | None:
+        """Smallest error in A or rad/s that moves the integral of a loop; None without one."""
+        band = self.dead_bands.get(loop)
+        one = self.control.one_code[2 if loop == "speed" else 0]
+        return None if band is None else band.largest * one
+
+    @property
+    def filter_band(self) -> float:
+        """Smallest change of the speed in rad/s that moves its filter."""
+        return dead_band(self.control.speed_filter).largest * self.control.one_code[2]
+
+    @property
+    def observer_band(self) -> float | None:
+        """Speed in rad/s below which the observer's state no longer decays; None without one."""
+        part = self.control.observer
+        if part is None or part.decay.mantissa <= 0:
+            return None
+        return dead_band(part.decay).largest * self.control.one_code[2]
+
     @property
     def fullest(self) -> Reach:
         """The quantity that comes nearest to its word's end."""
@@ -120,7 +139,9 @@ def fit_control(
     for loop in loops:
         if loop is not None:
             further = feed_reach(decoupled, width).get(loop.loop, 0)
-            found[loop.loop], forms[loop.loop] = _loop(design, loop, width, loops[1], further)
+            found[loop.loop], forms[loop.loop] = loop_integers(
+                design, loop, width, loops[1], further
+            )
     dc_scale, dc_least = dc_link(design, width)
     control = FixedControl(
         width=width,
@@ -135,8 +156,8 @@ def fit_control(
         speed=forms.get("speed"),
         decoupling=decoupled,
         observer=None if observer is None else _observer(design, observer, width),
-        speed_filter=_speed_filter(design, width),
-        torque_max=_torque_code(design, torque_max, width),
+        speed_filter=speed_filter(design, width),
+        torque_max=torque_code(design, torque_max, width),
         ratio=1 if design.control.speed_loop is None else design.control.speed_loop.ratio,
         reference=reference,
     )
@@ -169,7 +190,7 @@ def fit_controls(
     )
 
 
-def _torque_code(design: Design, torque_max: float | None, width: int) -> int:
+def torque_code(design: Design, torque_max: float | None, width: int) -> int:
     """Code of a torque in N m, full scale at the most."""
     top = full_scale(width)
     if torque_max is None:
@@ -177,7 +198,8 @@ def _torque_code(design: Design, torque_max: float | None, width: int) -> int:
     return min(top, round(torque_max / design.control.bases.torque * 2.0 ** (width - 1)))
 
 
-def _speed_filter(design: Design, width: int) -> FixedGain:
+def speed_filter(design: Design, width: int) -> FixedGain:
+    """Share of a new speed sample, to a state with width - 2 more bits than a code."""
     settings = design.control.speed_loop
     share = filter_share(0.0 if settings is None else settings.filter_time, design.control.t_s)
     return precise_gain("speed filter", share * 2.0 ** (width - 2), width, 2**width - 1)
@@ -287,7 +309,7 @@ def precise_gain(name: str, value: float, width: int, argument: int) -> FixedGai
     return gain
 
 
-def _loop(
+def loop_integers(
     design: Design, gains: LoopGains, width: int, current_gains: LoopGains, further: int
 ) -> tuple[QuantisedLoop, dict[PiForm, FixedPi]]:
     """Integers of a loop in both forms, and what they do to it; ``further`` as of `pi_ranges`."""

@@ -23,6 +23,7 @@ from dqforge.optimizer.fixed_control.step import (
     Measured,
     ObserverState,
     PiForm,
+    SpeedControlled,
     SpeedState,
     VelocityState,
     current_control,
@@ -148,7 +149,7 @@ def step_ranges(control: FixedControl) -> Ranges:
     return found
 
 
-def speed_ranges(control: FixedControl) -> Ranges:
+def speed_ranges(control: SpeedControlled) -> Ranges:
     """Ranges of the speed loop with its filter."""
     found = Ranges(control.width, "speed loop: ")
     every, top = codes(control.width), full_scale(control.width)

@@ -7,6 +7,7 @@ observer's state have ``fraction`` more bits than a code and lie in words of twi
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, Literal, Protocol
 
@@ -299,7 +300,7 @@ def observe(
     zeta = o.clamp(o.total("next zeta", state.zeta, o.negative(leak), *drive), -most, most)
     shown = rounded(o, "zeta", zeta, part.fraction)
     omega = o.total("zeta - c i_q", shown, o.negative(scaled(o, "c i_q", part.c, current.y)))
-    return ObserverState(zeta, o.clamp(omega, -top, top), current)
+    return ObserverState(zeta, o.clamp(omega, -top - 1, top), current)
 
 
 @dataclass(frozen=True, slots=True)
@@ -379,7 +380,33 @@ class SpeedState(Generic[N]):
     count: N
 
 
-def filtered_speed(o: Arithmetic[N, Any], control: FixedControl, state: N, omega: N) -> tuple[N, N]:
+class SpeedControlled(Protocol):
+    """A control in integers with a speed loop, as far as that goes; ``speed`` is None without."""
+
+    @property
+    def width(self) -> int:
+        """Bits of a code."""
+
+    @property
+    def speed(self) -> Mapping[PiForm, FixedPi] | None:
+        """The controller in its forms."""
+
+    @property
+    def speed_filter(self) -> FixedGain:
+        """Share of a new sample, to a state with width - 2 more bits than a code."""
+
+    @property
+    def torque_max(self) -> int:
+        """Limit of its output."""
+
+    @property
+    def ratio(self) -> int:
+        """Current samples per speed sample."""
+
+
+def filtered_speed(
+    o: Arithmetic[N, Any], control: SpeedControlled, state: N, omega: N
+) -> tuple[N, N]:
     """Next state of the speed's filter, and the speed in codes."""
     width, fraction = control.width, control.width - 2
     most = full_scale(width) << fraction
@@ -390,7 +417,7 @@ def filtered_speed(o: Arithmetic[N, Any], control: FixedControl, state: N, omega
 
 
 def speed_loop(
-    o: Arithmetic[N, Any], control: FixedControl, state: SpeedState[N], omega: N, reference: N
+    o: Arithmetic[N, Any], control: SpeedControlled, state: SpeedState[N], omega: N, reference: N
 ) -> tuple[SpeedState[N], N]:
     """State after a current sample, and the filtered speed; ``state.torque`` is the reference.
 

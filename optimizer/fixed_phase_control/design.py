@@ -13,7 +13,14 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.topologies.regions import largest_phase_voltage
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Reach
-from dqforge.optimizer.fixed_control.design import DC_HEADROOM, precise_gain, require_scales
+from dqforge.optimizer.fixed_control.design import (
+    DC_HEADROOM,
+    loop_integers,
+    precise_gain,
+    require_scales,
+    speed_filter,
+    torque_code,
+)
 from dqforge.optimizer.fixed_control.transforms import sine_error
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedAxis,
@@ -23,6 +30,7 @@ from dqforge.optimizer.fixed_phase_control.integers import (
 )
 from dqforge.optimizer.fixed_phase_control.phase_ranges import phase_ranges
 from dqforge.optimizer.loops.integer_gains import FixedGain
+from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.phase_control.phase_controller import AxisGains, PhaseControl
 
 _FLUX_ROOM = 1.05  # of the full scale of the flux over the largest value of any axis
@@ -50,7 +58,12 @@ class FixedPhaseFit:
         return max(self.reaches, key=lambda reach: reach.share)
 
 
-def fit_phase_control(design: Design, control: PhaseControl, width: int = 16) -> FixedPhaseFit:
+def fit_phase_control(
+    design: Design,
+    control: PhaseControl,
+    width: int = 16,
+    speed: tuple[LoopGains, LoopGains] | None = None,
+) -> FixedPhaseFit:
     """Integers of a phase machine's control for the bases of a design.
 
     Parameters
@@ -61,6 +74,8 @@ def fit_phase_control(design: Design, control: PhaseControl, width: int = 16) ->
         The real numbers.
     width:
         Bits of a code.
+    speed:
+        Gains of the speed loop, and of the current loop that makes its torque; None without.
 
     Raises
     ------
@@ -83,7 +98,7 @@ def fit_phase_control(design: Design, control: PhaseControl, width: int = 16) ->
     bases = design.control.bases
     flux_base = _flux_base(control.shape.flux)
     scales = (bases.current, bases.voltage, bases.speed, bases.torque, flux_base)
-    made = _integers(design, control, scales, width)
+    made = _integers(design, control, scales, width, speed)
     codes = np.array(made.shape)[:, :-1] * (flux_base / 2 ** (width - 1))
     error = np.max(np.abs(codes - control.shape.flux)) / np.max(np.abs(control.shape.flux))
     return FixedPhaseFit(made, phase_ranges(made), float(error), sine_error(width))
@@ -210,6 +225,7 @@ def _integers(
     control: PhaseControl,
     bases: tuple[float, float, float, float, float],
     width: int,
+    loops: tuple[LoopGains, LoopGains] | None,
 ) -> FixedPhaseControl:
     current, voltage, speed, torque, flux = bases
     omega_e, code = control.pole_pairs * speed, 2 ** (width - 1)
@@ -261,4 +277,15 @@ def _integers(
         midpoint=_midpoint(control, scales, dc_base, width),
         dc_scale=dc_scale,
         dc_least=round(0.5 * design.inverter.v_dc / dc_base * code),
+        current_per_torque=_current_per_torque(control, torque / current, width),
+        speed=None if loops is None else loop_integers(design, loops[0], width, loops[1], 0)[1],
+        speed_filter=speed_filter(design, width),
+        torque_max=torque_code(design, control.torque_max, width),
+        ratio=1 if design.control.speed_loop is None else design.control.speed_loop.ratio,
     )
+
+
+def _current_per_torque(control: PhaseControl, bases: float, width: int) -> FixedGain:
+    """From the torque to the q current of sinusoids; ``bases`` in N m/A."""
+    flux = 1.5 * control.pole_pairs * control.psi_pm
+    return precise_gain("current per torque", bases / flux, width, 2 ** (width - 1))

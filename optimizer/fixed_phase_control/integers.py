@@ -11,6 +11,7 @@ from typing import Generic, NamedTuple
 
 from dqforge.machines.names import CurrentFrame, Feedforward, NumberFormat, Topology
 from dqforge.machines.transforms import N
+from dqforge.optimizer.fixed_control.step import FixedPi, PiForm
 from dqforge.optimizer.fixed_control.transforms import (
     TurnSteps,
     full_scale,
@@ -113,6 +114,10 @@ class FixedPhaseControl:
     dc_scale, dc_least:
         Full scale of the link is 2^dc_scale times that of the voltage; below the code
         ``dc_least`` it counts as that.
+    current_per_torque:
+        For the frame dq: from the code of the torque to that of i_q.
+    speed, speed_filter, torque_max, ratio:
+        The speed loop, as in `FixedControl`.
     """
 
     width: int
@@ -140,6 +145,11 @@ class FixedPhaseControl:
     midpoint: FixedMidpoint | None
     dc_scale: int
     dc_least: int
+    current_per_torque: FixedGain
+    speed: dict[PiForm, FixedPi] | None
+    speed_filter: FixedGain
+    torque_max: int
+    ratio: int
 
     @property
     def format(self) -> NumberFormat:

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from dqforge.machines.transforms import Pair, Triple
 from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach
-from dqforge.optimizer.fixed_control.ranges import codes, require
+from dqforge.optimizer.fixed_control.ranges import codes, pi_ranges, require, speed_ranges
 from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
-from dqforge.optimizer.fixed_phase_control.phase_step import PhaseState, Sample, control_step
+from dqforge.optimizer.fixed_phase_control.phase_step import (
+    PhaseState,
+    Sample,
+    control_step,
+    torque_reference,
+)
 
 
 def phase_ranges(control: FixedPhaseControl) -> tuple[Reach, ...]:
@@ -30,5 +35,10 @@ def phase_ranges(control: FixedPhaseControl) -> tuple[Reach, ...]:
     sample = Sample(Triple(every, every, every), angle, every, every, Range(0, top), Range(0, 3))
     before = PhaseState(integral, tuple(Pair(turning, turning) for _ in control.harmonics))
     control_step(found, control, before, sample, every, Pair(every, every))
-    require(found)
-    return tuple(found.reaches.values())
+    torque_reference(found, control, every)
+    parts = [found, speed_ranges(control)]
+    if control.speed is not None:
+        parts += [pi_ranges(width, "speed", pi, form) for form, pi in control.speed.items()]
+    for part in parts:
+        require(part)
+    return tuple(reach for part in parts for reach in part.reaches.values())

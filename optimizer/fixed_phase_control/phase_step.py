@@ -459,3 +459,9 @@ def _integrated(
     most = control.top << axis.fraction
     step = scaled(o, "ki e", axis.ki, error)
     return o.clamp(o.total("integral + ki e", old, step), -most, most)
+
+
+def torque_reference(o: Arithmetic[N, Any], control: FixedPhaseControl, torque: N) -> Pair[N]:
+    """Currents (d, q) in codes for a torque where the references are sinusoids."""
+    asked = scaled(o, "current per torque", control.current_per_torque, torque)
+    return Pair(o.const(0), o.clamp(asked, -control.top, control.top))

@@ -31,4 +31,5 @@ def solve_integers(
     if gains.phases is None:
         return solve_fixed(design, gains, torque_max, references)
     widths = [FIXED_WIDTHS[name] for name in design.export.control if name in FIXED_WIDTHS]
-    return tuple(fit_phase_control(design, gains.phases.control, width) for width in widths)
+    speed = None if gains.speed is None else (gains.speed, gains.i_q)
+    return tuple(fit_phase_control(design, gains.phases.control, width, speed) for width in widths)

@@ -155,8 +155,8 @@ def mesh_nodes(region: WeakeningRegion, ways: RowWays, shape: tuple[int, int]) -
     least = _least_flux(region, torque, taken, _HALVINGS)
     share = np.linspace(0.0, 1.0, _FINE_COLUMNS)
     fine = taken[:, np.newaxis] + (least - taken)[:, np.newaxis] * share
-    ways = _lengths(_points(region, torque, fine))
-    even = np.array([_even(way, share, columns) for way in ways])
+    across = _lengths(_points(region, torque, fine))
+    even = np.array([_even(way, share, columns) for way in across])
     flux = taken[:, np.newaxis] + (least - taken)[:, np.newaxis] * even
     return Nodes(torque, *_points(region, torque, flux))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
-from dqforge.machines.errors import InputError
 from dqforge.optimizer.current_reference.fit import ReferenceFit
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.optimizer.field_weakening.fit import WeakeningFit
@@ -17,7 +16,8 @@ from dqforge.optimizer.operating_points.solve import current_choice
 def solve_fixed_references(
     design: Design, fit: ReferenceFit, weakening: WeakeningFit | None
 ) -> tuple[FixedReferenceFit, ...]:
-    """Integer references for the fixed-point formats of the control functions.
+    """Integer references for the fixed-point formats of the control functions; none where each
+    sign of the torque has a reference of its own (the halves of a flux map).
 
     Parameters
     ----------
@@ -30,17 +30,12 @@ def solve_fixed_references(
 
     Raises
     ------
-    InputError
-        The halves of a flux map have references of their own.
     NoSolutionError
         As `fit_line` and `fit_mesh`.
     """
+    if design.halves is not None:
+        return ()
     widths = [FIXED_WIDTHS[name] for name in design.export.control if name in FIXED_WIDTHS]
-    if widths and design.halves is not None:
-        raise InputError(
-            "export.control: machine.flux_map.symmetry: keep has a reference for each sign of the "
-            "torque, which fixed point does not; write export.control: float32"
-        )
     return tuple(_solve(design, fit, weakening, width) for width in widths)
 
 

@@ -69,9 +69,20 @@ def _loops_comment(fit: FixedControlFit) -> list[str]:
             )
         band = fit.dead_bands.get(name)
         lines.append(
-            f"  the smallest error that moves the integral is {band.largest} codes."
+            f"  the smallest error that moves the integral is {band.largest} codes, "
+            f"{fit.physical_band(name):.3g} {'rad/s' if name == 'speed' else 'A'}."
             if band
             else "  no integral."
+        )
+    torque = fit.control.one_code[3]
+    if "speed" in fit.loops:
+        lines.append(
+            f"speed filter: the smallest change that moves it is {fit.filter_band:.3g} rad/s; "
+            f"torque comes in steps of {torque:.3g} N m."
+        )
+    if fit.observer_band is not None:
+        lines.append(
+            f"speed observer: its state no longer decays below {fit.observer_band:.3g} rad/s."
         )
     return lines
 
@@ -179,6 +190,7 @@ def plain_fixed_evidence(fit: FixedControlFit) -> PlainData:
             else None,
             "largest_pole": abs(loop.found.poles[0]) if loop.exact.observed is None else None,
             "dead_band_codes": None if band is None else band.largest,
+            "dead_band": fit.physical_band(name),
             "dead_band_in_one_word_codes": None
             if band is None
             else fit.word_dead_bands[name].largest,
@@ -196,6 +208,8 @@ def plain_fixed_evidence(fit: FixedControlFit) -> PlainData:
         "sine_error_codes": fit.sine_error,
         "one_code": dict(zip(names, fit.control.one_code, strict=True)),
         "dc_least_V": fit.control.dc_least_voltage,
+        "speed_filter_dead_band_rad_per_s": fit.filter_band,
+        "observer_dead_band_rad_per_s": fit.observer_band,
     }
 
 

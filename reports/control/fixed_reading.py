@@ -53,9 +53,9 @@ def fixed_control_from(
             dc_least=whole(plain["dc_least"], 1, full_scale(width)),
             limit=gain_from(plain["limit"], width),
             advance=gain_from(plain["advance"], width),
-            i_d=_forms(plain["i_d"], width),
-            i_q=_forms(plain["i_q"], width),
-            speed=None if plain["speed"] is None else _forms(plain["speed"], width),
+            i_d=forms_from(plain["i_d"], width),
+            i_q=forms_from(plain["i_q"], width),
+            speed=None if plain["speed"] is None else forms_from(plain["speed"], width),
             decoupling=FixedDecoupling(
                 **{k: gain_from(v, width) for k, v in plain["decoupling"].items()}
             ),
@@ -110,7 +110,8 @@ def gain_from(plain: Mapping[str, Any], width: int) -> FixedGain:
     )
 
 
-def _forms(plain: Mapping[str, Any], width: int) -> dict[PiForm, FixedPi]:
+def forms_from(plain: Mapping[str, Any], width: int) -> dict[PiForm, FixedPi]:
+    """A controller in its forms; KeyError, TypeError or ValueError where it is none."""
     return {
         form: FixedPi(
             **{name: gain_from(plain[form][name], width) for name in ("kp", "ki", "tracking")},

@@ -58,6 +58,20 @@ def _title(fit: FixedControlFit) -> str:
     return f"Control in fixed point, {fit.control.format}: gains as integers"
 
 
+def _bands(fit: FixedControlFit) -> str:
+    """Dead bands in physical units, in one line."""
+    parts = [
+        f"{name} {fit.physical_band(name):.3g} {'rad/s' if name == 'speed' else 'A'}"
+        for name in fit.dead_bands
+    ]
+    if "speed" in fit.loops:
+        parts.append(f"speed filter {fit.filter_band:.3g} rad/s")
+        parts.append(f"torque in steps of {fit.control.one_code[3]:.3g} N m")
+    if fit.observer_band is not None:
+        parts.append(f"speed observer {fit.observer_band:.3g} rad/s")
+    return f"dead bands: {', '.join(parts) or 'none'};"
+
+
 def _notes(fit: FixedControlFit) -> tuple[str, ...]:
     fullest, (current, _, speed, _) = fit.fullest, fit.control.one_code
     return (
@@ -69,6 +83,7 @@ def _notes(fit: FixedControlFit) -> tuple[str, ...]:
             "dead band: smallest error in codes that moves the integral; in one word: an integral "
             "without fractional bits;"
         ),
+        _bands(fit),
         (
             f"one code is {current:.3g} A, or {speed:.3g} rad/s; q0 + q1 is the integral gain of "
             "the velocity form"

@@ -61,7 +61,7 @@ def _turning(
     observer: FixedPositionObserver, count: int, generator: np.random.Generator
 ) -> CodeArray:
     """Rows along sequences of samples, each with the state that the one before has left."""
-    width, top = observer.width, 2 ** (observer.width - 1) - 1
+    top = 2 ** (observer.width - 1) - 1
     drives = count // _LENGTH
     if drives == 0:
         return np.empty((0, len(input_names(observer))), dtype=np.int64)

@@ -9,6 +9,7 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.optimizer.fixed_control.step import IDLE
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
 from dqforge.optimizer.fixed_phase_control.integers import (
     FixedPhaseControl,
@@ -83,6 +84,12 @@ def _preamble(fit: FixedPhaseFit, design: Design) -> list[str]:
     ]
 
 
+def _speed_comment(control: FixedPhaseControl) -> list[str]:
+    if control.speed is None:
+        return ["There is no speed loop."]
+    return [f"The speed loop runs every {control.ratio} current samples."]
+
+
 def phase_fixed_context(design: Design, fit: FixedPhaseFit) -> PlainData:
     """Everything that the header prints, as plain data."""
     control, bits = fit.control, fit.control.width - 1
@@ -96,6 +103,10 @@ def phase_fixed_context(design: Design, fit: FixedPhaseFit) -> PlainData:
         **title(design),
         **fixed_basics(control.turn, fit.sine_error),
         "control": control,
+        "idle": asdict(IDLE),
+        "loops": {},
+        "loops_comment": _speed_comment(control),
+        "reference": False,
         "rule": TOPOLOGIES[control.topology],
         "legs": TOPOLOGIES[control.topology].legs,
         "preamble": _preamble(fit, design),

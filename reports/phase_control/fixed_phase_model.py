@@ -9,10 +9,22 @@ import numpy as np
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import Pair, Triple
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
+from dqforge.optimizer.fixed_control.step import IDLE, SpeedState, speed_loop
 from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
-from dqforge.optimizer.fixed_phase_control.phase_step import PhaseState, Sample, control_step
+from dqforge.optimizer.fixed_phase_control.phase_step import (
+    PhaseState,
+    Sample,
+    control_step,
+    torque_reference,
+)
 
 _MEASURED = ("i_a", "i_b", "i_c", "theta", "omega", "v_dc", "v_m", "open", "torque", "d", "q")
+
+
+_SPEED = ("speed_reference", "speed_filtered", "speed_integral", "speed_torque", "speed_count")
+
+
+_SPEED_RESULTS = (*_SPEED[1:], "speed_omega", "sinusoid_q")
 
 
 _INTEGRALS = ("integral_d", "integral_q", "integral_0")
@@ -28,13 +40,13 @@ def _states(control: FixedPhaseControl) -> tuple[str, ...]:
 
 def phase_inputs(control: FixedPhaseControl) -> tuple[str, ...]:
     """Columns of the inputs: what is measured and wanted, then the state."""
-    return (*_MEASURED, *_states(control))
+    return (*_MEASURED, *_SPEED, *_states(control))
 
 
 def phase_outputs(control: FixedPhaseControl) -> tuple[str, ...]:
     """Columns of the results: duty cycles, the next state, voltage and reference."""
     legs = (f"duty_{leg}" for leg in TOPOLOGIES[control.topology].legs)
-    return (*legs, *_states(control), *_VECTORS)
+    return (*legs, *_states(control), *_VECTORS, *_SPEED_RESULTS)
 
 
 def _columns(control: FixedPhaseControl) -> dict[str, tuple[int, int]]:
@@ -51,6 +63,10 @@ def _columns(control: FixedPhaseControl) -> dict[str, tuple[int, int]]:
     for name, axis in zip(_INTEGRALS, (control.d, control.q, control.zero), strict=True):
         most = 0 if axis is None else top << axis.fraction
         found[name] = (-most, most)
+    fraction = IDLE.fraction if control.speed is None else control.speed["parallel"].fraction
+    filtered, integral = top << (control.width - 2), top << fraction
+    found["speed_filtered"], found["speed_integral"] = (-filtered, filtered), (-integral, integral)
+    found["speed_count"] = (0, control.ratio - 1)
     most = top << control.harmonic_fraction
     return found | dict.fromkeys(_states(control)[3:], (-most, most))
 
@@ -64,7 +80,7 @@ def phase_rows(control: FixedPhaseControl, count: int, seed: int) -> CodeArray:
     generator = np.random.default_rng(seed)
     kind, columns = generator.integers(0, 3, count), []
     for name, (low, high) in _columns(control).items():
-        if name == "open":
+        if name in ("open", "speed_count"):
             columns.append(generator.integers(low, high, count, endpoint=True))
             continue
         even = generator.integers(low, high, count, endpoint=True)
@@ -97,6 +113,11 @@ def phase_results(
     )
     step = control_step(o, control, state, sample, x["torque"], Pair(x["d"], x["q"]))
     turning = [value for pair in step.state.harmonics for value in pair]
-    found = [*step.duty, *step.state.integral, *turning, *step.voltage, *step.reference]
+    loop, omega = speed_loop(
+        o, control, SpeedState(*(x[name] for name in _SPEED[1:])), x["omega"], x["speed_reference"]
+    )
+    sinusoid = torque_reference(o, control, loop.torque)
+    speed = (loop.filtered, loop.integral, loop.torque, loop.count, omega, sinusoid.y)
+    found = [*step.duty, *step.state.integral, *turning, *step.voltage, *step.reference, *speed]
     shape = inputs.shape[:1]
     return np.stack([np.broadcast_to(value, shape) for value in found], axis=1)

@@ -18,6 +18,7 @@ from dqforge.optimizer.fixed_phase_control.integers import (
 from dqforge.optimizer.fixed_phase_control.phase_ranges import phase_ranges
 from dqforge.reports.control.fixed_reading import (
     NOT_OURS,
+    forms_from,
     gain_from,
     one_of,
     positive,
@@ -91,6 +92,11 @@ def phase_integers_from(plain: Mapping[str, Any], width: int) -> FixedPhaseContr
             ),
             dc_scale=whole(plain["dc_scale"], 0, 8),
             dc_least=whole(plain["dc_least"], 1, code - 1),
+            current_per_torque=gain_from(plain["current_per_torque"], width),
+            speed=None if plain["speed"] is None else forms_from(plain["speed"], width),
+            speed_filter=gain_from(plain["speed_filter"], width),
+            torque_max=whole(plain["torque_max"], 0, code - 1),
+            ratio=whole(plain["ratio"], 1, 2**31 - 1),
         )
         phase_ranges(found)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, NoSolutionError):

@@ -133,7 +133,7 @@ ASKED = {
     "bare": {"mtpa", "fit", "gains"},
     "small": {"mtpa", "fit", "gains", "losses", "speed_observer"},
     "beyond": {"mtpa", "fit", "gains", "overmodulation"},
-    "everything": {"mtpa", "fit", "gains", "losses", "control", "control_fixed"}
+    "everything": {"mtpa", "fit", "gains", "losses", "control", "control_fixed", "reference_fixed"}
     | {"position_observer", "observer_fixed"},
     "sections": {"mtpa", "fit", "gains", "losses", "speed_observer", "weakening"}
     | {"modulation_choice"},

@@ -143,7 +143,13 @@ def plot_errors_over_torque(curves: Sequence[ErrorCurve]) -> Figure:
                 ylim=(1e-3, 4.0),
             )
             above.legend(frameon=False, loc="best", fontsize=6.5)
-        figure.legend(*below.get_legend_handles_labels(), loc="lower center", fontsize=6.5, ncols=6)
+        figure.legend(
+            *below.get_legend_handles_labels(),
+            frameon=False,
+            loc="lower center",
+            fontsize=6.5,
+            ncols=6,
+        )
     return figure
 
 

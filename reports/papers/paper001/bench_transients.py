@@ -24,7 +24,7 @@ from dqforge.optimizer.observers.reduced_order import ObserverError, steady_stat
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.papers.paper001.bench_sensorless import Estimator, estimator_errors
 from dqforge.reports.papers.paper001.emitted_control import EmittedControl, emitted_control
-from dqforge.reports.papers.paper001.program_runs import Program, program_results
+from dqforge.reports.papers.paper001.program_findings import Program, program_results
 from dqforge.reports.papers.transients import RPM, Bench, bench, settling_time
 from dqforge.reports.simulation.recorded_run import Simulation
 

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from dqforge.reports.pages.table import Table
 from dqforge.reports.papers.paper001.bench_transients import PRINTED_TIME
 from dqforge.reports.papers.paper001.emitted_control import EmittedControl
-from dqforge.reports.papers.paper001.program_runs import Program
+from dqforge.reports.papers.paper001.program_findings import Program
 from dqforge.reports.plain_data import PlainData
 
 _WIDTH = 118

@@ -168,7 +168,7 @@ def test_dead_band_is_the_least_error_that_moves(rounding: bool) -> None:
 
 
 PI = FixedPi(
-    given(3.7, 12), quantise(0.2 * 2.0**4, 16, 65_535), quantise(0.05 * 2.0**4, 16, 32_768), 4
+    given(3.7, 12), quantise(0.2 * 2.0**4, 16, 65_535), quantise(0.05 * 2.0**4, 16, 2**19), 4
 )
 
 

@@ -37,7 +37,7 @@ def design(voltage: float = 300.0, **bases: float) -> Any:
     """What the integers need of a design."""
     scales = {"current": 8.0, "voltage": voltage, "speed": 2000.0 * RPM, "torque": 5.0} | bases
     return SimpleNamespace(
-        control=SimpleNamespace(bases=SimpleNamespace(**scales)),
+        control=SimpleNamespace(bases=SimpleNamespace(**scales), speed_loop=None, t_s=T_S),
         machine=SimpleNamespace(omega_m_max=1800.0 * RPM),
         i_max=5.94,
         inverter=SimpleNamespace(v_dc=220.0),

@@ -9,7 +9,7 @@ import pytest
 from weakened_drives import CASES, domain, line_fit, weakened_design, weakened_fit
 
 from dqforge.machines.design.settings import WeakeningSettings
-from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.fixed_control.design import dc_link
 from dqforge.optimizer.fixed_reference.fit import fit_line, fit_mesh
@@ -45,12 +45,16 @@ def test_a_torque_that_is_lost_in_its_full_scale_is_refused() -> None:
         fit_mesh(lost, domain("interior"), np.inf, 16, dc_link(design, 16))
 
 
-def test_halves_of_a_flux_map_are_refused() -> None:
+def test_halves_of_a_flux_map_have_none() -> None:
+    """One mesh cannot serve two halves; the current control is there all the same."""
     design = weakened_design("interior")
-    export = replace(design.export, control=("q15",))
-    both = replace(design, export=export, halves=(design.machine, design.machine))
-    with pytest.raises(InputError, match=r"symmetry: keep.*export\.control: float32"):
-        solve_fixed_references(both, solve_fit(design).fit, None)
+    asked = replace(
+        design, export=replace(design.export, control=("float32", "q15")), weakening=None
+    )
+    fit = solve_fit(asked).fit
+    assert [found.reference.width for found in solve_fixed_references(asked, fit, None)] == [16]
+    both = replace(asked, halves=(design.machine, design.machine))
+    assert solve_fixed_references(both, fit, None) == ()
 
 
 def test_a_full_scale_below_the_largest_torque_ends_the_reference_there() -> None:

@@ -134,7 +134,8 @@ def test_a_change_of_the_code_is_found(text: str, other: str | None, tmp_path: P
     "target", ["cortex-m0plus", pytest.param("cortex-m4", marks=pytest.mark.slow)]
 )
 def test_emulated_cores_equal_the_model(target: str) -> None:
-    design, programmes, files = weakened_design("small ipm"), [], {}
+    design, programmes = weakened_design("small ipm"), []
+    files: dict[str, bytes] = {}
     for fit in (weakened_fit("small ipm", 16), weakened_fit("small ipm", 32)):
         files |= reference_files(design, fit)
         programmes.append(reference_programme(fit.reference))

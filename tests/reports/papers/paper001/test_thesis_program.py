@@ -19,7 +19,7 @@ from dqforge.reports.papers.paper001.bench_transients import (
     Reproduction,
     bench_design,
 )
-from dqforge.reports.papers.paper001.program_runs import Program
+from dqforge.reports.papers.paper001.program_findings import Program
 from dqforge.reports.papers.paper001.thesis_program import (
     LISTED_LINE,
     Constants,
