@@ -82,7 +82,7 @@ def test_the_covariance_begins_anew_where_it_is_none() -> None:
     rows = row_inputs(fit.observer, 400, 1)[:200]
     rows = rows[rows[:, 0] == 1]
     names = ["started", "theta", "omega", *(w.name for w in fit.observer.method.words)]
-    rows[:, names.index("p[7]")] = -(2**40)
+    rows[:, names.index("p[7]")] = -(2**52)
     after = row_results(fit.observer, rows)
     out = ["theta", "omega", *(w.name for w in fit.observer.method.words)]
     assert np.all(after[:, out.index("p[7]")] == fit.observer.gains.p_omega)
