@@ -1,6 +1,5 @@
-"""A simulation runs float32.
-
-Designs that emit fixed point are told so, on the terminal, in the report and in JSON.
+"""A simulation runs the control in every format that the design emits, and says what it leaves out,
+on the terminal, in the report and in JSON.
 """
 
 from __future__ import annotations
@@ -21,20 +20,34 @@ from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.simulation.design_run import in_float32, simulate_design
-from dqforge.reports.simulation.number_format import not_simulated
+from dqforge.reports.simulation.number_format import format_text, not_simulated, simulated
 from dqforge.reports.simulation.tables import plain_simulation, simulation_html, simulation_tables
 from dqforge.reports.summary import run_tables
 from dqforge.reports.verification.host import Verification
 
-REMARK = "runs the float32 control; the emitted {} not simulated"
-CASES: dict[str, tuple[tuple[NumberFormat, ...], NumberFormat, str]] = {
-    "control q15": (("q15",), "float32", "q15 is"),
-    "control q31": (("q31",), "float32", "q31 is"),
-    "control in all": (("float32", "q15", "q31"), "float32", "q15 and q31 are"),
-    "reference q15": ((), "q15", "q15 is"),
-    "reference q15, control q31": (("q31",), "q15", "q15 and q31 are"),
-    "float32": (("float32",), "float32", ""),
-    "no control": ((), "float32", ""),
+CASES: dict[str, tuple[tuple[NumberFormat, ...], NumberFormat, str, str]] = {
+    "control q15": (("q15",), "float32", "runs the q15 control", ""),
+    "control in all": (
+        ("q31", "float32", "q15"),
+        "float32",
+        "runs the float32 and the q15 and the q31 control",
+        "",
+    ),
+    "reference q15": (
+        (),
+        "q15",
+        "runs the float32 control; the emitted q15 is not simulated",
+        "q15",
+    ),
+    "reference q15, control q31": (
+        ("q31",),
+        "q15",
+        "runs the q31 control; the emitted q15 is not simulated",
+        "q15",
+    ),
+    "reference and control q15": (("q15",), "q15", "runs the q15 control", ""),
+    "float32": (("float32",), "float32", "", ""),
+    "no control": ((), "float32", "", ""),
 }
 
 
@@ -51,29 +64,34 @@ def solved() -> dict[str, Solution]:
 
 def asked(solved: dict[str, Solution], name: str) -> Solution:
     """The solution with the control functions of a case (whose evidence plays no part here)."""
-    control, reference, _ = CASES[name]
+    control, reference, *_ = CASES[name]
     solution = solved[reference]
     export = replace(solution.design.export, control=control)
     return replace(solution, design=replace(solution.design, export=export))
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_formats_that_no_simulation_runs(name: str, solved: dict[str, Solution]) -> None:
-    said, solution = CASES[name][2], asked(solved, name)
-    assert list(not_simulated(solution)) == [word for word in said.split() if word.startswith("q")]
+def test_the_formats_that_are_simulated_and_those_that_are_not(
+    name: str, solved: dict[str, Solution]
+) -> None:
+    said, left = CASES[name][2:]
+    solution = asked(solved, name)
+    assert list(not_simulated(solution)) == ([left] if left else [])
+    assert format_text(simulated(solution), not_simulated(solution)) == said
     run = " ".join(
         cell
         for table in run_tables(solution, Verification(0, 0, ()))
         for row in table.rows
         for cell in row
     )
-    assert ("not simulated" in run) == bool(said)
-    assert not said or REMARK.format(said) in run
+    assert ("not simulated" in run) == bool(left)
+    assert not left or said in run
 
 
-@pytest.mark.parametrize("name", ["float32", "reference q15, control q31"])
+@pytest.mark.parametrize("name", ["float32", "reference q15"])
 def test_a_simulation_says_it_everywhere(name: str, solved: dict[str, Solution]) -> None:
-    said, solution = CASES[name][2], asked(solved, name)
+    said, left = CASES[name][2:]
+    solution = asked(solved, name)
     found = simulate_design(solution.design, solution=solution)
     terminal = " ".join(
         cell for table in simulation_tables(found) for row in table.rows for cell in row
@@ -83,10 +101,10 @@ def test_a_simulation_says_it_everywhere(name: str, solved: dict[str, Solution])
     )
     plain = plain_simulation(found)
     assert plain["format"] == "float32"
-    assert plain["not_simulated"] == [word for word in said.split() if word.startswith("q")]
+    assert plain["not_simulated"] == ([left] if left else [])
     for text in (terminal, page):
-        assert ("not simulated" in text) == bool(said)
-        assert not said or REMARK.format(said) in text
+        assert ("not simulated" in text) == bool(left)
+        assert not said or said in text
 
 
 def test_a_reference_in_fixed_point_is_run_in_float32(solved: dict[str, Solution]) -> None:
@@ -102,10 +120,27 @@ def test_a_reference_in_fixed_point_is_run_in_float32(solved: dict[str, Solution
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "changes", [{"export": {"control": "q15"}}, {"fit": {"format": "q31", "form": "polynomial"}}]
+    ("changes", "formats", "said"),
+    [
+        ({"export": {"control": "q15"}}, ["q15"], "runs the q15 control"),
+        (
+            {"export": {"control": ["float32", "q15"]}},
+            ["float32", "q15"],
+            "runs the float32 and the q15 control",
+        ),
+        (
+            {"fit": {"format": "q31", "form": "polynomial"}},
+            ["float32"],
+            "runs the float32 control; the emitted q31 is not simulated",
+        ),
+    ],
 )
 def test_through_the_command_line(
-    changes: dict[str, dict[str, object]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    changes: dict[str, dict[str, object]],
+    formats: list[str],
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     design = yaml.safe_load(catalogue.read_text("paper001-pmsm-bench"))
     design.pop("losses")
@@ -118,7 +153,12 @@ def test_through_the_command_line(
             cli.main([command, str(path), "-o", str(out)])
         captured = capsys.readouterr()
         assert (stop.value.code, captured.err) == (0, "")
-        assert "runs the float32 control" in captured.out
-    assert "runs the float32 control" in (out / "report.html").read_text(encoding="utf-8")
+        assert said in captured.out
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert said in page
     simulated = json.loads((out / "result.json").read_text(encoding="ascii"))["simulation"]
-    assert (simulated["format"], len(simulated["not_simulated"])) == ("float32", 1)
+    assert [simulated["format"], *(run["format"] for run in simulated["others"])] == formats
+    samples = {file.name for file in out.glob("*_simulation*.npz")}
+    assert len(samples) == len(formats)
+    for name in samples:
+        assert name in page
