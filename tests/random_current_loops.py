@@ -59,7 +59,8 @@ def random_box(generator: np.random.Generator, *, fast: bool) -> CurrentLoopBox 
 
 def random_boxes(count: int, seed: int, *, fast: bool) -> list[CurrentLoopBox]:
     """As many random drives, the same for the same seed."""
-    generator, found = np.random.default_rng(seed), []
+    generator = np.random.default_rng(seed)
+    found: list[CurrentLoopBox] = []
     while len(found) < count:
         box = random_box(generator, fast=fast)
         if box is not None:

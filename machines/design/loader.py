@@ -131,7 +131,11 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     check_losses(file.losses, file.inverter.device is not None, machine, document)
     check_loops(file.control, machine, document)
     check_references(
-        file.control.references, machine, document, any_back_emf=found.phases is not None
+        file.control.references,
+        machine,
+        file.export,
+        document,
+        any_back_emf=found.phases is not None,
     )
     inverter = read_inverter(file.inverter, machine.i_max, reading)
     check_overmodulation(

@@ -45,7 +45,8 @@ class Seed:
 def _relative_fit(values: FloatArray, x: FloatArray, degree: int) -> FloatArray:
     """Coefficients with nearly the least largest relative error, by Lawson's weights."""
     matrix = np.polynomial.polynomial.polyvander(x, degree) / values[:, None]
-    weight, found = np.ones_like(x), np.zeros(degree + 1)
+    weight: FloatArray = np.ones_like(x)
+    found: FloatArray = np.zeros(degree + 1)
     for _ in range(_ROUNDS):
         root = np.sqrt(weight)
         found = np.linalg.lstsq(matrix * root[:, None], root, rcond=None)[0]

@@ -120,10 +120,12 @@ def observe_codes(
         v_alpha, v_beta, i_alpha and i_beta in codes of ``width`` bits, shape (K, S).
     """
     o = Integers()
-    theta, omega = (widened(o, "start", np.asarray(part), width) for part in start)
+    theta, omega = (
+        widened(o, "angle or speed of the start", np.asarray(part), width) for part in start
+    )
     empty = np.zeros_like(theta)
     state = TrackedState(theta, omega, (empty,) * len(method.words))
-    wide = [widened(o, "sample", part, width) for part in samples]
+    wide = [widened(o, "voltage or current", part, width) for part in samples]
     angles, speeds = np.empty_like(wide[0]), np.empty_like(wide[0])
     for k in range(len(angles)):
         v, i = Pair(wide[0][k], wide[1][k]), Pair(wide[2][k], wide[3][k])

@@ -13,7 +13,7 @@ from dqforge.machines.names import NumberFormat
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.optimizer.fixed_control.arithmetic import Reach
 from dqforge.optimizer.fixed_control.design import require_scales
-from dqforge.optimizer.fixed_control.transforms import sine_error
+from dqforge.optimizer.fixed_control.transforms import TurnSteps, sine_error, turn_steps
 from dqforge.optimizer.fixed_observers.fixed_method import FixedMethod
 from dqforge.optimizer.fixed_observers.fixed_registry import fixed_method_named
 from dqforge.optimizer.fixed_observers.kit import WIDTH
@@ -63,6 +63,11 @@ class FixedObserverFit:
     def fullest(self) -> Reach:
         """The quantity that comes nearest to its word's end."""
         return max(self.reaches, key=lambda reach: reach.share)
+
+    @property
+    def sine(self) -> TurnSteps:
+        """Integers of sine and cosine."""
+        return turn_steps(WIDTH)
 
     @property
     def angle_step(self) -> float:

@@ -1,10 +1,11 @@
 """What the position observers in integers are made of: codes of 32 bits with products of 64,
 whatever the format of the control is.
 
-An observer integrates: in 16 bits its filters and its loop would come to rest in dead bands of
-whole degrees. So voltages, currents, angle and speed enter from the codes of the control, 16 or
-32 bits, and all that lies between is kept in 32 bits: per unit with 2^31 codes of full scale,
-angles with 2^32 codes of a turn, small angles with 2^31 codes of a radian.
+An observer integrates: in 16 bits its filters and its loop would come to rest in dead bands, the
+speed of a loop of 250 rad/s at 5 kHz in one of 0.16 degrees. So voltages, currents, angle and speed
+enter from the codes of the control, 16 or 32 bits, and all that lies between is kept in 32 bits:
+per unit with 2^31 codes of full scale, angles with 2^32 codes of a turn, small angles with 2^31
+codes of a radian.
 
 Every function takes its operations from an `Arithmetic`, as in `optimizer.fixed_control`: numbers
 make it the model of the emitted C, ranges its proof.
@@ -46,7 +47,7 @@ _SIZE_BITS = 15
 
 
 def saturated(o: Arithmetic[N, Any], a: N) -> N:
-    """The code nearest to a."""
+    """The code nearest to a of those that lie as far below zero as above."""
     return o.clamp(a, -TOP, TOP)
 
 

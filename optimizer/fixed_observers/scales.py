@@ -109,4 +109,5 @@ def size_floor(share: float) -> int:
 
 def speed_limit(omega: float, scales: Scales) -> int:
     """Code of a speed limit in rad/s, at most full scale."""
-    return min(TOP, round(omega / scales.speed * ONE))
+    limit: int = min(TOP, round(omega / scales.speed * ONE))
+    return limit

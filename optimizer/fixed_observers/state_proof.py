@@ -44,7 +44,8 @@ def observer_reaches(method: FixedMethod, gains: Any, width: int) -> tuple[Reach
         before = TrackedState(Range(0, 2**WIDTH - 1), speed, method.limits(gains))
         after = function(o, gains, before, vector, vector)
         shown(o, after, width)
-        widened(o, "angle of the start", angle, width)
+        widened(o, "angle or speed of the start", angle, width)
+        widened(o, "angle or speed of the start", every, width)
         _require_closed(method, gains, after)
         o.reaches = {key: _in_its_word(reach) for key, reach in o.reaches.items()}
         require(o)

@@ -78,7 +78,8 @@ def _load(path: Path) -> dict[str, Any]:
 
 def stored_proof_text(found: Confirmation) -> str:
     """What was checked, in words."""
-    parts = f"{found.matrices} matrices, {found.empty} cells without a drive"
+    matrices = "one matrix" if found.matrices == 1 else f"{found.matrices} matrices"
+    parts = f"{matrices}, {found.empty} cells without a drive"
     if found.proven:
         return f"both current loops together: certificate confirmed in ball arithmetic ({parts})"
     return (

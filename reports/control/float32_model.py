@@ -248,8 +248,8 @@ def three_leg_duties(
         DC-link voltage in V, shape (N,).
     """
     if MODULATORS[modulation].kind == "centred":
-        duty = centred_duties(voltage, v_dc)
-        return tuple(np.where(v_dc > _ZERO, one, _HALF) for one in duty)
+        centred = centred_duties(voltage, v_dc)
+        return tuple(np.where(v_dc > _ZERO, one, _HALF) for one in centred)
     v = clarke_inverse(SINGLE, voltage)
     compares_currents = MODULATORS[modulation].compared == "currents"
     i = clarke_inverse(SINGLE, current) if compares_currents else v

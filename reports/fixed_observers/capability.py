@@ -12,6 +12,7 @@ from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind
 from dqforge.reports.capability import Capability
 from dqforge.reports.fixed_observers.fixed_observer_header import (
+    fit_in_words,
     fixed_observer_files,
     fixed_observer_programme,
     plain_fixed_observer,
@@ -45,11 +46,16 @@ def _fixed_kind(width: Literal[16, 32]) -> HeaderKind[Fits, FixedPositionObserve
     )
 
 
+def _summary(_: Solution, fits: Fits) -> list[tuple[str, str]]:
+    return [("observer in integers", "; ".join(fit_in_words(fit) for fit in fits))]
+
+
 FIXED_OBSERVER = Capability(
     name="observer_fixed",
     title="position observer in fixed point",
     of=lambda outcome: outcome.solution.fixed_observers or None,
     plain=lambda _, fits: {fit.observer.format: plain_observer_evidence(fit) for fit in fits},
     always=False,
+    summary=_summary,
     headers=(_fixed_kind(16), _fixed_kind(32)),
 )

@@ -9,12 +9,10 @@ from textwrap import wrap
 import numpy as np
 
 from dqforge.machines.design.design import Design
-from dqforge.optimizer.fixed_control.transforms import turn_steps
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FixedObserverFit,
     FixedPositionObserver,
 )
-from dqforge.optimizer.fixed_observers.kit import WIDTH
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
@@ -93,6 +91,14 @@ def _preamble(fit: FixedObserverFit, design: Design) -> list[str]:
     ]
 
 
+def fit_in_words(fit: FixedObserverFit) -> str:
+    """What is proven of an observer and what one code of its estimates is, in words."""
+    return (
+        f"{fit.observer.format}: {len(fit.reaches)} products and sums never overflow, codes of "
+        f"{math.degrees(fit.angle_step):.3g} deg and {30.0 / math.pi * fit.speed_step:.3g} rpm"
+    )
+
+
 def fixed_observer_files(design: Design, fit: FixedObserverFit) -> dict[str, bytes]:
     """Names and bytes of the header in one fixed-point format, and of its test vectors."""
     observer = fit.observer
@@ -103,7 +109,7 @@ def fixed_observer_files(design: Design, fit: FixedObserverFit) -> dict[str, byt
         "code": observer.method.code,
         "gains": asdict(observer.gains),
         "preamble": _preamble(fit, design),
-        "core": fixed_basics(turn_steps(WIDTH), fit.sine_error),
+        "core": fixed_basics(fit.sine, fit.sine_error),
     }
     inputs = row_inputs(observer, design.export.vectors, _SEED)
     rows = {

@@ -65,30 +65,26 @@ def _turning(
     drives = count // _LENGTH
     if drives == 0:
         return np.empty((0, len(input_names(observer))), dtype=np.int64)
-    o, method, gains = Integers(), observer.method, observer.gains
+    o, method = Integers(), observer.method
     speed = generator.uniform(-1.0, 1.0, drives)
     turn = speed * observer.turn
     theta = generator.uniform(-np.pi, np.pi, drives)
     sizes = 10.0 ** generator.uniform(-3.0, 0.0, (2, drives))
     shift = np.array([1.6, 0.03, 1.5, -0.1])[:, None]
-    first = [
-        np.asarray(theta / np.pi * 2.0**31, dtype=np.int64) % 2**WIDTH,
-        np.asarray(speed * generator.choice([0.0, 0.5, 1.0, -1.0], drives) * TOP, dtype=np.int64),
-    ]
-    state: TrackedState[Any] = TrackedState(
-        *first, (np.zeros(drives, np.int64),) * len(method.words)
-    )
+    angle = np.asarray(theta / np.pi * 2.0**31, dtype=np.int64) % 2**WIDTH
+    right = generator.choice([0.0, 0.5, 1.0, -1.0], drives)
+    omega = np.asarray(speed * right * TOP, dtype=np.int64)
+    words = (np.zeros(drives, np.int64),) * len(method.words)
+    state: TrackedState[Any] = TrackedState(angle, omega, words)
     rows = []
     for k in range(_LENGTH):
-        angle = theta + k * turn + shift
         noise = 0.02 * generator.standard_normal((4, drives))
-        seen = np.rint(np.repeat(sizes, 2, axis=0) * (np.cos(angle) + noise) * top)
+        wave = np.cos(theta + k * turn + shift) + noise
+        seen = np.rint(np.repeat(sizes, 2, axis=0) * wave * top)
         codes = np.clip(seen, -top - 1, top).astype(np.int64)
         started = np.full(drives, min(k, 1))
         rows.append(_columns(started, state.theta, state.omega, *state.words, *codes))
         state = _after(o, observer, rows[-1])
-    assert isinstance(gains, method.gains)
-    assert width in (16, 32)
     return np.concatenate(rows)
 
 
@@ -103,14 +99,16 @@ def _after(o: Integers, observer: FixedPositionObserver, rows: CodeArray) -> Tra
     bits = WIDTH - width
     columns = [rows[:, k] for k in range(rows.shape[1])]
     started, theta, omega, *words = columns[:-4]
-    v_alpha, v_beta, i_alpha, i_beta = (widened(o, "sample", part, width) for part in columns[-4:])
+    v_alpha, v_beta, i_alpha, i_beta = (
+        widened(o, "voltage or current", part, width) for part in columns[-4:]
+    )
     v, i = Pair(v_alpha, v_beta), Pair(i_alpha, i_beta)
     if np.all(started != 0):
         return method.step(o, observer.gains, TrackedState(theta, omega, tuple(words)), v, i)
     empty = np.zeros_like(theta)
     begun = TrackedState(
-        widened(o, "start", theta >> bits, width),
-        widened(o, "start", omega >> bits, width),
+        widened(o, "angle or speed of the start", theta >> bits, width),
+        widened(o, "angle or speed of the start", omega >> bits, width),
         (empty,) * len(words),
     )
     return method.begin(o, observer.gains, begun, v, i)

@@ -40,9 +40,9 @@ _AGAIN = "run the design again"
 class Recomputation:
     """Outcome of a comparison that found no difference.
 
-    ``solution`` is what the design gave. ``tally`` counts what was recomputed; ``listed`` names files that only had to have the SHA-256
-    of the manifest, ``foreign`` those that dqforge did not write, ``line_ends`` those whose line
-    endings alone were changed.
+    ``solution`` is what the design gives. ``tally`` counts what was recomputed; ``listed`` names
+    files that only had to have the SHA-256 of the manifest, ``foreign`` those that dqforge did not
+    write, ``line_ends`` those whose line endings alone were changed.
     """
 
     digest: str

@@ -28,7 +28,7 @@ def _gains(control: FixedControl) -> ctypes.Structure:
     number = ctypes.c_int16 if control.width == 16 else ctypes.c_int32
 
     class Gain(ctypes.Structure):
-        _fields_ = (("mantissa", ctypes.c_int32), ("shift", ctypes.c_uint8), ("half", wide))
+        _fields_ = (("mantissa", ctypes.c_int32), ("shift", ctypes.c_uint32), ("half", wide))
 
         @classmethod
         def of(cls, gain: FixedGain) -> Gain:
@@ -36,7 +36,7 @@ def _gains(control: FixedControl) -> ctypes.Structure:
 
     class Pi(ctypes.Structure):
         _fields_ = (
-            ("kp", Gain), ("ki", Gain), ("tracking", Gain), ("fraction", ctypes.c_uint8),
+            ("kp", Gain), ("ki", Gain), ("tracking", Gain), ("fraction", ctypes.c_uint32),
             ("half", wide), ("most", wide),
         )  # fmt: skip
 

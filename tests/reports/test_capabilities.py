@@ -19,7 +19,7 @@ from toys.kinetic_energy import KINETIC_ENERGY
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
-from dqforge.machines.design.settings import ObserverSettings
+from dqforge.machines.design.settings import ObserverSettings, ReferenceSettings
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Outcome, asked_for, header_kinds
@@ -90,10 +90,12 @@ def without_loops() -> Design:
 
 
 def beyond() -> Design:
-    """Voltages beyond the linear range, with float32 control."""
+    """Voltages beyond the linear range, with float32 control whose references move slowly."""
     design = without_loops()
+    references = ReferenceSettings(torque_slope=50.0, current_slope=5e3)
     return replace(
         design,
+        control=replace(design.control, references=references),
         inverter=replace(design.inverter, overmodulation="least-phase-error"),
         operation=replace(design.operation, overmodulation="least-phase-error"),
     )
@@ -132,9 +134,9 @@ def outcome_of(name: str) -> Outcome:
 ASKED = {
     "bare": {"mtpa", "fit", "gains"},
     "small": {"mtpa", "fit", "gains", "losses", "speed_observer"},
-    "beyond": {"mtpa", "fit", "gains", "overmodulation"},
+    "beyond": {"mtpa", "fit", "gains", "overmodulation", "dynamic_references"},
     "everything": {"mtpa", "fit", "gains", "losses", "control", "control_fixed", "reference_fixed"}
-    | {"position_observer"},
+    | {"position_observer", "observer_fixed"},
     "sections": {"mtpa", "fit", "gains", "losses", "speed_observer", "weakening"}
     | {"modulation_choice"},
     "schedule": {"mtpa", "fit", "gains", "gain_schedule"},

@@ -35,6 +35,8 @@ ORCHESTRATORS = {
 MODELS = {
     "control.fixed_model": "the control functions in integers, step by step",
     "control.fixed_reading": "proves again what is read back",
+    "fixed_observers.fixed_observer_model": "the observers in integers, step by step",
+    "fixed_observers.fixed_observer_reading": "proves again what is read back",
     "fixed_reference.mesh_reading": "proves again what is read back",
     "modulation_choice.rule_model": "the choice of modulator in single precision",
     "phase_control.fixed_phase_model": "the control of phases in integers, step by step",

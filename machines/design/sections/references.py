@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from dqforge.machines.design.from_section import settings_from
+from dqforge.machines.design.sections.export import ExportSection
 from dqforge.machines.design.settings import ReferenceSettings, VoltageFeedbackSettings
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.kinds import (
@@ -47,13 +48,14 @@ class ReferencesSection(Section):
 def check_references(
     section: ReferencesSection | None,
     machine: Machine,
+    export: ExportSection,
     document: YamlDocument,
     *,
     any_back_emf: bool,
 ) -> None:
     """Check what the section needs of the machine.
 
-    ``any_back_emf`` says that the machine is one of model: waveform.
+    ``export`` is what is emitted, ``any_back_emf`` says that the machine is one of model: waveform.
     Raises `InputError` with a position.
     """
     if section is None:
@@ -63,6 +65,13 @@ def check_references(
         raise document.error(
             "control.references is for machines with a sinusoidal back-EMF; remove it, or the "
             "machine's model: waveform",
+            path,
+            key=True,
+        )
+    if not set(export.control) <= {"float32"}:
+        raise document.error(
+            "control.references is not there in fixed point; write export.control: float32, or "
+            "remove it",
             path,
             key=True,
         )

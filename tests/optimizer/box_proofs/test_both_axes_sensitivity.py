@@ -65,14 +65,14 @@ def test_turned_voltages_stay_stable_up_to_the_angle_of_the_bound() -> None:
         points = np.vstack([points_inside(box, 100), at])
         matrices = loop_matrices(box, points)
         most = 2.0 * np.arcsin(0.5 / found.bound)
-        worst = {}
+        worst: dict[float, float] = {}
         for share in (1.0, 3.0):
             for sign in (-1.0, 1.0):
                 angle = sign * share * most
                 turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
                 turned = matrices.copy()
                 turned[:, :2, 2:4] = matrices[:, :2, 2:4] @ turn
-                radius = np.abs(np.linalg.eigvals(turned)).max()
+                radius = float(np.abs(np.linalg.eigvals(turned)).max())
                 worst[share] = max(worst.get(share, 0.0), radius)
         assert worst[1.0] < 1.0
         assert worst[3.0] > 1.0

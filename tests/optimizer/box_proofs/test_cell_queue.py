@@ -11,6 +11,7 @@ from dqforge.optimizer.box_proofs.cell_queue import (
     Open,
     Proven,
     Refuted,
+    Tree,
     Verdict,
     search,
 )
@@ -62,7 +63,7 @@ def test_the_worst_comes_first_and_a_refuted_cell_ends_it() -> None:
 
 
 def test_what_was_not_reached_stays_open() -> None:
-    tree = search(SQUARE, middle_of_the_longer, lambda _: 0.0, 5)
+    tree: Tree[float] = search(SQUARE, middle_of_the_longer, lambda _: 0.0, 5)
     assert not tree.complete
     assert len(tree.open_cells) == 6
     assert sum(isinstance(verdict, Open) for verdict in tree.preorder()) == 6

@@ -24,7 +24,8 @@ Certificate = dict[str, Any]
 def certificate_of(box: CurrentLoopBox) -> Certificate:
     found = find_certificate(box)
     assert found.complete
-    return json.loads(json.dumps(plain_certificate(box, found.tree)))
+    plain: Certificate = json.loads(json.dumps(plain_certificate(box, found.tree)))
+    return plain
 
 
 @cache

@@ -20,7 +20,7 @@ from dqforge.optimizer.box_proofs.matrix_inequalities import (
 
 def random_loop(rng: np.random.Generator, radius: float, size: int = 6) -> np.ndarray:
     loop = rng.normal(size=(size, size))
-    return loop * radius / np.max(np.abs(np.linalg.eigvals(loop)))
+    return np.asarray(loop * radius / np.max(np.abs(np.linalg.eigvals(loop))))
 
 
 def test_the_largest_gain_of_a_first_order_lag_is_found() -> None:

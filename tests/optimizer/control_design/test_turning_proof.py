@@ -119,7 +119,7 @@ def test_a_drive_that_is_unstable_refuses_the_design_by_name() -> None:
 
 def test_without_a_largest_speed_nothing_is_proven() -> None:
     made = design()
-    slow = replace(made, machine=replace(made.machine, omega_m_max=None))
+    slow = replace(made, machine=replace(MACHINE, omega_m_max=None))
     robust = solve_gains(slow).robust
     assert robust is not None
     assert robust.proof is None

@@ -23,7 +23,7 @@ from dqforge.machines.names import ModulationName
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.loops.plants import current_loop, current_step
 from dqforge.optimizer.solution import Solution, solve
-from dqforge.reports.control.float32_model import ControlModel, ControlState
+from dqforge.reports.control.float32_model import ControlModel, ControlState, centred_duties
 from dqforge.reports.control.header import (
     control_files,
     control_from,
@@ -119,6 +119,41 @@ def test_duties_are_those_of_the_modulators(name: ModulationName, solution: Solu
     assert np.median(away) < 1e-6
     if name in DISCONTINUOUS:
         assert np.all((np.min(found, axis=1) == 0.0) | (np.max(found, axis=1) > 1.0 - 1e-6))
+
+
+def test_centred_duties_stay_within_0_and_1_with_every_rounding() -> None:
+    """Voltages at the very edge of the hexagon, where rounding decides, and any bits at all."""
+    generator = np.random.default_rng(17)
+    count = 1_000_000
+    v_dc = (10.0 ** generator.uniform(-3.0, 4.0, count)).astype(np.float32)
+    angle = generator.uniform(-np.pi, np.pi, count)
+    edge = 1.0 / np.sqrt(3.0) / np.cos((angle % (np.pi / 3.0)) - np.pi / 6.0)
+    size = v_dc * edge * (1.0 + generator.uniform(-6e-6, 3e-6, count))
+    near = Pair(*(size * one(angle) for one in (np.cos, np.sin)))
+    any_bits = generator.integers(0, 2**32, (3, count), dtype=np.uint64).astype(np.uint32)
+    rough = any_bits.view(np.float32)
+    off = ~(rough[2] > 0.0)  # there the voltage is 0, as the current control has it
+    bare = Pair(*(np.where(off, np.float32(0.0), part) for part in rough[:2]))
+    with np.errstate(all="ignore"):
+        single = Pair(*(np.asarray(part, dtype=np.float32) for part in near))
+        found = [*centred_duties(single, v_dc), *centred_duties(bare, rough[2])]
+    assert all(np.all((duty >= 0.0) & (duty <= 1.0)) for duty in found)
+    assert 0.2 < np.mean(np.max(found[:3], axis=0) > 0.999999) < 0.8  # both ways are taken
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e30])
+def test_two_bad_samples_at_once_leave_numbers_behind(solution: Solution, bad: float) -> None:
+    """A DC link that is no number together with a current, a speed or an angle."""
+    model = model_of(solution)
+    for column in range(5):
+        spoilt = np.array([[0.2, -0.1, -0.1, 0.3, 20.0, bad]], dtype=np.float32)
+        spoilt[0, column] = bad
+        state = ControlState.start(1)
+        reference = (np.zeros(1, dtype=np.float32), np.ones(1, dtype=np.float32))
+        with np.errstate(all="ignore"):
+            duty = np.concatenate(model.current_control(state, spoilt, reference))
+        assert np.all((duty >= 0.0) & (duty <= 1.0))
+        assert np.all(np.isfinite(np.concatenate([state.d, state.q, *state.v])))
 
 
 def settled(

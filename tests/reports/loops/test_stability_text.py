@@ -66,7 +66,7 @@ def test_tune_header_and_json_say_the_same() -> None:
     assert "proven below" in notes[1]
     tables = gains_tables(solution().design, gains)
     table = next(t for t in tables if t.title == "Worst within control.tolerances")
-    assert table.notes[-2:] == notes
+    assert set(notes) <= set(table.notes)
     header = words(exported().files[f"{solution().design.export.prefix}_control.h"].decode())
     for note in notes:
         assert words(note[1:]) in header
@@ -76,9 +76,9 @@ def test_tune_header_and_json_say_the_same() -> None:
     assert plain["share"] == 1.0
     stored = json.loads(exported().files["result.json"])["gains"]["tolerances"]["stability"]
     assert stored["matrices"] == plain["matrices"] > 0
-    assert stored["inputs"]["omega_e"] == pytest.approx(
-        pole_pairs * solution().design.machine.omega_m_max
-    )
+    omega_m_max = solution().design.machine.omega_m_max
+    assert omega_m_max is not None
+    assert stored["inputs"]["omega_e"] == pytest.approx(pole_pairs * omega_m_max)
 
 
 def test_without_tolerances_nothing_is_said() -> None:

@@ -176,8 +176,6 @@ def test_weakening_beyond_the_linear_range_holds_the_torque_within_the_margin() 
         found = simulate(compiled, drive_of(loaded), scenario)
     settled = found.t > 0.2
     assert float(np.mean(found.torque[settled])) == pytest.approx(20.0, rel=4e-3)
-    voltage = np.hypot(*loaded.machine.voltage(
-        *(np.mean(x[settled], keepdims=True) for x in (found.i_d, found.i_q)),
-        np.array([3.0 * speed]),
-    ))  # fmt: skip
+    i_d, i_q = (np.mean(x[settled], keepdims=True) for x in (found.i_d, found.i_q))
+    voltage = np.hypot(*loaded.machine.voltage(i_d, i_q, np.array([3.0 * speed])))
     assert float(voltage[0]) / (SIX_STEP * 420.0) == pytest.approx(0.9506, rel=5e-3)
