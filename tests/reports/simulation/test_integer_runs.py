@@ -15,13 +15,14 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import (
     CurrentLoopSettings,
+    ObserverSettings,
     PerUnitBases,
     WeakeningSettings,
 )
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import NumberFormat
-from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, constant
+from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, Sensorless, constant
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.design import fit_control
 from dqforge.optimizer.fixed_control.step import FixedControl
@@ -244,3 +245,33 @@ def test_two_thousand_drives_off_their_data_settle_in_16_bits(program: Simulator
     # dead bands and codes of current: 1.5 times the limit over 2^15
     assert float(np.max(found.tail_error / limit)) < 0.01
     assert float(np.max(found.peak_current / limit)) < 3.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "method", ["flux", "extended-emf", "ekf", "open-loop-flux", "matsui-voltage", "matsui-current"]
+)
+def test_control_without_encoder_in_integers(method: str, ipm: Design) -> None:
+    """Control on the angle of every position observer, speed steps and a load step."""
+    speeds = Profile((0.0, 0.05, 0.3), (800.0 * RPM, 1200.0 * RPM, 900.0 * RPM))
+    scenario = Scenario(
+        0.5,
+        "speed",
+        speeds,
+        omega_m=800.0 * RPM,
+        load=Profile((0.0, 0.2), (0.0, 5.0)),
+        sensorless=Sensorless(300.0 * RPM, 200.0 * RPM),
+    )
+    control = replace(ipm.control, observer=ObserverSettings(method=method))
+    design = replace(ipm, control=control, simulation=scenario, weakening=None)
+    found = simulate_design(design)
+    assert found.formats == ALL
+    fine = found.observed
+    assert fine is not None
+    assert fine.angle_rms is not None
+    for run in found.others:
+        coarse = run.observed
+        assert coarse is not None
+        assert coarse.angle_rms == pytest.approx(fine.angle_rms, rel=0.1)
+        assert coarse.sensorless_share == 1.0
+        assert run.tracking[1] == pytest.approx(found.tracking[1], rel=0.12)
