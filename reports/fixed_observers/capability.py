@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FixedObserverFit,
+    FixedPositionObserver,
 )
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind, integer_kinds

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
+from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind, integer_kinds
 from dqforge.reports.capability import Capability, ReportPart, Rows
