@@ -96,6 +96,7 @@ def test_torque_and_voltage_stand_where_the_currents_are_not_isolated(
     assert np.all(np.isinf(bounds[[0, 1]]))
 
 
+@pytest.mark.slow
 def test_a_surface_without_a_bound_of_the_torque_has_no_certificate(
     weakened: WeakeningFit, monkeypatch: pytest.MonkeyPatch
 ) -> None:

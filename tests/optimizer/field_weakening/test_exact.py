@@ -197,6 +197,7 @@ def test_symmetry_clamping_and_inputs_that_are_no_numbers() -> None:
         assert at(asked, np.nan) == at(0.0, low)
 
 
+@pytest.mark.slow
 def test_fused_multiply_add_changes_currents_by_rounding_alone() -> None:
     fit = fitted("pmsyrm")
     samples = surface_samples(fit.region, 60)

@@ -80,6 +80,7 @@ def test_every_speed_of_a_dense_grid_decays_at_least_as_proven(
     assert certificate.corners == 8 * 16 * len(CURRENTS)
 
 
+@pytest.mark.slow
 def test_errors_shrink_however_fast_the_speed_changes(
     gains: FluxGains, certificate: LyapunovCertificate
 ) -> None:
