@@ -16,8 +16,9 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import FitSettings, ObserverSettings, WeakeningSettings
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
-from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.observers.methods.registry import METHODS
+from dqforge.optimizer.observers.solve import solve_observer
+from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import control_files
 from dqforge.reports.field_weakening.header import weakening_files
@@ -158,6 +159,19 @@ def modulators() -> Iterator[Step]:
         )  # fmt: skip
 
 
+@cache
+def position_observers() -> dict[str, tuple[Design, PositionObserver]]:
+    """Position observers by method, each with the design that asks for it."""
+    design, found = design_of(), {}
+    for name in METHODS:
+        settings = replace(design.control, observer=ObserverSettings(method=name))  # type: ignore[arg-type]
+        chosen = replace(design, control=settings)
+        _, position = solve_observer(chosen)
+        assert position is not None
+        found[name] = (chosen, position)
+    return found
+
+
 def observers() -> Iterator[Step]:
     """One step each of the speed observer and of every position observer, from their start on."""
     design = design_of()
@@ -167,11 +181,9 @@ def observers() -> Iterator[Step]:
     files = speed_observer_files(design, found)
     rows = speed_observer_inputs(gains, COUNT, 5)
     yield _observer("reduced-order", "reduced_order", "drive_speed_observer.h", files, rows)
-    for name, method in METHODS.items():
-        settings = replace(design.control, observer=ObserverSettings(method=name))  # type: ignore[arg-type]
-        position = solve_gains(replace(design, control=settings)).position
-        assert position is not None
-        files = observer_files(design, position)
+    for name, (chosen, position) in position_observers().items():
+        method = METHODS[name]
+        files = observer_files(chosen, position)
         rows = observer_inputs(method, position.gains, COUNT, 5)
         yield _observer(name, method.code, "drive_observer.h", files, rows)
 

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
-from chain_steps import COUNT, design_of, drive_rows, solution
+from chain_steps import COUNT, design_of, drive_rows, position_observers, solution
 from control_chain import Step
 from drives import IPM
 from numpy.typing import NDArray
 
-from dqforge.machines.design.settings import FitSettings, ObserverSettings
+from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.names import ModulationName, NumberFormat
-from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS
@@ -205,20 +203,9 @@ def turning_rows(f: NumberFormat) -> NDArray[np.int32]:
     return np.concatenate(found)
 
 
-@cache
-def _positions() -> dict[str, Any]:
-    """Position observers in floating point by method, with their designs."""
-    design, found = design_of(), {}
-    for name in METHODS:
-        settings = replace(design.control, observer=ObserverSettings(method=name))  # type: ignore[arg-type]
-        chosen = replace(design, control=settings)
-        found[name] = (chosen, solve_gains(chosen).position)
-    return found
-
-
 def fixed_observers(f: NumberFormat) -> Iterator[Step]:
     number = _number(f)
-    for name, (design, position) in _positions().items():
+    for name, (design, position) in position_observers().items():
         code = METHODS[name].code
         fit = next(
             one for one in solve_fixed_observers(design, position) if one.observer.format == f

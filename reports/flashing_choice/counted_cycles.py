@@ -1,5 +1,5 @@
 """What a sample of each row costs on the design's core: the emitted control compiled for it and run
-in single steps on the emulation.
+on the emulation.
 """
 
 from __future__ import annotations

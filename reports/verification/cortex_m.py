@@ -56,7 +56,7 @@ _VECTOR_CODE = re.compile(rb"\{ (-?[0-9]+|\(-2147483647 - 1\)), [-0-9() ]+, [-0-
 
 _LARGEST_TRACE = 1024
 
-"""Vectors that are run in single steps; those with special values come first."""
+"""Vectors whose instructions are counted; those with special values come first."""
 
 
 _LARGEST_BATCH = 600_000

@@ -327,6 +327,37 @@ def _step(
     return least + wait, most + wait, slow + wait
 
 
+def summed(
+    before: Instruction | None,
+    sequence: Sequence[Instruction],
+    after: Instruction | None,
+    core_name: str,
+) -> tuple[int, int, int]:
+    """Sums over a sequence between its neighbours: (lo, hi), and what no second issue can hide.
+
+    Parameters
+    ----------
+    before, sequence, after:
+        What was executed; ``before`` and ``after`` are not summed, and None where nothing was.
+    core_name:
+        One of `CORES`.
+    """
+    neighbours = [before, *sequence, after]
+    steps = [
+        _step(previous, instruction, following, core_name)
+        for previous, instruction, following in zip(
+            neighbours[:-2], sequence, neighbours[2:], strict=True
+        )
+    ]
+    return sum(a for a, _, _ in steps), sum(b for _, b, _ in steps), sum(c for _, _, c in steps)
+
+
+def whole_span(count: int, sums: tuple[int, int, int], core_name: str) -> Span:
+    """(lo, hi) of ``count`` instructions from what `summed` gives for all of them."""
+    low, high, slow = sums
+    return ((count + 1) // 2 + slow if CORES[core_name].dual_issue else low), high
+
+
 def cycles(sequence: Sequence[Instruction], core_name: str) -> Span:
     """Estimated cycles of instructions in the order of their execution.
 
@@ -344,11 +375,4 @@ def cycles(sequence: Sequence[Instruction], core_name: str) -> Span:
     tuple
         (lo, hi) in cycles.
     """
-    dual_issue = CORES[core_name].dual_issue
-    low, high, slow = 0, 0, 0
-    previous: Instruction | None = None
-    for instruction, following in zip(sequence, [*sequence[1:], None], strict=True):
-        least, most, stall = _step(previous, instruction, following, core_name)
-        low, high, slow = low + least, high + most, slow + stall
-        previous = instruction
-    return ((len(sequence) + 1) // 2 + slow if dual_issue else low), high
+    return whole_span(len(sequence), summed(None, sequence, None, core_name), core_name)

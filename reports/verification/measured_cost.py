@@ -16,14 +16,17 @@ from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
 from dqforge.reports.pages.templating import render
+from dqforge.reports.verification.block_trace import (
+    LOGGED,
+    calls_in_blocks,
+    cycles_of_paths,
+    executed_blocks,
+)
 from dqforge.reports.verification.cross_tools import build, emulate, execute, program
 from dqforge.reports.verification.cycle_model import (
     Span,
     address_of,
-    calls_of,
-    cycles,
     parse_disassembly,
-    traced_addresses,
 )
 from dqforge.reports.verification.host import WARNINGS
 
@@ -86,17 +89,22 @@ def _traced_calls(
     """As `cost_of_calls`, in a folder that keeps what the program wrote."""
     objdump, sizer = program("arm-none-eabi-objdump"), program("arm-none-eabi-size")
     build(sources, (*WARNINGS, *flags), target, folder)
-    emulate(target, folder, "-singlestep", "-d", "exec,nochain", "-D", "trace.log")
+    emulate(target, folder, *LOGGED, "-D", "trace.log")
     listing = execute([objdump, "-d", "target.elf"], "arm-none-eabi-objdump", folder).stdout
     modules = [f"{Path(name).stem}.o" for name in sized]
     sizes = execute([sizer, *modules], "arm-none-eabi-size", folder).stdout.splitlines()[1:]
     code = parse_disassembly(listing)
-    addresses = traced_addresses(_chunks(folder / "trace.log"))
-    paths = Counter(calls_of(addresses, address_of(listing, function), code))
+    trace = executed_blocks(_chunks(folder / "trace.log"))
+    paths = Counter(calls_in_blocks(trace, address_of(listing, function), code))
     if not paths:
         raise VerificationError(f"the program for the emulated {target} never calls {function}")
-    spans = np.array([cycles([code[address] for address in path], target) for path in paths])
-    lengths = np.array([len(path) for path in paths])
+    used = {number for path in paths for number in path}
+    blocks = [
+        [code[address] for address in block] if number in used else []
+        for number, block in enumerate(trace.blocks)
+    ]
+    found = list(cycles_of_paths(paths, blocks, target))
+    lengths, spans = np.array([count for count, _ in found]), np.array([span for _, span in found])
     weights = np.array(list(paths.values())) / paths.total()
     mean = weights @ spans
     return CallCost(
@@ -116,8 +124,8 @@ def cost_of_calls(
     sized: Sequence[str],
     flags: Sequence[str] = (),
 ) -> CallCost:
-    """Compile a program for a target, run it in single steps on the emulation, and sum what the
-    calls of one of its functions executed.
+    """Compile a program for a target, run it on the emulation, and sum what the calls of one of
+    its functions executed.
 
     Parameters
     ----------
@@ -147,8 +155,7 @@ def cost_of_calls(
 def cost_on_target(
     sources: Mapping[str, bytes], header: str, function: str, target: str, torques: NDArray[Any]
 ) -> TargetCost:
-    """Compile an evaluator for a target, run it in single steps on the emulation,
-    and sum what it executed.
+    """Compile an evaluator for a target, run it on the emulation, and sum what it executed.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ from dqforge.reports.verification.measured_cost import CallCost
 
 pytestmark = pytest.mark.benchmark
 
-# Calls on each core; without floating point a trace is a hundred times as long.
+# Calls on each core; without floating point a call is up to fifty times as long.
 CALLS: dict[Core, int] = {
     "cortex-m4": 300, "cortex-m33": 300, "cortex-m7": 300, "cortex-m0plus": 16,
 }  # fmt: skip
@@ -98,6 +98,12 @@ def costs_of(steps: Iterable[Step]) -> Found:
     }
 
 
+def calls_said() -> str:
+    """How many calls the means of a table are over."""
+    (most, *_), least = CALLS.values(), CALLS["cortex-m0plus"]
+    return f"function, over {most} calls, {least} on {NAMES['cortex-m0plus']}"
+
+
 def short_cell(cost: CallCost | None) -> str:
     if cost is None:
         return ""
@@ -108,7 +114,8 @@ def short_cell(cost: CallCost | None) -> str:
 
 def short_table(found: Found) -> Iterator[str]:
     """Rows are functions, columns cores with number formats: mean instructions, cycles, bytes."""
-    yield f"| function | {' | '.join(f'{NAMES[core]} {numbers}' for core, numbers in SHORT)} |"
+    columns = (f"{NAMES[core]} {numbers}" for core, numbers in SHORT)
+    yield f"| {calls_said()} | {' | '.join(columns)} |"
     yield f"|{'---|' * (1 + len(SHORT))}"
     for label in dict.fromkeys(label for label, _ in found):
         cells = (found.get((label, numbers), {}).get(core) for core, numbers in SHORT)
@@ -117,7 +124,7 @@ def short_table(found: Found) -> Iterator[str]:
 
 def long_table(found: Found) -> Iterator[str]:
     """Rows are functions in a number format, columns cores; with the largest number in brackets."""
-    yield f"| function | numbers | {' | '.join(NAMES[core] for core in CALLS)} |"
+    yield f"| {calls_said()} | numbers | {' | '.join(NAMES[core] for core in CALLS)} |"
     yield f"|{'---|' * (2 + len(CALLS))}"
     for (label, numbers), costs in found.items():
         cells = (

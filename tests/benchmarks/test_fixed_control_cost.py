@@ -7,13 +7,10 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
@@ -22,14 +19,7 @@ from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.reports.control.fixed_header import control_fixed_files
-from dqforge.reports.verification.cross_tools import build, emulate, execute, program
-from dqforge.reports.verification.cycle_model import (
-    address_of,
-    calls_of,
-    parse_disassembly,
-    traced_addresses,
-)
-from dqforge.reports.verification.host import WARNINGS
+from dqforge.reports.verification.measured_cost import CallCost, cost_of_calls
 
 pytestmark = pytest.mark.benchmark
 
@@ -109,8 +99,7 @@ def fitted(name: str) -> tuple[Design, FixedControlFit]:
 
 
 @cache
-def instructions(name: str, core: Core) -> NDArray[np.int64]:
-    """Instructions of every sample."""
+def cost_of_samples(name: str, core: Core) -> CallCost:
     design, fit = fitted(name)
     prefix = design.export.prefix
     rows = ", ".join("{ " + ", ".join(map(str, row)) + " }" for row in samples(fit).tolist())
@@ -119,15 +108,7 @@ def instructions(name: str, core: Core) -> NDArray[np.int64]:
         "measured_step.c": _STEP.format(**names).encode("ascii"),
         "all_steps.c": _MAIN.format(**names).encode("ascii"),
     }
-    with tempfile.TemporaryDirectory(prefix="dqforge-") as made:
-        folder = Path(made)
-        build(sources, WARNINGS, core, folder)
-        emulate(core, folder, "-singlestep", "-d", "exec,nochain", "-D", "trace.log")
-        tool = program("arm-none-eabi-objdump")
-        listing = execute([tool, "-d", "target.elf"], tool, folder).stdout
-        trace = traced_addresses([(folder / "trace.log").read_bytes()])
-        calls = calls_of(trace, address_of(listing, "measured_step"), parse_disassembly(listing))
-        return np.array([len(path) for path in calls])
+    return cost_of_calls(sources, "measured_step", core, ["measured_step.c"])
 
 
 def test_current_control_in_q15(capsys: pytest.CaptureFixture[str]) -> None:
@@ -137,12 +118,13 @@ def test_current_control_in_q15(capsys: pytest.CaptureFixture[str]) -> None:
                 pytest.fail(f"{name} is missing; CI needs it")
             pytest.skip(f"{name} is not installed")
     least: tuple[Core, Core] = ("cortex-m0plus", "cortex-m4")
-    found = {(core, name): instructions(name, core) for core in least for name in DRIVES}
+    found = {(core, name): cost_of_samples(name, core) for core in least for name in DRIVES}
     with capsys.disabled():
         print()
-        for (core, name), counts in found.items():
-            print(f"Q15 {core} {name}: {counts.mean():.0f} ({counts.max()}) instructions")
-    for (core, _), counts in found.items():
-        assert counts.shape == (SAMPLES,)
-        assert counts.mean() <= (600 if core == "cortex-m0plus" else 400)
-        assert counts.max() <= (650 if core == "cortex-m0plus" else 440)
+        for (core, name), cost in found.items():
+            mean, largest = cost.instructions, cost.instructions_largest
+            print(f"Q15 {core} {name}: {mean:.0f} ({largest}) instructions")
+    for (core, _), cost in found.items():
+        assert cost.calls == SAMPLES
+        assert cost.instructions <= (600 if core == "cortex-m0plus" else 400)
+        assert cost.instructions_largest <= (650 if core == "cortex-m0plus" else 440)
