@@ -202,9 +202,6 @@ PhaseMargin = Annotated[Quantity, QuantityRule("angle", 0.0, 1.5707963267948966)
 TorqueSlope = Annotated[Quantity, QuantityRule("torque-slope", 1e-6, 1e9)]
 
 
-CurrentSlope = Annotated[Quantity, QuantityRule("current-slope", 1e-3, 1e9)]
-
-
 CurrentGain = Annotated[Quantity, QuantityRule("current-gain", 1e-9, 1e9)]
 
 

@@ -122,6 +122,9 @@ def _prefixed(*names: str) -> frozenset[str]:
 ENERGETIC = _prefixed("joule")
 
 
+POWERS = _prefixed("watt") | {"horsepower", "metric_horsepower"}
+
+
 MECHANICAL = _prefixed("joule", "newton", "gram")
 
 
@@ -337,8 +340,14 @@ DIMENSIONS: dict[str, Dimension] = {
         "a temperature coefficient", "1/K", "1/kelvin", "0.39 %/K"
     ),
     "thermal-resistance": Dimension("a thermal resistance", "K/W", "kelvin/watt", "0.3 K/W"),
-    "torque-slope": Dimension("a slope of the torque", "N m/s", "newton*meter/second", "500 N m/s"),
-    "current-slope": Dimension("a slope of the current", "A/s", "ampere/second", "20 kA/s"),
+    "torque-slope": Dimension(
+        "a slope of the torque",
+        "N m/s",
+        "newton*meter/second",
+        "500 N m/s",
+        POWERS | ENERGETIC | CYCLIC,
+        "a slope of the torque is written in N m/s, not in W",
+    ),
     "current-gain": Dimension("a current-controller gain", "V/A", "volt/ampere", "1.1 V/A"),
     "current-integral-gain": Dimension(
         "an integral gain",

@@ -7,9 +7,9 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from dqforge.reports.answers.stored_proof import check_stored_proof, stored_proof_text
 from dqforge.reports.output.recomputation import Recomputation, recompute
 from dqforge.reports.output.recomputation_text import recomputation_text
+from dqforge.reports.output.stored_proof import check_stored_proof, stored_proof_text
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 from dqforge.reports.plain_data import PlainData

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.plain_data import PlainData
@@ -61,3 +62,52 @@ class HeaderKind(Generic[R, M]):
             f"{prefix}_{self.name}.h",
             *([f"{prefix}_{self.name}_vectors.h"] if self.vectors else []),
         ]
+
+
+F = TypeVar("F")
+
+
+def integer_kinds(
+    name: str,
+    width_of: Callable[[F], int],
+    files: Callable[[Solution, F], dict[str, bytes]],
+    plain: Callable[[F], PlainData],
+    read: Callable[[Mapping[str, Any], int, Mapping[str, Any]], M],
+    programme: Callable[[M], Programme],
+) -> tuple[HeaderKind[tuple[F, ...], M], ...]:
+    """Headers ``<prefix>_<name>_q15.h`` and ``<prefix>_<name>_q31.h`` of a result that is a fit
+    per fixed-point format.
+
+    Parameters
+    ----------
+    name:
+        What comes before the format.
+    width_of:
+        Bits of the codes of a fit.
+    files, plain, programme:
+        As of `HeaderKind`, of one fit.
+    read:
+        Model from its plain data, the bits of its codes and the whole result.
+    """
+
+    def kind(width: int) -> HeaderKind[tuple[F, ...], M]:
+        def found(fits: tuple[F, ...]) -> F | None:
+            return next((fit for fit in fits if width_of(fit) == width), None)
+
+        def files_of(solution: Solution, fits: tuple[F, ...]) -> dict[str, bytes]:
+            fit = found(fits)
+            return {} if fit is None else files(solution, fit)
+
+        def plain_of(_: Solution, fits: tuple[F, ...]) -> PlainData | None:
+            fit = found(fits)
+            return None if fit is None else plain(fit)
+
+        return HeaderKind(
+            name=f"{name}_q{width - 1}",
+            files=files_of,
+            plain=plain_of,
+            read=lambda own, result: read(own, width, result),
+            programme=programme,
+        )
+
+    return tuple(kind(width) for width in FIXED_WIDTHS.values())

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FixedObserverFit,
     FixedPositionObserver,
 )
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_code.header_kind import HeaderKind
+from dqforge.reports.c_code.header_kind import HeaderKind, integer_kinds
 from dqforge.reports.capability import Capability
 from dqforge.reports.fixed_observers.fixed_observer_header import (
     fit_in_words,
@@ -19,31 +17,18 @@ from dqforge.reports.fixed_observers.fixed_observer_header import (
     plain_observer_evidence,
 )
 from dqforge.reports.fixed_observers.fixed_observer_reading import fixed_observer_from
-from dqforge.reports.plain_data import PlainData
 
 Fits = tuple[FixedObserverFit, ...]
 
 
-def _fit(fits: Fits, width: int) -> FixedObserverFit | None:
-    return next((fit for fit in fits if fit.observer.width == width), None)
-
-
-def _fixed_kind(width: Literal[16, 32]) -> HeaderKind[Fits, FixedPositionObserver]:
-    def files(solution: Solution, fits: Fits) -> dict[str, bytes]:
-        fit = _fit(fits, width)
-        return {} if fit is None else fixed_observer_files(solution.design, fit)
-
-    def plain(_: Solution, fits: Fits) -> PlainData | None:
-        fit = _fit(fits, width)
-        return None if fit is None else plain_fixed_observer(fit.observer)
-
-    return HeaderKind(
-        name=f"observer_q{width - 1}",
-        files=files,
-        plain=plain,
-        read=lambda own, _: fixed_observer_from(own, width),
-        programme=fixed_observer_programme,
-    )
+_KINDS: tuple[HeaderKind[Fits, FixedPositionObserver], ...] = integer_kinds(
+    "observer",
+    width_of=lambda fit: fit.observer.width,
+    files=lambda solution, fit: fixed_observer_files(solution.design, fit),
+    plain=lambda fit: plain_fixed_observer(fit.observer),
+    read=lambda own, width, _: fixed_observer_from(own, width),
+    programme=fixed_observer_programme,
+)
 
 
 def _summary(_: Solution, fits: Fits) -> list[tuple[str, str]]:
@@ -57,5 +42,5 @@ FIXED_OBSERVER = Capability(
     plain=lambda _, fits: {fit.observer.format: plain_observer_evidence(fit) for fit in fits},
     always=False,
     summary=_summary,
-    headers=(_fixed_kind(16), _fixed_kind(32)),
+    headers=_KINDS,
 )

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Literal
 
 from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
 from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_code.header_kind import HeaderKind
+from dqforge.reports.c_code.header_kind import HeaderKind, integer_kinds
 from dqforge.reports.capability import Capability, ReportPart, Rows
 from dqforge.reports.fixed_reference.header import plain_mesh, reference_files, reference_programme
 from dqforge.reports.fixed_reference.mesh_reading import mesh_from
@@ -20,26 +19,14 @@ from dqforge.reports.plain_data import PlainData
 Fits = tuple[FixedReferenceFit, ...]
 
 
-def _fit(fits: Fits, width: int) -> FixedReferenceFit | None:
-    return next((fit for fit in fits if fit.reference.width == width), None)
-
-
-def _kind(width: Literal[16, 32]) -> HeaderKind[Fits, CurrentMesh]:
-    def files(solution: Solution, fits: Fits) -> dict[str, bytes]:
-        fit = _fit(fits, width)
-        return {} if fit is None else reference_files(solution.design, fit)
-
-    def plain(_: Solution, fits: Fits) -> PlainData | None:
-        fit = _fit(fits, width)
-        return None if fit is None else plain_mesh(fit.reference)
-
-    return HeaderKind(
-        name=f"reference_q{width - 1}",
-        files=files,
-        plain=plain,
-        read=lambda own, _: mesh_from(own, width),
-        programme=reference_programme,
-    )
+_KINDS: tuple[HeaderKind[Fits, CurrentMesh], ...] = integer_kinds(
+    "reference",
+    width_of=lambda fit: fit.reference.width,
+    files=lambda solution, fit: reference_files(solution.design, fit),
+    plain=lambda fit: plain_mesh(fit.reference),
+    read=lambda own, width, _: mesh_from(own, width),
+    programme=reference_programme,
+)
 
 
 def _summary(_: Solution, fits: Fits) -> Rows:
@@ -95,5 +82,5 @@ FIXED_REFERENCE = Capability(
     summary=_summary,
     tables=lambda _, fits: reference_tables(fits),
     parts=_parts,
-    headers=(_kind(16), _kind(32)),
+    headers=_KINDS,
 )

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_code.header_kind import HeaderKind
+from dqforge.reports.c_code.header_kind import HeaderKind, integer_kinds
 from dqforge.reports.capability import Capability, Outcome, ReportPart
 from dqforge.reports.pages.chapters import LOOPS
 from dqforge.reports.phase_control.emitted import (
@@ -16,7 +14,6 @@ from dqforge.reports.phase_control.emitted import (
     emitted_control_programme,
 )
 from dqforge.reports.phase_control.emitted_integers import (
-    IntegerModel,
     integer_files,
     integer_html,
     integer_programme,
@@ -25,7 +22,6 @@ from dqforge.reports.phase_control.emitted_integers import (
     plain_integer_evidence,
     plain_integers,
 )
-from dqforge.reports.plain_data import PlainData
 
 
 def _float32(outcome: Outcome) -> Solution | None:
@@ -52,26 +48,14 @@ FLOAT32_CONTROL = Capability(
 Fits = tuple[IntegerFit, ...]
 
 
-def _fit(fits: Fits, width: int) -> IntegerFit | None:
-    return next((fit for fit in fits if fit.control.width == width), None)
-
-
-def _fixed_kind(width: Literal[16, 32]) -> HeaderKind[Fits, IntegerModel]:
-    def files(solution: Solution, fits: Fits) -> dict[str, bytes]:
-        fit = _fit(fits, width)
-        return {} if fit is None else integer_files(solution.design, fit)
-
-    def plain(_: Solution, fits: Fits) -> PlainData | None:
-        fit = _fit(fits, width)
-        return None if fit is None else plain_integers(fit)
-
-    return HeaderKind(
-        name=f"control_q{width - 1}",
-        files=files,
-        plain=plain,
-        read=lambda own, result: integers_from(own, width, result),
-        programme=integer_programme,
-    )
+_KINDS = integer_kinds(
+    "control",
+    width_of=lambda fit: fit.control.width,
+    files=lambda solution, fit: integer_files(solution.design, fit),
+    plain=plain_integers,
+    read=integers_from,
+    programme=integer_programme,
+)
 
 
 def _parts(_: Solution, fits: Fits) -> list[ReportPart]:
@@ -87,5 +71,5 @@ FIXED_CONTROL = Capability(
     always=False,
     tables=lambda _, fits: integer_tables(fits),
     parts=_parts,
-    headers=(_fixed_kind(16), _fixed_kind(32)),
+    headers=_KINDS,
 )

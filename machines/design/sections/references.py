@@ -10,9 +10,9 @@ from dqforge.machines.design.settings import ReferenceSettings, VoltageFeedbackS
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.kinds import (
     Bandwidth,
-    CurrentSlope,
     PhaseCurrent,
     Section,
+    SlewRate,
     TorqueSlope,
 )
 from dqforge.machines.files.positioned_yaml import YamlDocument
@@ -36,7 +36,7 @@ class ReferencesSection(Section):
     torque_slope: TorqueSlope | None = Field(
         default=None, description="largest slope of the torque reference (N m/s)"
     )
-    current_slope: CurrentSlope | None = Field(
+    current_slope: SlewRate | None = Field(
         default=None, description="largest slope of the vector of the current reference (A/s)"
     )
     voltage_feedback: VoltageFeedbackSection | None = Field(

@@ -92,6 +92,7 @@ _DIMENSION: dict[str, tuple[int, ...]] = {
     "current-integral-gain": (1, 2, -4, -2, 0),
     "speed-gain": (1, 2, -1, 0, 0),
     "speed-integral-gain": (1, 2, -2, 0, 0),
+    "torque-slope": (1, 2, -3, 0, 0),
     "current-slew": (0, 0, -1, 1, 0),
     "angle": (0, 0, 0, 0, 0),
     "number": (0, 0, 0, 0, 0),
@@ -139,6 +140,7 @@ def expected_value(symbol: str, sign: int, dimension: str) -> float | None:
         "torque-constant": None,
         "torque": None if symbol.endswith("J") else value,
         "speed-integral-gain": None,
+        "torque-slope": None,
     }
     return own.get(dimension, None if angles else value)
 

@@ -69,6 +69,7 @@ def test_too_few_cells_leave_it_open(drives: list[AxisDrive]) -> None:
     assert (decision.outcome, decision.cells) == ("open", 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "tolerances",
     [

@@ -102,6 +102,7 @@ def test_without_tolerances_nothing_is_proven() -> None:
     assert gains.proofs == loop_proofs.LoopProofs()
 
 
+@pytest.mark.slow
 def test_a_speed_from_an_observer_is_left_out() -> None:
     made = design(SURFACE, TOLERANCES)
     control = replace(made.control, observer=ObserverSettings(pole=2000.0))
@@ -111,6 +112,7 @@ def test_a_speed_from_an_observer_is_left_out() -> None:
     assert gains.proofs.margins
 
 
+@pytest.mark.slow
 def test_effort_that_ends_states_a_share() -> None:
     """A long cycle is not tried by every run; the share is that of random drives."""
     box, gains = solved(design(SURFACE, TOLERANCES, ratio=50))
@@ -122,6 +124,7 @@ def test_effort_that_ends_states_a_share() -> None:
     assert again.share == proof.share
 
 
+@pytest.mark.slow
 def test_a_drive_between_the_corners_refuses_the_design(monkeypatch: pytest.MonkeyPatch) -> None:
     """Such a drive has not been met; here the proof is given gains far too high."""
     made = design(SURFACE, TOLERANCES)

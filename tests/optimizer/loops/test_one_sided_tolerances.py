@@ -148,6 +148,7 @@ def test_no_compensation_at_all_is_a_box_without_the_corner_compensated_twice() 
     np.testing.assert_allclose(np.sort(found), [r_s, r_s + added], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_loops_that_both_ways_refuse_hold_one_way() -> None:
     # 4 f_sw t V_dc/(pi I) of 2 us at 0.1 A is some 20 Ohm: compensated twice,
     # a loop of a few V/A runs away.
@@ -165,9 +166,15 @@ def test_a_pair_of_equal_sides_is_the_value_itself() -> None:
     sides = solve_gains(
         bench(Tolerances(r_s=(-0.2, 0.2), l_q=(-0.1, 0.1), inertia=(-0.3, 0.3)), speed=True)
     ).robust
-    assert both == sides
+    assert both is not None
+    assert sides is not None
+    assert both.proof is not None
+    assert sides.proof is not None
+    assert replace(both, proof=None) == replace(sides, proof=None)
+    assert both.proof.box == sides.proof.box
 
 
+@pytest.mark.slow
 def test_margins_of_a_one_sided_box_are_those_of_single_drives() -> None:
     of_r, of_v = (0.0, 0.5), (-0.2, 0.05)
     robust = solve_gains(bench(Tolerances(r_s=of_r, v_dc=of_v))).robust

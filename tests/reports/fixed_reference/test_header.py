@@ -186,6 +186,7 @@ def written(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_headers_of_a_design_are_verified_from_their_folder(tmp_path: Path) -> None:
     """What is changed in a header is found by its own result alone."""
     folder = written(tmp_path)

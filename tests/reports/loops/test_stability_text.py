@@ -18,7 +18,6 @@ from dqforge.optimizer.box_proofs.current_loop_checker import confirm, confirm_s
 from dqforge.optimizer.box_proofs.current_loop_proof import prove_current_loops
 from dqforge.optimizer.box_proofs.plain_certificate import plain_inputs
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.answers.stored_proof import check_stored_proof, stored_proof_text
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Outcome, asked_for
 from dqforge.reports.loops.capability import STABILITY
@@ -29,6 +28,7 @@ from dqforge.reports.loops.stability_text import (
     stability_notes,
 )
 from dqforge.reports.loops.tables import gains_tables
+from dqforge.reports.output.stored_proof import check_stored_proof, stored_proof_text
 from dqforge.reports.run import RunOutput, export_design
 
 BOX = "{r_s: 30 %, l_d: 20 %, l_q: 20 %, v_dc: 10 %}"
@@ -168,6 +168,7 @@ def test_a_folder_is_checked_and_forgeries_in_it_are_refused(tmp_path: Path) -> 
     assert check_stored_proof(place, solution()) is None
 
 
+@pytest.mark.slow
 def test_the_same_design_gives_the_same_bytes() -> None:
     prove_current_loops.cache_clear()
     again = export_design(with_tolerances(), verify=False)

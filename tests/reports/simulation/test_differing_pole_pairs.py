@@ -47,6 +47,7 @@ def settled(topology: str, frame: str) -> tuple[float, float]:
     return float(np.mean(torque)), float(np.ptp(torque) / np.mean(torque))
 
 
+@pytest.mark.slow
 def test_a_table_over_the_mechanical_turn_keeps_the_torque() -> None:
     mean, ripple = settled("four-leg", "table")
     assert mean == pytest.approx(1.0, rel=1e-3)

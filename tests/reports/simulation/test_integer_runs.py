@@ -21,7 +21,7 @@ from dqforge.machines.design.settings import (
 )
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.names import NumberFormat
+from dqforge.machines.names import NumberFormat, ObserverMethodName
 from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, Sensorless, constant
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_control.design import fit_control
@@ -251,7 +251,7 @@ def test_two_thousand_drives_off_their_data_settle_in_16_bits(program: Simulator
 @pytest.mark.parametrize(
     "method", ["flux", "extended-emf", "ekf", "open-loop-flux", "matsui-voltage", "matsui-current"]
 )
-def test_control_without_encoder_in_integers(method: str, ipm: Design) -> None:
+def test_control_without_encoder_in_integers(method: ObserverMethodName, ipm: Design) -> None:
     """Control on the angle of every position observer, speed steps and a load step."""
     speeds = Profile((0.0, 0.05, 0.3), (800.0 * RPM, 1200.0 * RPM, 900.0 * RPM))
     scenario = Scenario(
