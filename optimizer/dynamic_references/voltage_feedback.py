@@ -311,8 +311,9 @@ def _current(design: Design, box: DriveBox, asked: float | None, points: LimitPo
     if asked is None or left > 0.0:
         return current
     raise InputError(
-        f"control.references.voltage_feedback.current: {current:.4g} A more than the {-least:.4g} A of the "
-        "map turn the d flux of the weakest magnet, beyond which more current makes more voltage; "
+        f"control.references.voltage_feedback.current: {current:.4g} A more than the "
+        f"{-least:.4g} A of the map turn the d flux of the weakest magnet, beyond which "
+        "more current makes more voltage; "
         f"write current: {max(0.0, 0.9 * (least - current_of_no_flux(machine, weak))):.3g} A"
     )
 
