@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import (
@@ -54,7 +55,8 @@ def voltage_feedback(path: Path) -> None:
     )
     plain = plain_control(solution)
     without = gain_bytes({**plain, "references": {**plain["references"], "feedback": 0.0}})
-    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+    # room beside the widest tick labels, which readers' fonts make wider than the layout counts
+    figure = Figure(figsize=(7.0, 4.0), layout=ConstrainedLayoutEngine(w_pad=0.16))
     torque, current = figure.subplots(2, 1, sharex=True)
     with simulator(controller_files(solution), design.export.prefix) as program:
         for gains, colour, label in (

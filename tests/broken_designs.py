@@ -904,7 +904,8 @@ _CHOICE: list[Broken] = [
 ]
 
 _LOOPS: list[Broken] = [
-    ("tolerance-too-large", _tolerances("l_q: 95 %"), 26, 10, "'95 %' is outside 0 to 0.9"),
+    ("tolerance-too-large", _tolerances("l_q: 95 %"), 26, 10, "'95 %' is outside 0 % to 90 %"),
+    ("tolerance-bare", _tolerances("l_q: 20"), 26, 10, "'20' is outside 0 % to 90 %"),
     ("tolerance-unknown", _tolerances("resistance: 20 %"), 26, 5, "unknown key 'resistance'"),
     ("tolerance-unit", _tolerances("r_s: 0.2 Ohm"), 26, 10, "Ohm"),
     (

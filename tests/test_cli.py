@@ -269,6 +269,15 @@ def test_new_check_run_round_trip(run: Run, tmp_path: Path) -> None:
     assert IPM in one_line(run("new", "other", "--machine", "paper000"), 2)
 
 
+def test_check_refuses_scales_that_the_run_refuses(run: Run) -> None:
+    """Bases of fixed-point control are judged before anything is solved."""
+    fixed = ("--set", "export.control=q15", "--set", "control.per_unit.current=50 A")
+    said = one_line(run("check", IPM, *fixed), 2)
+    assert "50 A is full scale in fixed point" in said
+    assert "write current: " in said
+    assert run("check", IPM, *fixed[2:]).code == 0
+
+
 def test_machines_schema_and_reproduce(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

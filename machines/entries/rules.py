@@ -195,7 +195,12 @@ class QuantityRule(Rule):
                 f"{shown(text)} must be {least}; write e.g. '{DIMENSIONS[self.dimension].example}'",
                 "value",
             )
-        limits = f"{format_quantity(self.low, unit)} to {format_quantity(self.high, unit)}"
+        # people who write a share in per cent, or mean to, find the limits in per cent
+        percent = not unit and self.high <= 1.0 and (text.endswith("%") or 1.0 < si <= 100.0)
+        shown_unit = "%" if percent else unit
+        limits = (
+            f"{format_quantity(self.low, shown_unit)} to {format_quantity(self.high, shown_unit)}"
+        )
         if not bare or not unit:
             raise EntryError(
                 f"{shown(text)} is outside {limits}; check the number and its unit", "value"

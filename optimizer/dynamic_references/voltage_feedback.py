@@ -200,10 +200,12 @@ def voltage_feedback(
     around = _Around.of(design, box, loops, turning, direction)
     largest = around.largest_pole(gain)
     if largest >= 1.0:
+        hertz = wanted.bandwidth / (2.0 * math.pi)
+        held = around.stable_share(gain)
+        advice = f"bandwidth: {0.9 * held * hertz:.3g} Hz" if held > 0.0 else "a smaller bandwidth"
         raise NoSolutionError(
-            f"control.references.voltage_feedback: {wanted.bandwidth / (2.0 * math.pi):.4g} Hz are "
-            f"not stable together with the current loops (largest pole {largest:.4f}); write a "
-            "smaller bandwidth"
+            f"control.references.voltage_feedback.bandwidth: {hertz:.4g} Hz are not stable "
+            f"together with the current loops (largest pole {largest:.4f}); write {advice}"
         )
     current = _current(design, box, wanted.current, points)
     return VoltageFeedback(
@@ -254,6 +256,18 @@ class _Around:
         matrices = feedback_matrices(self.machines, self.control, self.direction, gain)
         return float(np.max(np.abs(np.linalg.eigvals(matrices))))
 
+    def stable_share(self, gain: float) -> float:
+        """The largest share of an unstable gain that is stable, to 1 %; 0 where a thousandth of it
+        is not stable either.
+        """
+        low, high = 1e-3, 1.0
+        if self.largest_pole(low * gain) >= 1.0:
+            return 0.0
+        while high / low > 1.01:
+            middle = math.sqrt(low * high)
+            low, high = (middle, high) if self.largest_pole(middle * gain) < 1.0 else (low, middle)
+        return low
+
     def gain_margin(self, gain: float) -> float:
         """By how much a gain may grow until the loop is at its limit."""
         if self.largest_pole(_MOST_GAIN * gain) < 1.0:
@@ -297,8 +311,9 @@ def _current(design: Design, box: DriveBox, asked: float | None, points: LimitPo
     if asked is None or left > 0.0:
         return current
     raise InputError(
-        f"control.references.voltage_feedback: {current:.4g} A more than the {-least:.4g} A of the "
-        "map turn the d flux of the weakest magnet, beyond which more current makes more voltage; "
+        f"control.references.voltage_feedback.current: {current:.4g} A more than the "
+        f"{-least:.4g} A of the map turn the d flux of the weakest magnet, beyond which "
+        "more current makes more voltage; "
         f"write current: {max(0.0, 0.9 * (least - current_of_no_flux(machine, weak))):.3g} A"
     )
 

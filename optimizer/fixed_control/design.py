@@ -211,14 +211,17 @@ def _bases(design: Design) -> tuple[float, float, float, float]:
 
 
 def require_scales(design: Design) -> None:
-    """Refuse bases of current and speed that do not hold the largest ones.
+    """Refuse bases of current and speed that do not hold the largest ones, those of the
+    references with field weakening among them: a speed beyond full scale would be clamped.
 
     Raises
     ------
     InputError
         With the base, what it must hold, and what to write.
     """
-    bases, speed = design.control.bases, design.machine.omega_m_max
+    bases, weakening = design.control.bases, design.weakening
+    known = (design.machine.omega_m_max, None if weakening is None else weakening.omega_m)
+    speed = max((each for each in known if each is not None), default=None)
     if design.i_max > bases.current * (1.0 + 1e-9):
         raise InputError(
             f"control.per_unit.current: {bases.current:.4g} A is full scale in fixed point, but "

@@ -5,6 +5,7 @@ needs of a drive that is off its map.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -153,6 +154,16 @@ def test_gain_margin_is_where_the_equations_oscillate() -> None:
     with pytest.raises(NoSolutionError, match="bandwidth"):
         judged(designed(2.0 * math.pi * 20.0 * 1.05 * found.gain_margin))
     assert judged(designed(2.0 * math.pi * 20.0 * 0.95 * found.gain_margin)).largest_pole < 1.0
+
+
+def test_an_unstable_bandwidth_names_one_that_holds() -> None:
+    with pytest.raises(NoSolutionError, match=r"voltage_feedback\.bandwidth: ") as refused:
+        judged(designed(2.0 * math.pi * 2000.0))
+    advice = re.search(r"write bandwidth: ([0-9.e+]+) Hz", str(refused.value))
+    assert advice is not None
+    found = judged(designed(2.0 * math.pi * float(advice[1])))
+    assert found.largest_pole < 1.0
+    assert 1.0 < found.gain_margin < 1.2  # not needlessly slow
 
 
 def test_a_stronger_magnet_lacks_voltage_and_more_current_gives_it_back() -> None:

@@ -12,10 +12,14 @@ import pytest
 from drives import IPM, SURFACE, make_design
 
 from dqforge.machines.design import catalogue
-from dqforge.machines.design.settings import ControlSettings, CurrentLoopSettings
-from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.design.settings import (
+    ControlSettings,
+    CurrentLoopSettings,
+    WeakeningSettings,
+)
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
+from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control, require_scales
 from dqforge.optimizer.fixed_control.gains import quantised_loop, real_pi, velocity_integers
 from dqforge.optimizer.loops.analysis import current_step_response
 from dqforge.optimizer.loops.integer_gains import FixedGain, given, pi_integers, quantise
@@ -157,3 +161,13 @@ def test_wrong_sizes_of_bases_are_named(width: int) -> None:
     low = replace(design.control.bases, voltage=5.0, speed=1000.0)
     with pytest.raises(ValueError, match=r"control.per_unit.voltage: 5 V is too small a base"):
         fit_control(replace(design, control=replace(design.control, bases=low)), loops, None, width)
+
+
+def test_full_scale_of_the_speed_holds_field_weakening_too() -> None:
+    """Its references would stand still from full scale on, unsaid."""
+    design = replace(make_design(IPM), machine=replace(IPM, omega_m_max=400.0))
+    bases = replace(design.control.bases, speed=500.0, current=2.0 * IPM.i_max)
+    design = replace(design, control=replace(design.control, bases=bases))
+    require_scales(replace(design, weakening=WeakeningSettings(omega_m=500.0)))
+    with pytest.raises(InputError, match=r"the largest speed is 5729.6 rpm; write speed: 7162 rpm"):
+        require_scales(replace(design, weakening=WeakeningSettings(omega_m=600.0)))
