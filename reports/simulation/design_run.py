@@ -17,6 +17,7 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import NumberFormat, Topology
 from dqforge.machines.plants.scenario import Profile, Scenario
+from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.operating_points.solve import current_choice
@@ -279,6 +280,8 @@ def simulate_design(
     require_compiler()
     whole = solve(design) if solution is None else solution
     formats = simulated(whole)
+    if formats != ("float32",):
+        _require_full_scale(design, scenario)
     found = [
         replace(
             _simulated_in(
@@ -289,6 +292,17 @@ def simulate_design(
         for place, number_format in enumerate(formats)
     ]
     return replace(found[0], others=tuple(found[1:]))
+
+
+def _require_full_scale(design: Design, scenario: Scenario) -> None:
+    """Refuse speeds that integers cannot be told."""
+    most, base = scenario.reference.largest, design.control.bases.speed
+    if scenario.mode == "speed" and most > base * (1.0 + 1e-9):
+        raise InputError(
+            f"simulation.speed: {format_quantity(most, 'rpm')} is beyond full scale in fixed point, "
+            f"{format_quantity(base, 'rpm')}; write control.per_unit.speed: "
+            f"{format_quantity(1.25 * most, 'rpm', 4)}, or a lower speed"
+        )
 
 
 def _simulated_in(

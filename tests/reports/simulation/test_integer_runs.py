@@ -21,6 +21,7 @@ from dqforge.machines.design.settings import (
 )
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.errors import InputError
 from dqforge.machines.names import NumberFormat, ObserverMethodName
 from dqforge.machines.plants.scenario import PlantErrors, Profile, Scenario, Sensorless, constant
 from dqforge.optimizer.control_design.gain_set import solve_gains
@@ -275,3 +276,15 @@ def test_control_without_encoder_in_integers(method: ObserverMethodName, ipm: De
         assert coarse.angle_rms == pytest.approx(fine.angle_rms, rel=0.1)
         assert coarse.sensorless_share == 1.0
         assert run.tracking[1] == pytest.approx(found.tracking[1], rel=0.12)
+
+
+def test_a_speed_beyond_full_scale_is_refused() -> None:
+    base = catalogue.load("paper001-pmsm-bench")
+    design = replace(
+        base,
+        losses=None,
+        export=replace(base.export, control=("q15",)),
+        simulation=Scenario(0.01, "speed", constant(1.1 * base.control.bases.speed)),
+    )
+    with pytest.raises(InputError, match=r"beyond full scale.*write control.per_unit.speed: \d+"):
+        simulate_design(design)
