@@ -299,8 +299,8 @@ def _require_full_scale(design: Design, scenario: Scenario) -> None:
     most, base = scenario.reference.largest, design.control.bases.speed
     if scenario.mode == "speed" and most > base * (1.0 + 1e-9):
         raise InputError(
-            f"simulation.speed: {format_quantity(most, 'rpm')} is beyond full scale in fixed point, "
-            f"{format_quantity(base, 'rpm')}; write control.per_unit.speed: "
+            f"simulation.speed: {format_quantity(most, 'rpm')} is beyond full scale in fixed "
+            f"point, {format_quantity(base, 'rpm')}; write control.per_unit.speed: "
             f"{format_quantity(1.25 * most, 'rpm', 4)}, or a lower speed"
         )
 
