@@ -41,6 +41,7 @@ def design(voltage: float = 300.0, **bases: float) -> Any:
         machine=SimpleNamespace(omega_m_max=1800.0 * RPM),
         i_max=5.94,
         inverter=SimpleNamespace(v_dc=220.0),
+        weakening=None,
     )
 
 
