@@ -90,7 +90,7 @@ WRONG = [
     ("r_s: {from: 0 %, to: 30 %, value: 3 %}", "unknown key 'value'"),
     ("r_s: {from: 0 A, to: 30 %}", "expected a plain number"),
     ("dead_time: {from: 0 %, to: 0.5 us}", "one side is a share and the other a time"),
-    ("dead_time: {from: 0 %, to: 150 %}", "outside -1 to 1"),
+    ("dead_time: {from: 0 %, to: 150 %}", "outside -100 % to 100 %"),
     ("dead_time: {from: -1, to: 50 %}", "expected a share"),
 ]
 
