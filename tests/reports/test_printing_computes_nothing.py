@@ -40,6 +40,7 @@ MODELS = {
     "fixed_reference.mesh_reading": "proves again what is read back",
     "modulation_choice.rule_model": "the choice of modulator in single precision",
     "phase_control.fixed_phase_model": "the control of phases in integers, step by step",
+    "output.stored_proof": "proves again what is read back",
     "phase_control.fixed_phase_reading": "proves again what is read back",
     "observers.float32_model": "position observers in single precision",
     "observers.speed_float32_model": "the speed observer in single precision",
