@@ -147,7 +147,13 @@ def feedback_matrices(
     gain:
         K in A per V and sample.
     """
-    loops = closed_matrices(machines, control)
+    return _with_feedback(closed_matrices(machines, control), control, direction, gain)
+
+
+def _with_feedback(
+    loops: FloatArray, control: CurrentControl, direction: FloatArray, gain: float
+) -> FloatArray:
+    """The same from the maps of both current loops alone, shape (M, 6, 6)."""
     count = len(loops)
     reference = np.zeros(6)  # what the d reference adds to the next state
     reference[2] = control.kp[0] + control.ki_ts[0]
@@ -222,9 +228,9 @@ def voltage_feedback(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Around:
-    """Both current loops at operating points and corners of the tolerances, row by row."""
+    """Maps of both current loops, a row per operating point and corner of the tolerances."""
 
-    machines: TurningMachines
+    loops: FloatArray
     control: CurrentControl
     direction: FloatArray
 
@@ -249,11 +255,15 @@ class _Around:
             t_s=design.control.t_s,
         )
         machines = box.turning_machines(drives, turning)
-        return cls(machines, control, np.tile(direction, (len(drives.deviations), 1)))
+        return cls(
+            closed_matrices(machines, control),
+            control,
+            np.tile(direction, (len(drives.deviations), 1)),
+        )
 
     def largest_pole(self, gain: float) -> float:
         """Largest modulus of the poles with a gain in A per V and sample."""
-        matrices = feedback_matrices(self.machines, self.control, self.direction, gain)
+        matrices = _with_feedback(self.loops, self.control, self.direction, gain)
         return float(np.max(np.abs(np.linalg.eigvals(matrices))))
 
     def stable_share(self, gain: float) -> float:
