@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import get_args
 
-from dqforge.machines.design.settings import filter_share
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
@@ -25,6 +24,11 @@ from dqforge.optimizer.firmware.profile import (
     PiRule,
     SpeedEstimate,
     SpeedKind,
+)
+from dqforge.optimizer.firmware.sampled_structure import (
+    estimate_ratio,
+    filter_share,
+    whole_ratio,
 )
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.pages.templating import render
@@ -81,6 +85,8 @@ def loop_numbers(profile: LoopProfile, values: DriveValues) -> LoopNumbers:
     current, speed = profile.current, profile.speed
     t_s = sampling_period(profile)
     estimate = SpeedEstimate() if speed is None else speed.feedback
+    every = 1 if speed is None else estimate_ratio(speed, t_s)
+    ratio = speed_ratio(profile)
     idle = PiController(0.0, 0.0, t_s)
     psi_pm = values.psi_pm or 0.0
     pole_pairs = _needed(values.pole_pairs, "pole_pairs")
@@ -97,17 +103,18 @@ def loop_numbers(profile: LoopProfile, values: DriveValues) -> LoopNumbers:
         ("psi_pm, Wb", psi_pm),
         ("saliency, H", (values.l_q or 0.0) - (values.l_d or 0.0) if salient else 0.0),
         ("ramp_step, rad/s", _ramp_step(profile)),
-        *_estimate_numbers(estimate, t_s),
+        *_estimate_numbers(estimate, every * t_s),
         ("order", get_args(LimitOrder).index(current.order)),
         ("reference", _REFERENCES.index(profile.reference)),
         ("estimate", get_args(SpeedKind).index(estimate.kind)),
-        ("estimate_ratio", _ratio(estimate.t_s or t_s, t_s)),
+        ("estimate_ratio", every),
         ("estimate_samples", _samples(estimate)),
-        ("ratio", 0 if speed is None else _ratio(speed.pi.t_s, t_s)),
+        ("ratio", 0 if speed is None else ratio),
         ("points", _table_size(profile)),
     )
     controllers = (current.d, current.q, idle if speed is None else speed.pi)
-    return LoopNumbers(tuple(_pi_numbers(pi) for pi in controllers), numbers, profile.table)
+    periods = (t_s, t_s, ratio * t_s)
+    return LoopNumbers(tuple(map(_pi_numbers, controllers, periods)), numbers, profile.table)
 
 
 def sampling_period(profile: LoopProfile) -> float:
@@ -130,7 +137,7 @@ def sampling_period(profile: LoopProfile) -> float:
 def speed_ratio(profile: LoopProfile) -> int:
     """Current samples per sample of the speed controller, 1 without one."""
     t_s = sampling_period(profile)
-    return 1 if profile.speed is None else _ratio(profile.speed.pi.t_s, t_s)
+    return 1 if profile.speed is None else whole_ratio(profile.speed.pi.t_s, t_s)
 
 
 def loop_bytes(profile: LoopProfile, values: DriveValues) -> bytes:
@@ -193,20 +200,19 @@ def _needed(value: float | None, name: str) -> float:
     return float(value)
 
 
-def _pi_numbers(pi: PiController) -> tuple[Member, ...]:
+def _pi_numbers(pi: PiController, t_s: float) -> tuple[Member, ...]:
     return (
         ("kp", pi.kp),
-        ("ki_ts", pi.ki * pi.t_s),
-        ("tracking_ts", pi.tracking * pi.t_s),
+        ("ki_ts", pi.ki * t_s),
+        ("tracking_ts", pi.tracking * t_s),
         ("limit", pi.limit or 0.0),
-        ("share", filter_share(pi.filter_time, pi.t_s)),
+        ("share", filter_share(pi.filter_time, t_s)),
         ("rule", get_args(PiRule).index(pi.rule)),
         ("anti_windup", get_args(AntiWindup).index(pi.anti_windup)),
     )
 
 
-def _estimate_numbers(estimate: SpeedEstimate, t_s: float) -> tuple[Member, ...]:
-    period = _ratio(estimate.t_s or t_s, t_s) * t_s
+def _estimate_numbers(estimate: SpeedEstimate, period: float) -> tuple[Member, ...]:
     return (
         ("estimate_s", period),
         ("estimate_kp", estimate.kp),
@@ -217,12 +223,11 @@ def _estimate_numbers(estimate: SpeedEstimate, t_s: float) -> tuple[Member, ...]
 
 def _ramp_step(profile: LoopProfile) -> float:
     speed = profile.speed
-    return 0.0 if speed is None or speed.ramp is None else speed.ramp * speed.pi.t_s
-
-
-def _ratio(period: float, t_s: float) -> int:
-    """Whole number of current samples nearest to a period in s."""
-    return max(1, round(period / t_s))
+    return (
+        0.0
+        if speed is None or speed.ramp is None
+        else speed.ramp * speed_ratio(profile) * sampling_period(profile)
+    )
 
 
 def _samples(estimate: SpeedEstimate) -> int:
