@@ -56,14 +56,14 @@ def test_without_it_there_is_none(tmp_path: Path) -> None:
         ("{name: foo}", "13:20: control.firmware.name: expected one of vesc"),
         ("[vesc]", "13:13: control.firmware: expected a section with keys, got a list"),
         ("{nam: vesc}", "unknown key 'nam'; did you mean 'name'?"),
-        ("{name: st, pll_kp: 2000}", "13:22: control.firmware: pll_kp and pll_ki belong together"),
+        ("{name: st, pll_kp: 2000}", "13:24: control.firmware: pll_kp and pll_ki belong together"),
         ("{name: st, pll_kp: -1, pll_ki: 1}", "control.firmware.pll_kp: expected a number greater"),
     ],
 )
 def test_what_it_cannot_be_is_refused_where_it_stands(text: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         load_design(write(tmp_path, f"firmware: {text}"))
-    assert said.replace("13:", "", 1) in str(caught.value)
+    assert said in str(caught.value)
 
 
 def test_it_needs_gains(tmp_path: Path) -> None:
