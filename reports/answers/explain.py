@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +11,10 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.asked import drive_values
 from dqforge.optimizer.firmware.configuration import DriveValues
 from dqforge.optimizer.firmware.explained import explain, explain_own, on_machine
+from dqforge.reports.command_line.designs import load
+from dqforge.reports.comparison.own_files import is_own, own_gains
 from dqforge.reports.comparison.sources import read_side
 from dqforge.reports.firmware.text_file import TextFile, read_text_file
-from dqforge.reports.firmware_files.own_files import is_own, own_gains
 from dqforge.reports.firmware_files.plain import (
     plain_drive_values,
     plain_explained,
@@ -24,7 +26,7 @@ from dqforge.reports.firmware_files.tables import explained_tables, own_tables
 from dqforge.reports.pages.answer import Answer
 
 
-def answer_explain(files: list[Path], machine: Design | None) -> Answer:
+def answer_explain(files: Sequence[Path], machine: str | None) -> Answer:
     """What the configuration in files of a firmware, or a header or result of ours, amounts to.
 
     Parameters
@@ -32,7 +34,8 @@ def answer_explain(files: list[Path], machine: Design | None) -> Answer:
     files:
         One, or several of one firmware.
     machine:
-        A design whose machine it runs on, in place of the one that it tells of.
+        The design (a file, or a name of the library) whose machine it runs on, in place of the one
+        that it tells of.
 
     Raises
     ------
@@ -41,7 +44,7 @@ def answer_explain(files: list[Path], machine: Design | None) -> Answer:
     """
     if not files:
         raise InputError("explain: no file is named; write the file of a firmware")
-    values = None if machine is None else drive_values(machine)
+    values = None if machine is None else drive_values(load(machine))
     if len(files) == 1:
         if files[0].is_dir():
             return _own(str(files[0]), values)

@@ -19,14 +19,26 @@ from dqforge.reports.pages.table import Table
 _FILE = "design.yaml"
 
 
-def answer_new(folder: Path, machine: str | None) -> Answer:
-    """A commented design file to start from.
+def answer_new(
+    folder: Path,
+    machine: str | None,
+    files: Sequence[Path] | None = None,
+    settings: Sequence[str] | None = None,
+) -> Answer:
+    """A commented design file to start from: of the library, or of files of other firmware.
 
     Raises
     ------
     InputError
-        The library has no such drive, or the folder has a design file already.
+        The library has no such drive, or the folder has a design file already; or as
+        `answer_new_from`.
     """
+    if files:
+        if machine is not None:
+            raise InputError("--machine: leave it out with --from, which says what machine it is")
+        return answer_new_from(folder, files, settings)
+    if settings:
+        raise InputError("--set: goes with --from; edit the design file that is written instead")
     content, path = catalogue.template(machine), folder / _FILE
     if path.exists():
         raise InputError(f"{path} exists already and is kept; choose another folder")
