@@ -139,3 +139,8 @@ ModulationName = Literal[
     "gdpwm",
     "ddt-gdpwm",
 ]
+
+
+Firmware = Literal["vesc", "simplefoc", "moteus", "odrive", "nxp", "st", "ti", "infineon"]
+
+"""Firmware of others whose configuration files are written and read, and whose loops are judged."""

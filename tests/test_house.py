@@ -23,8 +23,8 @@ LARGEST_ROOM = 16
 PARTS = {
     "capability", "catalogue", "checks", "constants", "design", "enclosures", "figures", "files",
     "fit", "fixed_header", "float32_model", "gains", "header", "html", "inputs", "map_figures",
-    "map_tables", "names", "plain", "question", "registry", "sections", "settings", "solve",
-    "tables", "text", "units",
+    "map_tables", "names", "plain", "question", "reader", "registry", "sections", "settings",
+    "solve", "tables", "target", "text", "units", "writer",
 }
 # fmt: on
 # Rooms with a file for each thing that other rooms are about, by its name.

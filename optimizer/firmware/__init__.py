@@ -1,0 +1,1 @@
+"""The loops that firmware of others runs: structure, gains within it, margins."""

@@ -1,0 +1,13 @@
+"""The methods of every firmware, by name."""
+
+from __future__ import annotations
+
+from dqforge.machines.names import Firmware
+from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
+
+METHODS: dict[Firmware, FirmwareMethod] = {
+    method.name: method
+    for method in (
+        # A line per firmware.
+    )
+}

@@ -1,0 +1,1 @@
+"""Configuration files of other firmware: written, read back, explained; a folder per firmware."""
