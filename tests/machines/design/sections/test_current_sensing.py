@@ -48,7 +48,6 @@ def test_without_the_key_nothing_is_known() -> None:
     [
         ("{gain: 20, reference: 3.3 V}", "inverter.current_sensing needs the key 'shunt'"),
         ("{shunt: 5 mA, gain: 20, reference: 3.3 V}", "inverter.current_sensing.shunt"),
-        ("{shunt: 5, gain: 20, reference: 3.3 V}", "inverter.current_sensing.shunt"),
         ("{shunt: 5 mOhm, gain: 20 V, reference: 3.3 V}", "inverter.current_sensing.gain"),
         ("{shunt: 5 mOhm, gain: 20, reference: 3300 V}", "inverter.current_sensing.reference"),
         ("{shunt: 5 mOhm, gain: 20, reference: 3 V, bits: 3}", "inverter.current_sensing.bits"),
