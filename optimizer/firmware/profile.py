@@ -126,6 +126,9 @@ class LoopProfile:
 
     ``reference`` says where the currents for a torque come from: no d current, the closed form of
     linear machines, or a table of the firmware. ``sources`` name where the structure is taken from.
+    ``table`` holds the points of that table, (command, i_d, i_q) in A, commands ascending from 0:
+    joined by lines, held behind the last; for negative commands i_q changes its sign. The command is
+    the torque over 1.5 p psi_pm, or what the speed controller puts out.
     """
 
     firmware: Firmware
@@ -135,3 +138,4 @@ class LoopProfile:
     observer: FluxObserver | None = None
     reference: Literal["id-zero", "mtpa-linear", "table"] = "id-zero"
     sources: tuple[str, ...] = ()
+    table: tuple[tuple[float, float, float], ...] = ()
