@@ -77,7 +77,7 @@ class Estimate:
 
     def __init__(self, profile: LoopProfile, pole_pairs: int, t_s: float) -> None:
         self.own = None if profile.speed is None else profile.speed.feedback
-        self.pairs, self.count, self.place = F(pole_pairs), 0, 0
+        self.pairs, self.count, self.place, self.newest = F(pole_pairs), 0, 0, 0
         self.every = 1
         if self.own is not None:
             self.every = max(1, round((self.own.t_s or t_s) / t_s))
@@ -87,39 +87,54 @@ class Estimate:
             self.share = F(period / (period + self.own.filter_time))
 
     def step(self, theta: np.float32, omega_m: np.float32) -> np.float32:
-        if self.own is None or self.own.kind == "ideal":
+        if self.own is None or (self.own.kind == "ideal" and self.own.averaged == 1):
             return omega_m
         first, due = self.count == 0, self.count % self.every == 0
         self.count += 1
         if first:
             self.omega, self.value = self.pairs * omega_m, omega_m
-            self.theta = theta
+            self.theta, self.smooth = theta, self.omega
             self.past = [self.omega * self.t] * self.own.samples
+            self.speeds = [self.omega] * self.own.averaged
             if self.own.kind == "pll":
                 self.theta = folded(self.theta + self.omega * self.t)
         elif due:
-            error = folded(theta - self.theta)
-            if self.own.kind == "pll":
-                self.omega = self.omega + self.ki * error
-                self.theta = folded(self.theta + (self.omega + self.kp * error) * self.t)
-            else:
-                self.difference(theta, error)
-            self.value = self.omega / self.pairs
+            speed = self.pairs * omega_m if self.own.kind == "ideal" else self.of_angle(theta)
+            if self.own.kind in ("pll", "low-pass") and self.share < 1.0:
+                speed = self.smooth + self.share * (speed - self.smooth)
+            self.smooth = speed
+            self.value = self.mean(speed) / self.pairs
         return self.value
 
-    def difference(self, theta: np.float32, error: np.float32) -> None:
+    def of_angle(self, theta: np.float32) -> np.float32:
         assert self.own is not None
+        error = folded(theta - self.theta)
+        if self.own.kind == "pll":
+            self.omega = self.omega + self.ki * error
+            both = self.omega + self.kp * error
+            self.theta = folded(self.theta + both * self.t)
+            return both if self.own.whole else self.omega
         self.theta = theta
         count = self.own.samples if self.own.kind == "difference" else 1
         self.place = (self.place + 1) % count
         self.past[self.place] = error
-        total = ZERO
-        for turn in self.past[:count]:
-            total = total + turn
-        speed = total / (F(count) * self.t)
-        if self.own.kind == "low-pass":
-            speed = self.omega + self.share * (speed - self.omega)
-        self.omega = speed
+        return total(self.past[:count]) / (F(count) * self.t)
+
+    def mean(self, speed: np.float32) -> np.float32:
+        count = len(self.speeds)
+        if count == 1:
+            return speed
+        self.newest = (self.newest + 1) % count
+        self.speeds[self.newest] = speed
+        return total(self.speeds) / F(count)
+
+
+def total(values: list[np.float32]) -> np.float32:
+    """Their sum, one after the other."""
+    found = ZERO
+    for value in values:
+        found = found + value
+    return found
 
 
 def folded(theta: np.float32) -> np.float32:

@@ -86,6 +86,8 @@ def random_profile(seed: int) -> LoopProfile:
         pick.uniform(1e4, 1e6),
         pick.uniform(0.0, 5e-3),
         int(pick.integers(1, 30)),
+        int(pick.choice([1, 1, 5])),
+        bool(pick.random() < 0.5),
     )
     kp = pick.uniform(0.1, 1.0)
     speed = replace(random_pi(pick, ratio * t_s, 50.0), kp=kp, ki=kp * pick.uniform(0.0, 40.0))
