@@ -76,7 +76,7 @@ class Drive:
         Machine with another back-EMF than a sine, None for others.
     delay:
         Sampling periods from a sample until the duty cycles made of it begin to act, 0 to
-        `LONGEST_DELAY`; with a switched inverter a whole number.
+        `LONGEST_DELAY`; with a switched inverter a whole number of half carrier periods.
     """
 
     machine: Machine
@@ -192,10 +192,11 @@ def _delay(drive: Drive, scenario: Scenario) -> float:
             f"duty cycles cannot act {drive.delay:g} periods after the sample; from 0 to "
             f"{LONGEST_DELAY:g} can be simulated"
         )
-    if scenario.inverter == "switched" and drive.delay != int(drive.delay):
+    halves = drive.delay * carrier_halves(drive, scenario)
+    if scenario.inverter == "switched" and halves != int(halves):
         raise InputError(
-            "simulation.inverter: a switched inverter takes duty cycles at the start of a period, "
-            f"not {drive.delay:g} periods after the sample; write inverter: averaged"
+            "simulation.inverter: a switched inverter takes duty cycles at the peaks of its "
+            f"carrier, not {drive.delay:g} periods after the sample; write inverter: averaged"
         )
     return drive.delay
 
