@@ -68,7 +68,18 @@ def equivalent_gains(pi: PiController) -> tuple[float, float]:
     pi:
         The controller; ki is per second.
     """
-    return pi.kp - (1.0 - _SHARE[pi.rule]) * pi.ki * pi.t_s, pi.ki
+    return pi.kp - added_gain(pi), pi.ki
+
+
+def added_gain(pi: PiController) -> float:
+    """What the proportional gain is above that of the backward-Euler PI with the same outputs.
+
+    Parameters
+    ----------
+    pi:
+        The controller; ki is per second.
+    """
+    return (1.0 - _SHARE[pi.rule]) * pi.ki * pi.t_s
 
 
 def filter_share(filter_time: float, t_s: float) -> float:
