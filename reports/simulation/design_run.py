@@ -322,7 +322,7 @@ def _simulated_in(
     progress: Callable[[float], None] | None,
 ) -> DriveSimulation:
     """The run of the control functions in one format."""
-    stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
+    stride = recorded_stride(scenario, design.control.t_s)
     with simulator(
         emitted_files(solution, number_format),
         design.export.prefix,
@@ -332,6 +332,11 @@ def _simulated_in(
     ) as program:
         run = simulate(program, drive_of(design), scenario, stride=stride, progress=progress)
     return replace(evaluate(design, run), format=number_format)
+
+
+def recorded_stride(scenario: Scenario, t_s: float) -> int:
+    """Samples of ``t_s`` in s per recorded row."""
+    return 1 + int(scenario.duration / t_s) // _MOST_ROWS
 
 
 def _part(
