@@ -11,6 +11,7 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Outcome, asked_for
+from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.firmware_files.settled import require_settling
 from dqforge.reports.main_header.dialect import Dialect
 from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
@@ -20,7 +21,6 @@ from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.report import render_report
 from dqforge.reports.result import plain_outcome, plain_solution
-from dqforge.reports.simulation.design_run import simulate_design
 from dqforge.reports.verification.host import Verification, verify_files
 from dqforge.reports.written_headers import programmes
 
@@ -126,7 +126,7 @@ def run_design(
     simulation = None
     if verify and design.simulation is not None:
         stage("simulating")
-        simulation = simulate_design(design, solution=output.solution, progress=shares())
+        simulation = simulate_with_firmware(design, solution=output.solution, progress=shares())
     outcome = Outcome(output.solution, output.verification is not None, simulation)
     if simulation is not None:
         plain = output.plain | plain_outcome(outcome, capabilities)
