@@ -48,7 +48,7 @@ def firmware_side(name: str) -> Side | None:
     if target is None:
         return None
     found = explain(target.read(file.text, name))
-    return Side(name, _plain(found, target.title, sha256(content)), None)
+    return Side(name, _plain(found, target.title, sha256(content)), None, foreign=True)
 
 
 def _plain(found: Explained, title: str, digest: str) -> PlainData:

@@ -294,8 +294,8 @@ class _Writer:
 
     def _left_out(self, speed: PiGains, why: str) -> None:
         self.lines.append(
-            f"  # The speed controller (kp {speed.kp:.9g} A s/rad, ki {speed.ki:.9g} A/rad) is left "
-            f"out: {why}."
+            f"  # The speed controller (kp {speed.kp:.9g} A s/rad, ki {speed.ki:.9g} A/rad) is "
+            f"left out: {why}."
         )
 
 

@@ -21,9 +21,16 @@ def require_settling(design: Design, fit: FirmwareFit) -> Verdict:
     verdict = settles(fit.profile, design, fit.configuration.drive)
     if not verdict.settles:
         why = "; ".join((verdict.reason, *fit.judged.remarks[:1]))
+        asked_for = design.control.firmware
+        within = asked_for is not None and asked_for.name == fit.name
+        advice = (
+            "choose slower loops under control"
+            if within
+            else f"write control.firmware: {fit.name} to have gains chosen within its structure"
+        )
         raise NoSolutionError(
             f"export.firmware: {fit.name} does not control this drive, nothing is written: {why}; "
-            "choose slower loops under control, or --no-verify to write the file all the same"
+            f"{advice}, or --no-verify to write the file all the same"
         )
     return verdict
 
