@@ -24,6 +24,7 @@ from dqforge.machines.design.sections.control import (
 )
 from dqforge.machines.design.sections.export import read_export
 from dqforge.machines.design.sections.field_weakening import read_weakening
+from dqforge.machines.design.sections.firmware import check_firmware
 from dqforge.machines.design.sections.fit import check_fit, read_fit
 from dqforge.machines.design.sections.inverter import (
     DEFAULT_COOLANT,
@@ -136,6 +137,12 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         file.export,
         document,
         any_back_emf=found.phases is not None,
+    )
+    check_firmware(
+        file.control.firmware,
+        document,
+        any_back_emf=found.phases is not None,
+        gains=file.control.gains,
     )
     inverter = read_inverter(file.inverter, machine.i_max, reading)
     check_overmodulation(
