@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dqforge.machines.names import Firmware
+from dqforge.reports.firmware.moteus.target import TARGET as MOTEUS
+from dqforge.reports.firmware.odrive.target import TARGET as ODRIVE
 from dqforge.reports.firmware.target import Target
 
 TARGETS: dict[Firmware, Target] = {
     target.method.name: target
     for target in (
         # A line per firmware.
+        MOTEUS,
+        ODRIVE,
     )
 }

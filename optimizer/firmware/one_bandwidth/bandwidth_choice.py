@@ -1,17 +1,30 @@
 """The bandwidth of a firmware that works out its gains from one: the largest up to what was asked
-for with which its own loops keep their margins.
+for with which its own loops keep their margins, from no current to the limit.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
-from dqforge.machines.design.design import Design
+import numpy as np
+
+from dqforge.machines.errors import NoSolutionError
+from dqforge.optimizer.firmware.configuration import DriveValues
 from dqforge.optimizer.firmware.firmware_method import Asked
-from dqforge.optimizer.firmware.judge import JudgedFirmware
+from dqforge.optimizer.firmware.profile import LoopProfile
+from dqforge.optimizer.firmware.sampled_structure import Winding, current_loop
+from dqforge.optimizer.loops.plants import PiLoop
+from dqforge.optimizer.sampled_systems import loop_margins
 
 _LEAST_SHARE = 1e-4
+
+
+_STEP = 0.8
+
+
+_RESOLUTION = 1e-3
 
 
 _DIGITS = 4
@@ -31,38 +44,70 @@ def bandwidth_asked(asked: Asked) -> float:
     return min(asked.current_d.kp / l_d, asked.current_q.kp / l_q)
 
 
-def held_bandwidth(
-    wished: float, judged: Callable[[float], JudgedFirmware], design: Design
-) -> float:
-    """Largest bandwidth in rad/s, at most the one wished for, that keeps the phase margin and the
-    sensitivity of the design's current loops; four digits, rounded down.
+def drives_over_current(asked: Asked) -> tuple[DriveValues, ...]:
+    """The drive with its inductances at no current, and where it saturates at the current limit.
+
+    Parameters
+    ----------
+    asked:
+        What is asked of the firmware.
+    """
+    drive, i_max = asked.drive, asked.drive.i_max
+    if i_max is None:
+        return (drive,)
+    jet = asked.design.machine.jet(np.zeros(1), np.full(1, i_max))
+    limit = replace(drive, l_d=float(jet.l_dd[0]), l_q=float(jet.l_qq[0]))
+    return (drive,) if limit == drive or min(jet.l_dd[0], jet.l_qq[0]) <= 0.0 else (drive, limit)
+
+
+def held_bandwidth(wished: float, loops: Callable[[float], LoopProfile], asked: Asked) -> float:
+    """Largest bandwidth, at most the one wished for, with which both current loops are stable and
+    keep the phase margin of the design; four digits, rounded down.
 
     Parameters
     ----------
     wished:
-        In rad/s.
-    judged:
-        The loops with a bandwidth in rad/s.
-    design:
-        Its ``phase_margin_min`` must hold.
+        In the unit of the firmware.
+    loops:
+        The loops with a bandwidth in that unit.
+    asked:
+        What is asked of the firmware; the ``phase_margin_min`` of its design must hold.
     """
-    least = design.control.current_loop.phase_margin_min
+    least = asked.design.control.current_loop.phase_margin_min
+    windings = [
+        (Winding(drive.r_s, drive.l_d), Winding(drive.r_s, drive.l_q))
+        for drive in drives_over_current(asked)
+        if drive.r_s is not None and drive.l_d is not None and drive.l_q is not None
+    ]
 
     def holds(bandwidth: float) -> bool:
-        found = judged(bandwidth)
+        current = loops(bandwidth).current
         return all(
-            loop is None or (loop.stable and loop.phase_margin >= least)
-            for loop in (found.current_d, found.current_q)
+            _holds(current_loop(winding, pi, current.delay), least)
+            for pair in windings
+            for winding, pi in zip(pair, (current.d, current.q), strict=True)
         )
 
-    top = rounded_down(wished)
-    if holds(top):
-        return top
-    low, high = math.log(_LEAST_SHARE * wished), math.log(wished)
-    for _ in range(40):
+    high = rounded_down(wished)
+    if holds(high):
+        return high
+    low = _STEP * high
+    while not holds(low):
+        low, high = _STEP * low, low
+        if low < _LEAST_SHARE * wished:
+            raise NoSolutionError(
+                f"no bandwidth of the current loops of {loops(low).firmware} keeps a phase margin "
+                f"of {math.degrees(least):.4g} deg; lower control.current_loop.phase_margin_min"
+            )
+    while rounded_down(high) - rounded_down(low) > _RESOLUTION * low:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if holds(math.exp(middle)) else (low, middle)
-    return rounded_down(math.exp(low))
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return rounded_down(low)
+
+
+def _holds(loop: PiLoop, least: float) -> bool:
+    margins = loop_margins(loop.open_loop)
+    return margins.phase_margin >= least and bool(abs(loop.closed.poles[0]) < 1.0)
 
 
 def rounded_down(value: float) -> float:

@@ -18,8 +18,9 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
+from dqforge.optimizer.firmware.one_bandwidth.moteus_sentences import contradictions, conventions
 
-MOTEUS: Firmware = "moteus"
+FIRMWARE: Firmware = "moteus"
 
 
 VERSION = "ABI 0x010e and later"
@@ -33,7 +34,7 @@ KV_FLUX = 60.0 / (2.0 * math.pi * math.sqrt(3.0))
 """Kv p psi in V s/rad times rpm/V: Kv is the speed in rpm per volt (peak) between two phases."""
 
 
-WHOLE = ("motor.poles", "servo.pwm_rate_hz")
+WHOLE = ("motor.poles", "servo.pwm_rate_hz", "servo.voltage_mode_control")
 
 
 FILTER = "motor_position.sources.0.pll_filter_hz"
@@ -82,6 +83,7 @@ KNOWN = (
     "servo.pid_position.ki",
     "servo.pid_position.ilimit",
     "servo.pid_position.kd",
+    "servo.voltage_mode_control",
     FILTER,
 )
 
@@ -167,6 +169,17 @@ def filter_gains(bandwidth: float) -> tuple[float, float]:
     return 2.0 * natural, natural * natural
 
 
+def filter_bandwidth(kp: float) -> float:
+    """Bandwidth in Hz that the filter of the encoder has with a gain kp in 1/s.
+
+    Parameters
+    ----------
+    kp:
+        Twice its natural frequency.
+    """
+    return 0.5 * kp * _FILTER_RATIO / (2.0 * math.pi)
+
+
 def configuration(name: str, numbers: Numbers) -> Configuration:
     """What keys amount to; gains that the firmware works out by itself included.
 
@@ -181,7 +194,7 @@ def configuration(name: str, numbers: Numbers) -> Configuration:
     current_d, current_q = _current_gains(numbers)
     drive = _drive(numbers)
     return Configuration(
-        firmware=MOTEUS,
+        firmware=FIRMWARE,
         version=OLD_VERSION if _old(numbers) else VERSION,
         name=name,
         drive=drive,
@@ -189,6 +202,8 @@ def configuration(name: str, numbers: Numbers) -> Configuration:
         current_q=current_q,
         speed=_speed_gains(numbers, drive),
         own=own,
+        conventions=tuple(conventions(numbers)),
+        contradictions=tuple(contradictions(numbers, drive.t_s)),
     )
 
 

@@ -79,19 +79,13 @@ def torque_rotation(machine: Machine, constant: float, i_max: float) -> TorqueRo
     torque = machine.torque(np.zeros(_POINTS), current)
     straight = float(np.max(np.abs(constant * current - torque)))
     largest = float(torque[-1])
-    unused = TorqueRotation(
-        NEVER, NO_CURRENT_SCALE, NO_TORQUE_SCALE, straight, straight, largest
-    )
+    unused = TorqueRotation(NEVER, NO_CURRENT_SCALE, NO_TORQUE_SCALE, straight, straight, largest)
     if straight <= _LINEAR_ENOUGH * abs(largest):
         return unused
     cutoff, scale = _best_shape(current, torque, constant)
     weight, error = _best_weight(current, torque, constant, np.array([cutoff]), np.array([scale]))
-    found = TorqueRotation(
-        *(float(f"{value:.7g}") for value in (cutoff, scale, weight[0])),
-        float(error[0]),
-        straight,
-        largest,
-    )
+    cutoff, scale, torque_scale = (float(f"{value:.7g}") for value in (cutoff, scale, weight[0]))
+    found = TorqueRotation(cutoff, scale, torque_scale, float(error[0]), straight, largest)
     return found if found.torque_scale > 0.0 and found.error < straight else unused
 
 
@@ -128,7 +122,8 @@ def _best_weight(
     rest = torque - constant * np.minimum(current, cutoff[:, None])
 
     def error(weight: FloatArray) -> FloatArray:
-        return np.max(np.abs(weight[:, None] * shape - rest), axis=1)
+        found: FloatArray = np.max(np.abs(weight[:, None] * shape - rest), axis=1)
+        return found
 
     low = np.zeros(cutoff.size)
     high = 2.0 * np.max(np.abs(rest), axis=1) / np.max(shape, axis=1)

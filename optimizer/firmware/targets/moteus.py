@@ -1,4 +1,4 @@
-"""moteus (mjbots): one bandwidth for the current loops, from which the firmware works out its gains;
+"""moteus (mjbots): one bandwidth for the current loops, of which the firmware makes its gains;
 position and speed in one controller; torque over current with saturation.
 
 Sources: `SOURCES`; the keys and what they amount to are in `moteus_keys`.
@@ -13,16 +13,39 @@ import numpy as np
 
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.bandwidth_choice import bandwidth_asked, held_bandwidth
-from dqforge.optimizer.firmware.bandwidth_shortfalls import (
+from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Price, Shortfall
+from dqforge.optimizer.firmware.judge import judge
+from dqforge.optimizer.firmware.one_bandwidth.bandwidth_choice import (
+    bandwidth_asked,
+    held_bandwidth,
+    rounded_down,
+)
+from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
+    FILTER,
+    FIRMWARE,
+    KV_FLUX,
+    VERSION,
+    as_printed,
+    configuration,
+    control_period,
+    filter_bandwidth,
+    filter_gains,
+    pwm_rate,
+    voltage_share,
+)
+from dqforge.optimizer.firmware.one_bandwidth.shortfalls import (
     d_current_missing,
+    field_weakening_missing,
     gains_changed,
     rates_changed,
     saturation_unknown,
 )
-from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Price, Shortfall
-from dqforge.optimizer.firmware.judge import JudgedFirmware, judge
+from dqforge.optimizer.firmware.one_bandwidth.torque_rotation import (
+    NEVER,
+    TorqueRotation,
+    torque_rotation,
+)
 from dqforge.optimizer.firmware.profile import (
     CurrentLoops,
     LoopProfile,
@@ -30,36 +53,27 @@ from dqforge.optimizer.firmware.profile import (
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.firmware.targets.moteus_keys import (
-    FILTER,
-    KV_FLUX,
-    MOTEUS,
-    VERSION,
-    as_printed,
-    configuration,
-    control_period,
-    filter_gains,
-    pwm_rate,
-    voltage_share,
-)
-from dqforge.optimizer.firmware.torque_rotation import TorqueRotation, torque_rotation
 
 SOURCES = (
-    "mjbots/moteus fw/bldc_servo_control.h: UpdateDerivedMotorConstants (gains from pid_dq_hz), "
-    "ISR_DoCurrent (feedforward, d before q, integrals set back), RateConfig (rates)",
-    "mjbots/moteus fw/simple_pi.h: Apply (the integral is updated before it is used)",
-    "mjbots/moteus fw/bldc_servo.cc: ConfigurePwmTimer, ISR_HandleTimer (sampled at the top of the "
-    "carrier), UpdateConfig (torque constant)",
-    "mjbots/moteus fw/motor_position.h: filter of the encoder",
-    "mjbots/moteus fw/pid.h: controller of position and speed",
-    "mjbots/moteus fw/torque_model.h: torque over current",
-    "package moteus 1.1.1, moteus_tool.py: set_encoder_filter (bandwidth over 2.48), "
-    "calibrate_kv_rating (Kv)",
+    "mjbots/moteus fw/bldc_servo_control.h:341-345, 392: Kv to flux, gains from pid_dq_hz",
+    "mjbots/moteus fw/bldc_servo_control.h ISR_DoCurrent: feedforward, d first, integrals set back",
+    "mjbots/moteus fw/bldc_servo_control.h RateConfig: rates, time for the sampling",
+    "mjbots/moteus fw/simple_pi.h Apply: the integral is updated before it is used",
+    "mjbots/moteus 00021a0 fw/bldc_servo.cc ConfigurePwmTimer, ISR_HandleTimer: sampling instant",
+    "mjbots/moteus 00021a0 fw/bldc_servo.cc UpdateConfig: torque constant",
+    "mjbots/moteus fw/motor_position.h:837: filter of the encoder",
+    "mjbots/moteus fw/pid.h Apply: position and speed",
+    "mjbots/moteus fw/torque_model.h; fw/bldc_servo_structs.h:461-470: torque over current",
+    "package moteus 1.1.1 moteus_tool.py: set_encoder_filter (bandwidth over 2.48)",
+    "package moteus 1.1.1 moteus_tool.py: calculate_bandwidth, upgrades of configurations",
 )
 
 
 _FILTER_SHARE = 0.1
-"""Largest bandwidth of the encoder's filter over the rate of the control, as moteus_tool sets it."""
+"""Largest bandwidth of the encoder's filter over the rate of the control, as in moteus_tool."""
+
+
+_SLOWEST_FILTER = 10.0
 
 
 _LARGEST_POLES = 255
@@ -84,16 +98,11 @@ def configure(asked: Asked) -> Configuration:
     numbers["motor.rotation_current_scale"] = as_printed("", fitted.current_scale)
     numbers["motor.rotation_torque_scale"] = as_printed("", fitted.torque_scale)
 
-    def with_bandwidth(bandwidth: float) -> Configuration:
-        chosen = {**numbers, "servo.pid_dq_hz": bandwidth / (2.0 * math.pi)}
-        return configuration(asked.design.name, chosen)
+    def loops(hertz: float) -> LoopProfile:
+        return profile(configuration(asked.design.name, {**numbers, "servo.pid_dq_hz": hertz}))
 
-    def judged(bandwidth: float) -> JudgedFirmware:
-        held = replace(with_bandwidth(bandwidth), speed=None)
-        return judge(profile(held), drive)
-
-    bandwidth = held_bandwidth(bandwidth_asked(asked), judged, asked.design)
-    numbers["servo.pid_dq_hz"] = as_printed("", bandwidth / (2.0 * math.pi))
+    wished = bandwidth_asked(asked) / (2.0 * math.pi)
+    numbers["servo.pid_dq_hz"] = held_bandwidth(wished, loops, asked)
     if asked.speed is not None:
         numbers |= _speed_values(asked, float(numbers["servo.pid_dq_hz"]))
     return configuration(asked.design.name, numbers)
@@ -124,7 +133,7 @@ def profile(held: Configuration) -> LoopProfile:
         order="d-first",
         voltage_share=voltage_share(drive.f_sw),
     )
-    return LoopProfile(MOTEUS, held.version, current, speed=_speed(held), sources=SOURCES)
+    return LoopProfile(FIRMWARE, held.version, current, speed=_speed(held), sources=SOURCES)
 
 
 def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
@@ -140,14 +149,18 @@ def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
     judged = judge(profile(replace(held, speed=None)), asked.drive)
     key = "servo.pid_dq_hz"
     words = f"{key} {held.own[key]:g} Hz is all that the current loops are told"
-    found = (
-        gains_changed(asked, held, judged, words),
+    return (
+        *gains_changed(asked, held, judged, words),
         *rates_changed(asked, held),
         *saturation_unknown(asked, profile(replace(held, speed=None)), _inductances_words(held)),
         *d_current_missing(asked),
         *_torque_error(asked, held),
+        *field_weakening_missing(
+            asked,
+            "beyond base speed moteus works out the d current by itself (servo.fw.enable, from Kv "
+            "and inductance_d_H), not from the map of the design",
+        ),
     )
-    return found
 
 
 def _machine_values(drive: DriveValues) -> dict[str, float]:
@@ -159,8 +172,8 @@ def _machine_values(drive: DriveValues) -> dict[str, float]:
         )
     if psi_pm is None or not psi_pm > 0.0:
         raise InputError(
-            "machine.psi_pm: moteus makes torque of the magnets alone (motor.Kv); a machine without "
-            "any needs another firmware"
+            "machine.psi_pm: moteus makes torque of the magnets alone (motor.Kv); a machine "
+            "without any needs another firmware"
         )
     assert r_s is not None
     assert drive.l_d is not None
@@ -209,9 +222,16 @@ def _speed_values(asked: Asked, bandwidth: float) -> dict[str, float | int]:
         "servo.pid_position.kp": speed.ki * turn,
         "servo.pid_position.ki": 0.0,
         "servo.pid_position.kd": speed.kp * turn,
-        FILTER: float(f"{min(_FILTER_SHARE * rate, max(10.0, bandwidth)):.4g}"),
+        FILTER: rounded_down(min(_FILTER_SHARE * rate, _filter_wished(asked, bandwidth))),
     }
     return {key: as_printed(key, value) for key, value in values.items()}
+
+
+def _filter_wished(asked: Asked, bandwidth: float) -> float:
+    """Bandwidth in Hz of the encoder's filter: the one asked for, else that of the currents."""
+    if asked.pll is None:
+        return max(_SLOWEST_FILTER, bandwidth)
+    return filter_bandwidth(asked.pll.kp)
 
 
 def _speed(held: Configuration) -> SpeedController | None:
@@ -265,7 +285,7 @@ def _inductances_words(held: Configuration) -> str:
 def _torque_error(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
     """How far commanded and made torque are apart with the fitted model, and without it."""
     found = _rotation(asked.design.machine, float(held.own["motor.Kv"]), asked.drive)
-    if found.cutoff >= _never(asked):
+    if found.cutoff >= NEVER:
         return ()
     words = (
         f"a logarithm beyond {found.cutoff:.4g} A stands for the saturation: torque within "
@@ -275,8 +295,4 @@ def _torque_error(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
     return (Shortfall(words, (Price("torque", found.error, "N m"),)),)
 
 
-def _never(asked: Asked) -> float:
-    return math.inf if asked.drive.i_max is None else max(asked.drive.i_max, 0.0) * 1.0
-
-
-MOTEUS_METHOD = FirmwareMethod(MOTEUS, VERSION, "bandwidth", configure, profile, shortfalls)
+MOTEUS = FirmwareMethod(FIRMWARE, VERSION, "bandwidth", configure, profile, shortfalls)
