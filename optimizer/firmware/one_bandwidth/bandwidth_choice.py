@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from dqforge.optimizer.sampled_systems import loop_margins
 _LEAST_SHARE = 1e-4
 
 
-_STEP = 0.8
+_STEP = 0.7
 
 
 _RESOLUTION = 1e-3
@@ -73,6 +74,8 @@ def held_bandwidth(wished: float, loops: Callable[[float], LoopProfile], asked: 
     asked:
         What is asked of the firmware; the ``phase_margin_min`` of its design must hold.
     """
+    from scipy.optimize import brentq
+
     least = asked.design.control.current_loop.phase_margin_min
     windings = [
         (Winding(drive.r_s, drive.l_d), Winding(drive.r_s, drive.l_q))
@@ -80,34 +83,38 @@ def held_bandwidth(wished: float, loops: Callable[[float], LoopProfile], asked: 
         if drive.r_s is not None and drive.l_d is not None and drive.l_q is not None
     ]
 
-    def holds(bandwidth: float) -> bool:
+    @cache
+    def spare(bandwidth: float) -> float:
+        """Least phase margin in rad beyond the one that must be kept."""
         current = loops(bandwidth).current
-        return all(
-            _holds(current_loop(winding, pi, current.delay), least)
+        return min(
+            _phase_margin(current_loop(winding, pi, current.delay)) - least
             for pair in windings
             for winding, pi in zip(pair, (current.d, current.q), strict=True)
         )
 
     high = rounded_down(wished)
-    if holds(high):
-        return high
-    low = _STEP * high
-    while not holds(low):
-        low, high = _STEP * low, low
+    low = high
+    while spare(low) < 0.0:
+        high, low = low, _STEP * low
         if low < _LEAST_SHARE * wished:
             raise NoSolutionError(
                 f"no bandwidth of the current loops of {loops(low).firmware} keeps a phase margin "
                 f"of {math.degrees(least):.4g} deg; lower control.current_loop.phase_margin_min"
             )
-    while rounded_down(high) - rounded_down(low) > _RESOLUTION * low:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if holds(middle) else (low, middle)
-    return rounded_down(low)
+    if low == high:
+        return high
+    edge = rounded_down(float(brentq(spare, low, high, rtol=_RESOLUTION)))
+    while spare(edge) < 0.0:
+        edge = rounded_down((1.0 - _RESOLUTION) * edge)
+    return edge
 
 
-def _holds(loop: PiLoop, least: float) -> bool:
-    margins = loop_margins(loop.open_loop)
-    return margins.phase_margin >= least and bool(abs(loop.closed.poles[0]) < 1.0)
+def _phase_margin(loop: PiLoop) -> float:
+    """In rad; -pi for a loop that is not stable."""
+    if abs(loop.closed.poles[0]) >= 1.0:
+        return -math.pi
+    return loop_margins(loop.open_loop).phase_margin
 
 
 def rounded_down(value: float) -> float:

@@ -33,7 +33,15 @@ _FORMER_SCALE = 1.09 * 0.5 * 60.0
 _SAME_FOR_BOTH = ("motor.inductance_d_H", "motor.inductance_q_H")
 
 
-_FEW_DIGITS = 3
+_SIX_DECIMALS = re.compile(r"0\.(?=\d{6}$)0*([1-9]\d*)")
+
+
+_ENOUGH_DIGITS = 3
+
+
+_UNLIMITED = ("servo.max_velocity", "servo.default_accel_limit", "servo.max_current_desired_rate")
+
+"""What may be nan or inf: there is no such limit then."""
 
 
 _FIELDS = {
@@ -94,7 +102,12 @@ def read(text: str, place: str) -> Configuration:
     """
     # A later line sets again what an earlier one has set.
     lines = {line.key: line for line in config_lines(text, place)}
-    origins = {key: _origin(lines[key]) for key in KNOWN if key in lines}
+    origins = {
+        key: _origin(lines[key])
+        for key in KNOWN
+        if key in lines
+        and not (key in _UNLIMITED and lines[key].value.lower().lstrip("-") in ("nan", "inf"))
+    }
     numbers = {key: _number(key, origin, place) for key, origin in origins.items()}
     said = list(_former_names(lines, numbers, origins, place))
     ratio = _gear(lines, place)
@@ -186,16 +199,14 @@ def _gear(lines: dict[str, ConfigLine], place: str) -> float:
 
 
 def _few_digits(origins: dict[str, Origin]) -> list[str]:
-    """Small values that a dump with fixed decimals has cut to few digits."""
+    """Small values that a dump with its six decimals has cut to few digits."""
     said = []
     for key in ("motor.resistance_ohm", *_SAME_FOR_BOTH):
         origin = origins.get(key)
-        digits = "" if origin is None else origin.text.replace(".", "").lstrip("0")
-        if origin is None or "e" in origin.text.lower() or not digits:
-            continue
-        if origin.text.startswith("0.") and len(digits) < _FEW_DIGITS:
-            share = 0.5 / int(digits)
-            said.append(f"{key} {origin.text} is cut to {len(digits)} digits: +-{share:.1%}")
+        match = None if origin is None else _SIX_DECIMALS.fullmatch(origin.text)
+        if match is not None and len(match[1]) < _ENOUGH_DIGITS:
+            share = 0.5 / int(match[1])
+            said.append(f"{key} {match[0]} is cut to {len(match[1])} digits: +-{share:.1%}")
     return said
 
 
