@@ -87,10 +87,6 @@ class SpeedEstimate:
     has the transfer function ki/(s^2 + kp s + ki). ``low-pass``: a first-order filter of
     ``filter_time`` s on the difference of angles. ``difference``: that difference over
     ``samples`` periods. ``t_s`` is the period in s at which it runs.
-
-    Of a ``pll``, ``proportional`` says that the speed handed on is omega + kp e, with the transfer
-    function (kp s + ki)/(s^2 + kp s + ki), and ``filter_time`` is the time constant of a
-    first-order filter behind it (0: none).
     """
 
     kind: SpeedKind = "ideal"
@@ -99,7 +95,6 @@ class SpeedEstimate:
     ki: float = 0.0
     filter_time: float = 0.0
     samples: int = 1
-    proportional: bool = False
 
 
 @dataclass(frozen=True, slots=True)
