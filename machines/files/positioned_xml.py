@@ -17,6 +17,9 @@ _MOST_DEPTH = 32
 class Element:
     """An element: its name without namespace, its attributes, text, children,
     line and path of names.
+
+    ``start`` and ``end`` are the places of its start tag and of its end tag in the text as UTF-8;
+    both are that of the one tag where it has no other.
     """
 
     tag: str
@@ -25,6 +28,8 @@ class Element:
     path: str
     text: str = ""
     children: list[Element] = field(default_factory=list)
+    start: int = 0
+    end: int = 0
 
     def children_named(self, tag: str) -> list[Element]:
         """Children of a name, in their order."""
@@ -34,8 +39,8 @@ class Element:
 class _Tree:
     """The elements of a file, as the parser meets them."""
 
-    def __init__(self, source: str) -> None:
-        self.source = source
+    def __init__(self, source: str, again: str) -> None:
+        self.source, self.again = source, again
         self.parser = expat.ParserCreate()
         self.parser.buffer_text = True
         self.parser.StartElementHandler = self.start
@@ -52,14 +57,15 @@ class _Tree:
         self.count += 1
         name, line = tag.rpartition(":")[2], self.parser.CurrentLineNumber
         if self.count > _MOST_ELEMENTS or len(self.stack) >= _MOST_DEPTH:
-            message = (
-                f"more than {_MOST_ELEMENTS} elements or {_MOST_DEPTH} levels; export the device "
-                "again"
-            )
+            message = f"more than {_MOST_ELEMENTS} elements or {_MOST_DEPTH} levels; {self.again}"
             raise InputError(message, source=self.source, line=line)
         parent = self.stack[-1] if self.stack else None
         element = Element(
-            name, attributes, line, name if parent is None else f"{parent.path}/{name}"
+            name,
+            attributes,
+            line,
+            name if parent is None else f"{parent.path}/{name}",
+            start=self.parser.CurrentByteIndex,
         )
         if parent is None:
             self.root = element
@@ -69,7 +75,7 @@ class _Tree:
 
     def end(self, _tag: str) -> None:
         """Take the end of an element."""
-        self.stack.pop()
+        self.stack.pop().end = self.parser.CurrentByteIndex
 
     def characters(self, text: str) -> None:
         """Take text."""
@@ -81,28 +87,30 @@ class _Tree:
         raise InputError(message, source=self.source, line=self.parser.CurrentLineNumber)
 
 
-def parsed(content: bytes, source: str) -> Element:
+def parsed(content: bytes | str, source: str, again: str = "export the device again") -> Element:
     """Root of an XML file.
 
     Parameters
     ----------
     content:
-        Bytes of the file; the parser of the standard library, without document types,
-        entities or other files.
+        Bytes of the file, or its text, whatever encoding that claims; the parser of the standard
+        library, without document types, entities or other files.
     source:
         Its name, for messages.
+    again:
+        What messages advise.
 
     Raises
     ------
     InputError
         The file is not XML, has a document type, or is too deep or too large; with the line.
     """
-    tree = _Tree(source)
+    tree = _Tree(source, again)
     try:
         tree.parser.Parse(content, True)
     except expat.ExpatError as error:
         reason = expat.ErrorString(error.code)
-        message = f"not XML: {reason}; export the device again"
+        message = f"not XML: {reason}; {again}"
         raise InputError(
             message, source=source, line=error.lineno, column=error.offset + 1
         ) from None
@@ -113,7 +121,5 @@ def parsed(content: bytes, source: str) -> Element:
             "not XML: its encoding is not known; save it as UTF-8", source=source, line=1
         ) from None
     if tree.root is None:
-        raise InputError(
-            "not XML: there are no elements; export the device again", source=source, line=1
-        )
+        raise InputError(f"not XML: there are no elements; {again}", source=source, line=1)
     return tree.root

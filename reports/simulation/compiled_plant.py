@@ -27,6 +27,7 @@ from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.reports.observers.speed_header import REDUCED_ORDER
 from dqforge.reports.pages.templating import render
 from dqforge.reports.simulation.plant_input import (
+    LONGEST_DELAY,
     Drive,
     RunInput,
     run_input,
@@ -136,6 +137,7 @@ def compile_simulator(
         "torque_limit": any(b"*torque_limit;" in content for content in (files or {}).values()),
         "torque_control": not integers
         or any(b"_torque_control_" in content for content in (files or {}).values()),
+        "waiting": int(LONGEST_DELAY) + 2,
         "parameters": PARAMETERS,
         "columns": COLUMNS,
         "summary": SUMMARY,

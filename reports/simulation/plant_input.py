@@ -51,6 +51,11 @@ _MOST_STEPS = 200
 _STOP = 100.0
 
 
+LONGEST_DELAY = 3.0
+
+"""Most sampling periods that the program keeps duty cycles waiting."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
     """What is simulated: a machine or a phase machine, its inverter, and the
@@ -69,6 +74,9 @@ class Drive:
         Current samples per sample of the speed controller.
     phases:
         Machine with another back-EMF than a sine, None for others.
+    delay:
+        Sampling periods from a sample until the duty cycles made of it begin to act, 0 to
+        `LONGEST_DELAY`; with a switched inverter a whole number.
     """
 
     machine: Machine
@@ -76,6 +84,7 @@ class Drive:
     t_s: float
     ratio: int = 10
     phases: AnyPhaseMachine | None = None
+    delay: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,6 +185,21 @@ def carrier_halves(drive: Drive, scenario: Scenario) -> int:
     return halves
 
 
+def _delay(drive: Drive, scenario: Scenario) -> float:
+    """Periods from sampling to loading."""
+    if not 0.0 <= drive.delay <= LONGEST_DELAY:
+        raise InputError(
+            f"duty cycles cannot act {drive.delay:g} periods after the sample; from 0 to "
+            f"{LONGEST_DELAY:g} can be simulated"
+        )
+    if scenario.inverter == "switched" and drive.delay != int(drive.delay):
+        raise InputError(
+            "simulation.inverter: a switched inverter takes duty cycles at the start of a period, "
+            f"not {drive.delay:g} periods after the sample; write inverter: averaged"
+        )
+    return drive.delay
+
+
 def sub_steps(drive: Drive, scenario: Scenario) -> int:
     """Integration steps per control period: 1/20 of the fastest time constant,
     or of a radian of the highest speed.
@@ -251,7 +275,8 @@ def run_input(
     Raises
     ------
     InputError
-        The machine has no inertia and the shaft is free, or what `carrier_halves` refuses.
+        The machine has no inertia and the shaft is free, the delay does not fit the inverter, or
+        what `carrier_halves` refuses.
     """
     machine, errors, sensor = drive.machine, scenario.errors, scenario.sensor
     if machine.inertia is None and scenario.shaft is None:
@@ -300,6 +325,7 @@ def run_input(
             "adc_bits": float(sensor.bits),
             "adc_full_scale": sensor.full_scale,
             "noise": sensor.noise,
+            "delay": _delay(drive, scenario),
             "v_bits": 0.0,
             "v_full_scale": 1.0,
         }

@@ -57,6 +57,7 @@ PARAMETERS = (
     *("observed_speed", "sensorless", "sensor_above", "sensor_below"),
     *("legs", "second", "neutral", "capacitance", "l_own", "l_mutual", "l_neutral", "turns"),
     *("i_nothing", "open_phase", "open_time", "aware_time"),
+    "delay",
 )
 
 """Fields of the C structure ``parameters_t``, all doubles, in this order."""
