@@ -12,7 +12,7 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
 from dqforge.optimizer.firmware.profile import (
     CurrentLoops,
     FluxObserver,
@@ -32,7 +32,7 @@ from dqforge.optimizer.firmware.vesc_format.vesc_configuration import (
 )
 from dqforge.optimizer.firmware.vesc_format.vesc_contradictions import OBSERVER_RATE, tracking_poles
 from dqforge.optimizer.firmware.vesc_format.vesc_keys import VERSION, kept, loop_number, number
-from dqforge.optimizer.firmware.vesc_format.vesc_shortfalls import shortfalls
+from dqforge.optimizer.firmware.vesc_format.vesc_shortfalls import shortfalls as found_shortfalls
 
 SOURCES = (
     "vedderb/bldc b9d287b motor/mcpwm_foc.c:4631-4680: both PI controllers, d axis first",
@@ -57,6 +57,9 @@ TRACKING_GAIN = 2000.0
 FAST_FILTERS = {1: 0.01, 2: 0.2}
 
 """Share of the newest value in the filtered speeds, by s_pid_speed_source."""
+
+
+_SAME = 1.001
 
 
 _OBSERVERS = (
@@ -136,6 +139,11 @@ def profile(found: Configuration) -> LoopProfile:
     )
 
 
+def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
+    """What the configuration cannot hold of what was asked."""
+    return found_shortfalls(asked, held, profile(held))
+
+
 def _known(value: int | None) -> int:
     if value is None:
         raise InputError("machine: VESC needs the number of poles; give poles or pole_pairs")
@@ -180,7 +188,7 @@ def _machine(drive: DriveValues) -> dict[str, Number]:
         raise InputError("machine: VESC needs resistance and inductances; give them")
     if not drive.psi_pm or drive.psi_pm < 0.0:
         raise InputError(
-            "machine.magnet_flux: VESC finds the rotor by the flux of its magnets; a machine without "
+            "machine.magnet_flux: VESC finds the rotor by the flux of its magnets; one without "
             "magnets cannot be run by it"
         )
     own = rule(drive.r_s, 0.5 * (drive.l_d + drive.l_q), drive.psi_pm)
@@ -219,12 +227,13 @@ def _speed(drive: DriveValues, asked: PiGains) -> dict[str, Number]:
     """
     scale = speed_scale(_known(drive.pole_pairs), drive.i_max or math.nan)
     rate = 1.0 / drive.t_speed if drive.t_speed else 1000.0
-    nearest = min(range(len(LOOP_RATES)), key=lambda index: abs(math.log(LOOP_RATES[index] / rate)))
+    not_slower = [index for index, found in enumerate(LOOP_RATES) if found >= rate / _SAME]
+    number_of_rate = min(not_slower, default=len(LOOP_RATES) - 1)
     key = "control.speed_loop"
     return {
         "foc_pll_kp": kept("foc_pll_kp", TRACKING_GAIN, key),
         "foc_pll_ki": kept("foc_pll_ki", 0.25 * TRACKING_GAIN * TRACKING_GAIN, key),
-        "sp_pid_loop_rate": kept("sp_pid_loop_rate", nearest, key),
+        "sp_pid_loop_rate": kept("sp_pid_loop_rate", number_of_rate, key),
         "s_pid_kp": kept("s_pid_kp", asked.kp / scale, key),
         "s_pid_ki": kept("s_pid_ki", asked.ki / scale, key),
         "s_pid_kd": kept("s_pid_kd", 0.0, key),

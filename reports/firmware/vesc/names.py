@@ -43,14 +43,24 @@ FORMER = {
 """Names that older versions used, and those of today."""
 
 
-def _numbered(*names: str) -> dict[str, str]:
-    return {name: str(index) for index, name in enumerate(names)}
+def _numbered(*names: str) -> dict[str, float]:
+    return {name: float(index) for index, name in enumerate(names)}
 
 
 WORDS = (
-    {"true": "1", "false": "0"}
+    {"true": 1.0, "false": 0.0}
     | _numbered("MOTOR_TYPE_BLDC", "MOTOR_TYPE_DC", "MOTOR_TYPE_FOC")
-    | _numbered("FOC_SENSOR_MODE_SENSORLESS", "FOC_SENSOR_MODE_ENCODER", "FOC_SENSOR_MODE_HALL")
+    | _numbered(
+        "FOC_SENSOR_MODE_SENSORLESS",
+        "FOC_SENSOR_MODE_ENCODER",
+        "FOC_SENSOR_MODE_HALL",
+        "FOC_SENSOR_MODE_HFI",
+        "FOC_SENSOR_MODE_HFI_START",
+        "FOC_SENSOR_MODE_HFI_V2",
+        "FOC_SENSOR_MODE_HFI_V3",
+        "FOC_SENSOR_MODE_HFI_V4",
+        "FOC_SENSOR_MODE_HFI_V5",
+    )
     | _numbered(
         "FOC_CC_DECOUPLING_DISABLED",
         "FOC_CC_DECOUPLING_CROSS",

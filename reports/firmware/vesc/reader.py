@@ -58,14 +58,13 @@ def read(text: str, place: str) -> Configuration:
     InputError
         It is none, or a value of it is no number; with the line.
     """
-    origins = _in_xml(text, place) if is_xml(text) else _in_header(text, place)
-    if not origins:
+    own, origins = _in_xml(text, place) if is_xml(text) else _in_header(text, place)
+    if not own:
         raise InputError(
             "this file holds none of VESC's keys of a motor; save the motor configuration as XML "
             "or as a C header with VESC Tool",
             source=place,
         )
-    own = {name: _number(name, origin, place) for name, origin in origins.items()}
     kind = origins.get("motor_type")
     if kind is not None and own["motor_type"] != FIELD_ORIENTED:
         raise InputError(
@@ -76,9 +75,12 @@ def read(text: str, place: str) -> Configuration:
     return configuration(PurePath(place).stem, own, origins)
 
 
-def _in_xml(text: str, place: str) -> dict[str, Origin]:
-    """Origins by the name of the key; of several elements of one name the last counts, as VESC
-    Tool reads them.
+Found = tuple[dict[str, Number], dict[str, Origin]]
+
+
+def _in_xml(text: str, place: str) -> Found:
+    """Values and origins by the name of the key; of several elements of one name the last counts,
+    as VESC Tool reads them.
     """
     root = parsed_xml(text, place)
     if root.tag != ROOT:
@@ -88,28 +90,35 @@ def _in_xml(text: str, place: str) -> dict[str, Origin]:
             source=place,
             line=root.line,
         )
-    found = {}
+    own: dict[str, Number] = {}
+    origins: dict[str, Origin] = {}
     for element in root.children:
         name = FORMER.get(element.tag, element.tag)
         if name in READ:
-            found[name] = Origin(element.tag, element.text.strip(), element.line)
-    return found
+            origins[name] = Origin(element.tag, element.text.strip(), element.line)
+            own[name] = _checked(name, plain_number(element.text), origins[name], place)
+    return own, origins
 
 
-def _in_header(text: str, place: str) -> dict[str, Origin]:
-    macros = read_macros(text, place, known=WORDS)
-    found = {}
+def _in_header(text: str, place: str) -> Found:
+    """The same of macros; a macro whose text is no arithmetic is refused with its line."""
+    macros = read_macros(text, place)
+    own: dict[str, Number] = {}
+    origins: dict[str, Origin] = {}
     former = [(old, new) for old, new in FORMER.items() if define(old) in macros]
     for written, name in (*former, *((name, name) for name in READ)):
         macro = define(written)
-        value = macros.number(macro)
-        if value is not None:
-            found[name] = Origin(macro, repr(value), macros.line(macro))
-    return found
+        said = macros.text(macro)
+        if said is not None:
+            value = WORDS.get(said)
+            value = macros.number(macro) if value is None else value
+            origins[name] = Origin(macro, said, macros.line(macro))
+            own[name] = _checked(name, value, origins[name], place)
+    return own, origins
 
 
-def _number(name: str, origin: Origin, place: str) -> Number:
-    value = plain_number(origin.text)
+def _checked(name: str, value: float | None, origin: Origin, place: str) -> Number:
+    """The value of a key, a whole number where it holds one."""
     if value is None:
         complaint = f"is {shown(origin.text)}, not a number; write one"
     elif name in WHOLE and not value.is_integer():
