@@ -98,7 +98,9 @@ def _as_it_can_run(
     remarks = []
     if scenario.sensorless is not None:
         scenario = replace(scenario, sensorless=None)
-        remarks.append(f"{loops.name} ran on the angle of the encoder: its observer is not modelled")
+        remarks.append(
+            f"{loops.name} ran on the angle of the encoder: its observer is not modelled"
+        )
     if scenario.encoder.speed == "observer":
         scenario = replace(scenario, encoder=replace(scenario.encoder, speed="exact"))
         remarks.append(f"{loops.name} made the speed of the angle by itself, without our observer")

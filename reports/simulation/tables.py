@@ -217,37 +217,41 @@ def plain_simulation(found: DriveSimulation) -> PlainData:
 
 def _plain_run(found: DriveSimulation) -> PlainData:
     run, figures, seen = found.run, found.run.figures, found.observed
-    return _plain_phases(found) | _plain_firmware(found) | {
-        "mode": run.scenario.mode,
-        "inverter": run.scenario.inverter,
-        "format": found.format,
-        "unit": found.unit,
-        "duration_s": float(figures.t[0]),
-        "bounded": bool(figures.bounded[0]),
-        "deviation_largest": found.tracking[0],
-        "deviation_rms": found.tracking[1],
-        "omega_m_largest_rad_per_s": found.speed_largest,
-        "torque_largest_Nm": found.torque_largest,
-        "peak_current_A": float(figures.peak_current[0]),
-        "rms_current_A": float(figures.rms_current[0]),
-        "copper_W": found.copper,
-        "energy_J": {
-            name: float(getattr(figures, f"e_{name}")[0])
-            for name in ("in", "copper", "shaft", "load", "friction")
-        },
-        "end": {
-            "omega_m_rad_per_s": float(figures.omega_m[0]),
-            "torque_Nm": float(figures.torque[0]),
-            "i_d_A": float(figures.i_d[0]),
-            "i_q_A": float(figures.i_q[0]),
-        },
-        "steps": [asdict(step) for step in found.steps],
-        "observer": None
-        if seen is None
-        else {
-            "angle_error_rms_rad": seen.angle_rms,
-            "angle_error_largest_rad": seen.angle_largest,
-            "speed_error_largest_rad_per_s": seen.speed_largest,
-            "sensorless_share": seen.sensorless_share,
-        },
-    }
+    return (
+        _plain_phases(found)
+        | _plain_firmware(found)
+        | {
+            "mode": run.scenario.mode,
+            "inverter": run.scenario.inverter,
+            "format": found.format,
+            "unit": found.unit,
+            "duration_s": float(figures.t[0]),
+            "bounded": bool(figures.bounded[0]),
+            "deviation_largest": found.tracking[0],
+            "deviation_rms": found.tracking[1],
+            "omega_m_largest_rad_per_s": found.speed_largest,
+            "torque_largest_Nm": found.torque_largest,
+            "peak_current_A": float(figures.peak_current[0]),
+            "rms_current_A": float(figures.rms_current[0]),
+            "copper_W": found.copper,
+            "energy_J": {
+                name: float(getattr(figures, f"e_{name}")[0])
+                for name in ("in", "copper", "shaft", "load", "friction")
+            },
+            "end": {
+                "omega_m_rad_per_s": float(figures.omega_m[0]),
+                "torque_Nm": float(figures.torque[0]),
+                "i_d_A": float(figures.i_d[0]),
+                "i_q_A": float(figures.i_q[0]),
+            },
+            "steps": [asdict(step) for step in found.steps],
+            "observer": None
+            if seen is None
+            else {
+                "angle_error_rms_rad": seen.angle_rms,
+                "angle_error_largest_rad": seen.angle_largest,
+                "speed_error_largest_rad_per_s": seen.speed_largest,
+                "sensorless_share": seen.sensorless_share,
+            },
+        }
+    )

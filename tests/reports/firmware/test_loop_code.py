@@ -238,7 +238,7 @@ def swing_kept(run: Simulation, value: FloatArray) -> float:
     return float(np.ptp(value[3 * count // 4 :]) / np.ptp(value[count // 4 : count // 2]))
 
 
-@pytest.mark.parametrize("make", (lambda: vesc(1e6), odrive, ti, st))
+@pytest.mark.parametrize("make", [lambda: vesc(1e6), odrive, ti, st])
 def test_the_gain_margin_is_where_the_current_begins_to_swing(
     program: Simulator, make: Callable[[], LoopProfile]
 ) -> None:
