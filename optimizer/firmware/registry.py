@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
+from dqforge.optimizer.firmware.targets.simplefoc import SIMPLEFOC
 from dqforge.optimizer.firmware.targets.vesc import VESC
 
 METHODS: dict[Firmware, FirmwareMethod] = {
@@ -11,5 +12,6 @@ METHODS: dict[Firmware, FirmwareMethod] = {
     for method in (
         # A line per firmware.
         VESC,
+        SIMPLEFOC,
     )
 }

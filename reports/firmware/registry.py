@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dqforge.machines.names import Firmware
+from dqforge.reports.firmware.simplefoc.target import TARGET as SIMPLEFOC
 from dqforge.reports.firmware.target import Target
 from dqforge.reports.firmware.vesc.target import TARGET as VESC
 
@@ -11,5 +12,6 @@ TARGETS: dict[Firmware, Target] = {
     for target in (
         # A line per firmware.
         VESC,
+        SIMPLEFOC,
     )
 }
