@@ -36,7 +36,7 @@ LONGEST = 19
 _LINE = re.compile(r"([A-Za-z])([A-Z]{1,2})([-+.\d][^\s]*)", re.ASCII)
 
 
-_NOTES = {V_DC: "link {} V", LOOP_PERIOD: "loop {} s", "pole_pairs": "pole pairs {}"}
+_NOTES = {V_DC: "link {}V", LOOP_PERIOD: "loop {}s", "pole_pairs": "pole pairs {}"}
 
 
 _NOTED = {

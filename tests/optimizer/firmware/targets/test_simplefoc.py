@@ -119,7 +119,7 @@ def test_a_filter_on_the_currents_is_judged_and_named() -> None:
     asked, held = scooter(), configure(scooter())
     none = judge(profile(held), asked.drive).current_q
     assert none is not None
-    for filter_time, least_lost in ((1.0 / (2.0 * math.pi * 5000.0), 8.0), (0.53e-3, 50.0)):
+    for filter_time, least_lost in ((1.0 / (2.0 * math.pi * 5000.0), 8.0), (0.53e-3, 40.0)):
         own = {**held.own, "LPF_current_q.Tf": filter_time, "LPF_current_d.Tf": filter_time}
         filtered = configuration("filtered", own)
         judged = judge(profile(filtered), asked.drive).current_q
