@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dqforge.machines.devices.current_sensing import CurrentSensing
 from dqforge.machines.devices.switch import SwitchDevice
 from dqforge.machines.names import OvermodulationName, Topology
 
@@ -46,6 +47,8 @@ class Inverter:
         What the control makes of voltages beyond the circle in the hexagon.
     overmodulation_limit:
         Largest fundamental then, as a share of that of six-step operation.
+    current_sensing:
+        How the phase currents are measured, None where that is not said.
     """
 
     v_dc: float
@@ -62,3 +65,4 @@ class Inverter:
     midpoint_capacitance: float | None = None
     overmodulation: OvermodulationName = "none"
     overmodulation_limit: float = 1.0
+    current_sensing: CurrentSensing | None = None

@@ -213,7 +213,7 @@ def voltage_feedback(
             f"control.references.voltage_feedback.bandwidth: {hertz:.4g} Hz are not stable "
             f"together with the current loops (largest pole {largest:.4f}); write {advice}"
         )
-    current = _current(design, box, wanted.current, points)
+    current = _current(design, wanted.current, points)
     return VoltageFeedback(
         gain=gain,
         current=current,
@@ -306,25 +306,45 @@ def _voltage(
     )
 
 
-def _current(design: Design, box: DriveBox, asked: float | None, points: LimitPoints) -> float:
+def require_feedback(design: Design) -> None:
+    """Check what the voltage feedback of a design needs of its operating points, where it asks for
+    one.
+
+    Raises
+    ------
+    InputError
+        The voltage limits nothing, or the current asked for turns the flux.
+    """
+    wanted, machine = design.control.references.voltage_feedback, design.machine
+    if wanted is None or machine.omega_m_max is None:
+        return
+    points = limit_points(machine, design.i_max, design.v_max, machine.omega_m_max)
+    _current(design, wanted.current, points)
+
+
+def _current(design: Design, asked: float | None, points: LimitPoints) -> float:
     """The largest current in A that the feedback may add: what is asked, or what brings the d
-    current to the limit at its least; refused where the d flux would turn.
+    current to the limit at its least, or the d flux of the weakest magnet near zero; what is asked
+    is refused where that flux would turn.
     """
     machine, least = design.machine, float(np.min(points.i_d))
     room = design.i_max + least
     current = room if asked is None else asked
-    deviations = box.tolerances
-    weak = 1.0 + deviations.limits("psi_pm")[0]
+    tolerances = design.control.tolerances
+    weak = 1.0 + (0.0 if tolerances is None else tolerances.limits("psi_pm")[0])
     # the flux that the magnet has left where the map takes most of it
     psi_d = machine.flux(np.array([least - current]), np.zeros(1))[0]
     left = float(psi_d[0]) - (1.0 - weak) * machine.psi_pm
-    if asked is None or left > 0.0:
+    if left > 0.0:
         return current
+    kept = max(0.0, 0.9 * (least - current_of_no_flux(machine, weak)))
+    if asked is None:
+        return kept
     raise InputError(
         f"control.references.voltage_feedback.current: {current:.4g} A more than the "
         f"{-least:.4g} A of the map turn the d flux of the weakest magnet, beyond which "
         "more current makes more voltage; "
-        f"write current: {max(0.0, 0.9 * (least - current_of_no_flux(machine, weak))):.3g} A"
+        f"write current: {kept:.3g} A"
     )
 
 

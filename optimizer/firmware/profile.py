@@ -86,7 +86,10 @@ class SpeedEstimate:
     ``pll``: omega += ki e T, theta += (omega + kp e) T over the electrical angle, so that the speed
     has the transfer function ki/(s^2 + kp s + ki). ``low-pass``: a first-order filter of
     ``filter_time`` s on the difference of angles. ``difference``: that difference over
-    ``samples`` periods. ``t_s`` is the period in s at which it runs.
+    ``samples`` periods. ``t_s`` is the period in s at which it runs. ``averaged`` is the number of
+    periods over which the speed of any of them is averaged before it is used, and ``whole`` says
+    that a ``pll`` hands on omega + kp e instead of omega alone, so that its transfer function is
+    (kp s + ki)/(s^2 + kp s + ki).
     """
 
     kind: SpeedKind = "ideal"
@@ -95,6 +98,8 @@ class SpeedEstimate:
     ki: float = 0.0
     filter_time: float = 0.0
     samples: int = 1
+    averaged: int = 1
+    whole: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +132,8 @@ class LoopProfile:
     ``reference`` says where the currents for a torque come from: no d current, the closed form of
     linear machines, or a table of the firmware. ``sources`` name where the structure is taken from.
     ``table`` holds the points of that table, (command, i_d, i_q) in A, commands ascending from 0:
-    joined by lines, held behind the last; for negative commands i_q changes its sign. The command is
-    the torque over 1.5 p psi_pm, or what the speed controller puts out.
+    joined by lines, held behind the last; for negative commands i_q changes its sign. The command
+    is the torque over 1.5 p psi_pm, or what the speed controller puts out.
     """
 
     firmware: Firmware

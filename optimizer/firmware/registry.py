@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
+from dqforge.optimizer.firmware.targets.moteus import MOTEUS
+from dqforge.optimizer.firmware.targets.odrive import ODRIVE
 from dqforge.optimizer.firmware.targets.simplefoc import SIMPLEFOC
 from dqforge.optimizer.firmware.targets.vesc import VESC
 
@@ -13,5 +15,7 @@ METHODS: dict[Firmware, FirmwareMethod] = {
         # A line per firmware.
         VESC,
         SIMPLEFOC,
+        MOTEUS,
+        ODRIVE,
     )
 }

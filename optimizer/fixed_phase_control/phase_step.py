@@ -464,4 +464,4 @@ def _integrated(
 def torque_reference(o: Arithmetic[N, Any], control: FixedPhaseControl, torque: N) -> Pair[N]:
     """Currents (d, q) in codes for a torque where the references are sinusoids."""
     asked = scaled(o, "current per torque", control.current_per_torque, torque)
-    return Pair(o.const(0), o.clamp(asked, -control.top, control.top))
+    return Pair(o.const(0), Codes(o, control.width).saturated(asked))

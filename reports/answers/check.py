@@ -7,6 +7,7 @@ from dataclasses import replace
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.overrides import OPTION
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
+from dqforge.optimizer.dynamic_references.voltage_feedback import require_feedback
 from dqforge.optimizer.fixed_control.design import require_scales
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.result import plain_design
@@ -19,8 +20,10 @@ def answer_check(design: Design) -> Answer:
     Raises
     ------
     InputError
-        The bases of fixed-point control do not hold the largest values.
+        The bases of fixed-point control do not hold the largest values, or the voltage feedback
+        of the references has nothing to do or turns the flux.
     """
+    require_feedback(design)
     if set(design.export.control) & set(FIXED_WIDTHS):
         require_scales(design)
     first, *others = check_tables(design)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dqforge.machines.names import Firmware
+from dqforge.reports.firmware.moteus.target import TARGET as MOTEUS
+from dqforge.reports.firmware.odrive.target import TARGET as ODRIVE
 from dqforge.reports.firmware.simplefoc.target import TARGET as SIMPLEFOC
 from dqforge.reports.firmware.target import Target
 from dqforge.reports.firmware.vesc.target import TARGET as VESC
@@ -13,5 +15,7 @@ TARGETS: dict[Firmware, Target] = {
         # A line per firmware.
         VESC,
         SIMPLEFOC,
+        MOTEUS,
+        ODRIVE,
     )
 }

@@ -292,6 +292,11 @@ def _inverter(design: Design, scale: Scale) -> list[Figure]:
                 "inverter.max_current", "its ratio to machine.max_current", ratio, "", 0.02, 50.0
             )
         )
+    sensing = inverter.current_sensing
+    if sensing is not None:
+        what = "its full scale, over the current limit,"
+        share = sensing.full_scale / scale.current
+        figures.append(Figure("inverter.current_sensing", what, share, "", 1.0, 20.0))
     device = inverter.device
     if device is not None:
         margin = device.max_junction_temperature - inverter.coolant_temperature

@@ -7,6 +7,11 @@ from __future__ import annotations
 from pydantic import Field
 
 from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.sections.current_sensing import (
+    CurrentSensingSection,
+    check_current_sensing,
+    read_current_sensing,
+)
 from dqforge.machines.devices.device import DeviceModel
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.devices.sections import DeviceEntry, DeviceReference, DeviceSection
@@ -76,6 +81,10 @@ class InverterSection(Section):
         description=(
             "the switch, needed for losses: its constants, or a file or name of the library"
         ),
+    )
+    current_sensing: CurrentSensingSection | None = Field(
+        default=None,
+        description="how the phase currents are measured, for firmware that counts in integers",
     )
 
 
@@ -243,7 +252,9 @@ def _constants(section: DeviceSection, reading: Reading) -> SwitchDevice:
 
 
 def check_inverter(section: InverterSection, document: YamlDocument) -> None:
-    """Check the dead time against the switching frequency; raises `InputError` with a position."""
+    """Check the dead time against the switching frequency, and the current measurement; raises
+    `InputError` with a position.
+    """
     f_sw, dead_time = section.switching_frequency.si, section.dead_time
     if dead_time is not None and dead_time.si >= 0.5 / f_sw:
         raise document.error(
@@ -251,6 +262,7 @@ def check_inverter(section: InverterSection, document: YamlDocument) -> None:
             f"{format_quantity(0.5 / f_sw, 's')}; check both units",
             ("inverter", "dead_time"),
         )
+    check_current_sensing(section.current_sensing, document)
 
 
 @about("inverter")
@@ -277,6 +289,7 @@ def read_inverter(section: InverterSection, machine_limit: float, reading: Readi
         neutral_inductance=si_of(section.neutral_inductance) or 0.0,
         neutral_resistance=si_of(section.neutral_resistance) or 0.0,
         midpoint_capacitance=si_of(section.midpoint_capacitance),
+        current_sensing=read_current_sensing(section.current_sensing),
     )
 
 

@@ -28,6 +28,7 @@ from dqforge.optimizer.dynamic_references.voltage_feedback import (
     VoltageFeedback,
     feedback_matrices,
     limit_points,
+    require_feedback,
     voltage_feedback,
 )
 from dqforge.optimizer.loops.coupled_loops import CurrentControl, TurningMachines
@@ -194,6 +195,24 @@ def test_a_stronger_magnet_lacks_voltage_and_more_current_gives_it_back() -> Non
 def test_a_current_that_turns_the_flux_is_refused() -> None:
     with pytest.raises(InputError, match=r"weakest magnet.*write current: "):
         judged(designed(100.0, Tolerances(psi_pm=0.05), current=2000.0))
+
+
+def test_what_is_refused_is_refused_without_any_gains() -> None:
+    with pytest.raises(InputError, match=r"weakest magnet.*write current: "):
+        require_feedback(designed(100.0, Tolerances(psi_pm=0.05), current=2000.0))
+    with pytest.raises(InputError, match="limits nothing"):
+        require_feedback(replace(designed(100.0), machine=replace(MACHINE, omega_m_max=50.0)))
+    require_feedback(designed(100.0))
+
+
+def test_all_that_the_limit_leaves_does_not_turn_the_flux() -> None:
+    design = designed(100.0, Tolerances(psi_pm=0.05))
+    machine = replace(MACHINE, i_max=250.0, omega_m_max=300.0)
+    found = judged(replace(design, machine=machine))
+    assert 0.95 * MACHINE.psi_pm - MACHINE.l_d * 250.0 < 0.0, "the limit alone would turn it"
+    mapped = float(np.min(limit_points(machine, 250.0, design.v_max, 300.0).i_d))
+    assert found.current > 1.0
+    assert 0.95 * MACHINE.psi_pm + MACHINE.l_d * (mapped - found.current) > 0.0
 
 
 def test_a_voltage_that_limits_nothing_is_refused() -> None:

@@ -11,39 +11,60 @@ from phase_drives import near_sinusoidal, plain_control, trapezoidal
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
+from dqforge.machines.design.settings import SpeedLoopSettings
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit, fit_phase_control
-from dqforge.optimizer.solution import solve
+from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.main_header.header import header_files
 from dqforge.reports.phase_control.fixed_phase_header import (
     phase_fixed_files,
     phase_fixed_programme,
     plain_phase_integers,
 )
+from dqforge.reports.phase_control.fixed_phase_model import (
+    phase_outputs,
+    phase_results,
+    phase_rows,
+)
 from dqforge.reports.phase_control.fixed_phase_reading import phase_integers_from
 from dqforge.reports.verification.host import verify_files
 
 P, Z = near_sinusoidal(96), trapezoidal(96)
 
+TORQUE_BASE = 6.0  # N m; asks for more current than the base, so that references reach both ends
+
 
 @pytest.fixture(scope="module")
 def design() -> Design:
     found = catalogue.load("paper002-phase-waveforms")
-    bases = replace(found.control.bases, voltage=300.0, current=8.0)
-    return replace(found, control=replace(found.control, bases=bases))
+    bases = replace(found.control.bases, voltage=300.0, current=8.0, torque=TORQUE_BASE)
+    speed_loop = SpeedLoopSettings(ratio=7, filter_time=5e-4)
+    return replace(found, control=replace(found.control, bases=bases, speed_loop=speed_loop))
 
 
 @pytest.fixture(scope="module")
-def main_header(design: Design) -> tuple[dict[str, bytes], Any]:
-    solution = solve(design)
-    return header_files(solution), solution.fit.reference
+def solution(design: Design) -> Solution:
+    return solve(design)
 
 
-def fitted(design: Design, machine: PhaseMachine, width: int = 16, **changes: Any) -> FixedPhaseFit:
-    return fit_phase_control(design, plain_control(machine, **changes), width)
+def fitted(
+    design: Design,
+    machine: PhaseMachine,
+    width: int = 16,
+    speed: tuple[LoopGains, LoopGains] | None = None,
+    **changes: Any,
+) -> FixedPhaseFit:
+    return fit_phase_control(design, plain_control(machine, **changes), width, speed)
+
+
+def speed_gains(solution: Solution) -> tuple[LoopGains, LoopGains]:
+    """Gains of the speed loop, and of the current loop below it."""
+    assert solution.gains.speed is not None
+    return solution.gains.speed, solution.gains.i_q
 
 
 def _cases() -> list[Any]:
@@ -64,22 +85,34 @@ def _cases() -> list[Any]:
 @pytest.mark.parametrize(("topology", "frame", "feedforward", "width"), _cases())
 def test_compiled_code_is_the_model(
     design: Design,
-    main_header: tuple[dict[str, bytes], Any],
+    solution: Solution,
     topology: Topology,
     frame: CurrentFrame,
     feedforward: Feedforward,
     width: int,
 ) -> None:
-    fit = fitted(design, Z, width, topology=topology, frame=frame, feedforward=feedforward)
-    files, reference = main_header
+    changes: Any = {"topology": topology, "frame": frame, "feedforward": feedforward}
+    fit = fitted(design, Z, width, speed_gains(solution), **changes)
     verification = verify_files(
-        files | phase_fixed_files(design, fit),
+        header_files(solution) | phase_fixed_files(design, fit),
         design.export.prefix,
-        reference,
+        solution.fit.reference,
         design.export.vectors,
         [phase_fixed_programme(fit.control)],
     )
     assert verification.languages == ("c99", "c++11")
+
+
+@pytest.mark.parametrize("width", [16, 32])
+def test_rows_reach_both_ends_of_what_a_torque_asks_for(
+    design: Design, solution: Solution, width: int
+) -> None:
+    """Else a limit that model and C set differently would pass unseen."""
+    control = fitted(design, Z, width, speed_gains(solution), topology="three-wire").control
+    assert control.current_per_torque.value > 1.0
+    results = phase_results(control, phase_rows(control, 2000, 1))
+    asked = results[:, phase_outputs(control).index("sinusoid_q")]
+    assert (asked.min(), asked.max()) == (-control.top - 1, control.top)
 
 
 @pytest.mark.parametrize("unequal", [False, True])

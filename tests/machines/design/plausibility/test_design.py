@@ -51,6 +51,16 @@ STRATEGY = "  strategy: mtpa                  # least current for the torque; id
 
 CASES: dict[str, tuple[str, str, list[tuple[str, str]]]] = {
     "dead time of 40 %": ("inverter.dead_time", "40 %", [("dead_time: 1 us", "dead_time: 40 us")]),
+    "currents beyond what is measured": (
+        "inverter.current_sensing",
+        "0.0129",
+        [
+            (
+                "dead_time: 1 us",
+                "dead_time: 1 us\n  current_sensing: {shunt: 1 Ohm, gain: 20, reference: 3.3 V}",
+            )
+        ],
+    ),
     "junction limit below the coolant": (
         "inverter.device.max_junction_temperature",
         "-10 K",
