@@ -17,7 +17,11 @@ struct DQ_s { float d = -12345.0f, q = -12345.0f; };
 class BLDCMotor {
 public:
     BLDCMotor(int pp, float R = -1.0f, float KV = -1.0f, float Lq = -1.0f, float Ld = -1.0f)
-        : pole_pairs(pp), phase_resistance(R), KV_rating(KV) { axis_inductance.d = Ld; axis_inductance.q = Lq; }
+        : pole_pairs(pp), phase_resistance(R), KV_rating(KV)
+    {
+        axis_inductance.d = Ld;
+        axis_inductance.q = Lq;
+    }
     int pole_pairs;
     float phase_resistance, KV_rating, phase_inductance = -1.0f;
     DQ_s axis_inductance;
@@ -32,15 +36,18 @@ public:
 """
 
 
+PID = {"P": "P", "I": "I", "D": "D", "R": "output_ramp", "L": "limit"}
+
+
+CONTROLLERS = {"Q": "current_q", "D": "current_d", "V": "velocity"}
+
+
 class Commander:
     """Commander::run and Commander::motor as far as a configuration goes, from their description.
 
     Characters fill a buffer of 20; a line end runs it, a full buffer is thrown away. The first
     character picks the motor, the next one or two the member, the rest is read by atof.
     """
-
-    PID = {"P": "P", "I": "I", "D": "D", "R": "output_ramp", "L": "limit"}
-    CONTROLLERS = {"Q": "current_q", "D": "current_d", "V": "velocity"}
 
     def __init__(self, letter: str = "M") -> None:
         self.letter, self.buffer = letter, ""
@@ -65,12 +72,12 @@ class Commander:
         sub = command[1:2] if command[1:2].isupper() else ""
         value = self.atof(command[1 + len(sub) :])
         kind = command[0]
-        if kind in self.CONTROLLERS:
-            controller = self.CONTROLLERS[kind]
+        if kind in CONTROLLERS:
+            controller = CONTROLLERS[kind]
             if sub == "F":
                 self.members[f"LPF_{controller}.Tf"] = value
             else:
-                self.members[f"PID_{controller}.{self.PID[sub]}"] = value
+                self.members[f"PID_{controller}.{PID[sub]}"] = value
         elif kind == "L":
             self.limit({"U": "voltage", "C": "current", "V": "velocity"}[sub], value)
         elif kind == "I":

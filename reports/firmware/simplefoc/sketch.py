@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +12,6 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.configuration import Number, Origin
 from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import LOOP_PERIOD, MEMBERS, V_DC
-from dqforge.optimizer.firmware.targets.simplefoc import voltage_limit
 from dqforge.reports.firmware.c_arithmetic import (
     NotArithmeticError,
     Unknown,
@@ -113,8 +113,15 @@ def sketch_of(text: str, place: str) -> Sketch:
     )
 
 
+FROM_LINK = math.nan
+
+"""Value of a voltage that the text works out from the link."""
+
+
 def members_of(sketch: Sketch) -> Found:
-    """Values and origins of the members, the constructor's before what is assigned."""
+    """Values and origins of the members, the constructor's before what is assigned; voltages that
+    are no numbers are `FROM_LINK`.
+    """
     own: dict[str, Number] = {}
     origins: dict[str, Origin] = {}
     for name, argument in zip(CONSTRUCTOR, sketch.arguments, strict=False):
@@ -133,14 +140,7 @@ def members_of(sketch: Sketch) -> Found:
     if "axis_inductance.q" in own and "axis_inductance.d" in own:
         own.pop("phase_inductance", None)
         origins.pop("phase_inductance", None)
-    for name in VOLTAGES:
-        # The header works these out from the link.
-        if name in own and own[name] is _FROM_LINK and V_DC in own:
-            own[name] = voltage_limit(float(own[V_DC]))
     return own, origins
-
-
-_FROM_LINK: Number = float("nan")
 
 
 def _constants(sketch: Sketch) -> Iterator[tuple[str, Number, Origin]]:
@@ -181,7 +181,7 @@ def _assigned(sketch: Sketch) -> Iterator[tuple[str, Number, Origin]]:
         if text in enumerators:
             yield name, enumerators.index(text), origin
         elif value is None and name in VOLTAGES:
-            yield name, _FROM_LINK, origin
+            yield name, FROM_LINK, origin
         elif value is None:
             _refuse(definition.name, text, sketch.place, definition.line)
         else:

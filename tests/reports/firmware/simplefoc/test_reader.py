@@ -108,7 +108,9 @@ def test_of_several_motors_the_first_is_read_and_said() -> None:
 
 
 def test_members_through_a_pointer() -> None:
-    text = "extern BLDCMotor* m;\nvoid f() {\n  m->phase_resistance = 0.06f;\n  m->pole_pairs = 4;\n}\n"
+    text = (
+        "extern BLDCMotor* m;\nvoid f() {\n  m->phase_resistance = 0.06f;\n  m->pole_pairs = 4;\n}"
+    )
     drive = read(text, "a.cpp").drive
     assert (drive.pole_pairs, drive.r_s) == (4, 0.06)
 
