@@ -53,8 +53,8 @@ class GainSet:
     it asks for none. ``phases`` is the current control of a machine whose back-EMF is not
     sinusoidal, None for all others. ``references`` are slopes of the references and voltage
     feedback, None where the design asks for none.
-    ``proofs`` are those of single loops. ``firmware`` is what `control.firmware` makes of the loops,
-    None where the design names none.
+    ``proofs`` are those of single loops. ``firmware`` is what `control.firmware` makes of the
+    loops, None where the design names none.
     """
 
     i_d: LoopGains

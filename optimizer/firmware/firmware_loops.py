@@ -17,7 +17,7 @@ from dqforge.optimizer.firmware.firmware_method import (
     Shortfall,
 )
 from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop, judge, judged_loop
-from dqforge.optimizer.firmware.profile import LoopProfile
+from dqforge.optimizer.firmware.profile import LoopProfile, PiController
 from dqforge.optimizer.firmware.registry import METHODS
 from dqforge.optimizer.firmware.structure_box import axis_plants, speed_plants_over
 from dqforge.optimizer.firmware.structured_gains import Chosen, CurrentSearch, speed_search
@@ -39,8 +39,10 @@ class FirmwareLoop:
         Of the firmware: V/A and V/(A s), or A s/rad and A/rad.
     judged:
         As the firmware runs it.
+    own:
+        Gains of the emitted header: V/A and V/(A s), or N m s/rad and N m/rad.
     neutral:
-        As the emitted header runs the design's own gains.
+        As that header runs them.
     worst:
         What it keeps over the corners of ``control.tolerances``, None without them.
     """
@@ -48,6 +50,7 @@ class FirmwareLoop:
     loop: LoopName
     gains: PiGains
     judged: JudgedLoop
+    own: PiGains
     neutral: JudgedLoop
     worst: LoopRobustness | None = None
 
@@ -62,6 +65,8 @@ class FirmwareLoops:
         The firmware and the version of its format.
     free:
         Which gains of its current loops can be chosen.
+    asked:
+        What its configuration was asked to hold, with the gains that were chosen.
     configuration, profile:
         The configuration, rounded as its file prints it, and the loops that it amounts to.
     judged:
@@ -77,6 +82,7 @@ class FirmwareLoops:
     name: Firmware
     version: str
     free: FreeGains
+    asked: Asked
     configuration: Configuration
     profile: LoopProfile
     judged: JudgedFirmware
@@ -142,6 +148,7 @@ def _record(
         method.name,
         method.version,
         method.free,
+        chosen.asked,
         chosen.configuration,
         profile,
         judged,
@@ -158,22 +165,25 @@ def _loops(
     own: tuple[LoopGains, LoopGains, LoopGains | None],
 ) -> tuple[FirmwareLoop, ...]:
     named, found = box.design.control.tolerances is not None, []
-    current = profile.current
-    for axis, pi, loop, neutral in (
+    current, speed = profile.current, profile.speed
+    for axis, pi, loop, header in (
         ("i_d", current.d, judged.current_d, own[0]),
         ("i_q", current.q, judged.current_q, own[1]),
     ):
         assert loop is not None
         worst = axis_plants(box, axis, current).kept(pi) if named else None
-        found.append(FirmwareLoop(axis, PiGains(pi.kp, pi.ki), loop, _neutral(neutral), worst))
-    if profile.speed is not None and judged.speed is not None and own[2] is not None:
-        pi = profile.speed.pi
-        worst = speed_plants_over(box, current, profile.speed).kept(pi) if named else None
-        gains = PiGains(pi.kp, pi.ki)
-        found.append(FirmwareLoop("speed", gains, judged.speed, _neutral(own[2]), worst))
+        found.append(_beside(pi, loop, header, worst))
+    if speed is not None and judged.speed is not None and own[2] is not None:
+        worst = speed_plants_over(box, current, speed).kept(speed.pi) if named else None
+        found.append(_beside(speed.pi, judged.speed, own[2], worst))
     return tuple(found)
 
 
-def _neutral(gains: LoopGains) -> JudgedLoop:
-    model = gains.model
-    return judged_loop(model.loop if isinstance(model, SpeedLoop) else model)
+def _beside(
+    pi: PiController, loop: JudgedLoop, header: LoopGains, worst: LoopRobustness | None
+) -> FirmwareLoop:
+    """A loop of the firmware beside that of the header."""
+    model = header.model
+    neutral = judged_loop(model.loop if isinstance(model, SpeedLoop) else model)
+    gains, own = PiGains(pi.kp, pi.ki), PiGains(header.kp, header.ki)
+    return FirmwareLoop(header.loop, gains, loop, own, neutral, worst)

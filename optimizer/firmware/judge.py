@@ -275,7 +275,10 @@ def _of_pll(
         return ()
     feedback, slow = profile.speed.feedback, abs(poles[0])
     crossover = math.nan if speed is None else speed.crossover
-    cost = -cmath.phase(feedback.ki / complex(feedback.ki - crossover**2, feedback.kp * crossover))
+    cost = -cmath.phase(
+        complex(feedback.ki, feedback.kp * crossover if feedback.whole else 0.0)
+        / complex(feedback.ki - crossover**2, feedback.kp * crossover)
+    )
     double = 0.25 * feedback.kp**2
     apart = feedback.ki < _APART * double
     if not (math.isfinite(crossover) and cost > (_DEAR if apart else _DEAR_AT_BEST)):
@@ -288,8 +291,8 @@ def _of_pll(
     )
     words = (
         f"the PLL of {profile.firmware} (kp {feedback.kp:.6g}, ki {feedback.ki:.6g}) has a pole at "
-        f"{float(f'{slow:.3g}'):g} rad/s, {relation} the speed loop's crossover of {_rate(crossover)}, where it "
-        f"costs {math.degrees(cost):.0f} deg of the phase; {remedy}"
+        f"{float(f'{slow:.3g}'):g} rad/s, {relation} the speed loop's crossover of "
+        f"{_rate(crossover)}, where it costs {math.degrees(cost):.0f} deg of the phase; {remedy}"
     )
     return (words,)
 
