@@ -23,8 +23,8 @@ ROOMS_THAT_ASK = {
 ORCHESTRATORS = {
     "comparison.firmware_side": "judges the loops of a firmware's file that is to be compared",
     "comparison.sources": "solves a design that is to be compared",
-    "firmware.settling": "runs the loops of a firmware on a design's machine",
     "firmware_files.design_made": "finds the phase-locked loop of a file that becomes a design",
+    "firmware.design_simulation": "solves a design, and runs the loops of its firmware beside it",
     "flashing_choice.row_files": "solves the currents of a salient machine on the row's topology",
     "flashing_choice.question": "answers a question: what to flash, with all that can be run here",
     "losses.question": "answers a question: losses over a map or a mission",
@@ -38,6 +38,7 @@ ORCHESTRATORS = {
 MODELS = {
     "control.fixed_model": "the control functions in integers, step by step",
     "control.fixed_reading": "proves again what is read back",
+    "firmware.loop_code": "the loops of other firmware in C, by the rules they are judged by",
     "fixed_observers.fixed_observer_model": "the observers in integers, step by step",
     "fixed_observers.fixed_observer_reading": "proves again what is read back",
     "fixed_reference.mesh_reading": "proves again what is read back",
