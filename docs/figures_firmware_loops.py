@@ -1,4 +1,4 @@
-"""Figure of the page on the loops of firmware: one speed loop behind three estimates of the speed."""
+"""Figure of the page on the loops of firmware: a speed loop behind three estimates of the speed."""
 
 from __future__ import annotations
 
