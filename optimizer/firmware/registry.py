@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
+from dqforge.optimizer.firmware.targets.moteus import MOTEUS
+from dqforge.optimizer.firmware.targets.odrive import ODRIVE
 from dqforge.optimizer.firmware.targets.vesc import VESC
 
 METHODS: dict[Firmware, FirmwareMethod] = {
@@ -11,5 +13,7 @@ METHODS: dict[Firmware, FirmwareMethod] = {
     for method in (
         # A line per firmware.
         VESC,
+        MOTEUS,
+        ODRIVE,
     )
 }

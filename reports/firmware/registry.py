@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dqforge.machines.names import Firmware
+from dqforge.reports.firmware.moteus.target import TARGET as MOTEUS
+from dqforge.reports.firmware.odrive.target import TARGET as ODRIVE
 from dqforge.reports.firmware.target import Target
 from dqforge.reports.firmware.vesc.target import TARGET as VESC
 
@@ -11,5 +13,7 @@ TARGETS: dict[Firmware, Target] = {
     for target in (
         # A line per firmware.
         VESC,
+        MOTEUS,
+        ODRIVE,
     )
 }
