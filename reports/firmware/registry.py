@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dqforge.machines.names import Firmware
 from dqforge.reports.firmware.target import Target
+from dqforge.reports.firmware.ti.target import TARGET as TI
 from dqforge.reports.firmware.vesc.target import TARGET as VESC
 
 TARGETS: dict[Firmware, Target] = {
     target.method.name: target
     for target in (
         # A line per firmware.
+        TI,
         VESC,
     )
 }
