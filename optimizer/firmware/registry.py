@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
+from dqforge.optimizer.firmware.targets.infineon import INFINEON
 from dqforge.optimizer.firmware.targets.ti import TI
 from dqforge.optimizer.firmware.targets.vesc import VESC
 
@@ -11,6 +12,7 @@ METHODS: dict[Firmware, FirmwareMethod] = {
     method.name: method
     for method in (
         # A line per firmware.
+        INFINEON,
         TI,
         VESC,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dqforge.machines.names import Firmware
+from dqforge.reports.firmware.infineon.target import TARGET as INFINEON
 from dqforge.reports.firmware.target import Target
 from dqforge.reports.firmware.ti.target import TARGET as TI
 from dqforge.reports.firmware.vesc.target import TARGET as VESC
@@ -11,6 +12,7 @@ TARGETS: dict[Firmware, Target] = {
     target.method.name: target
     for target in (
         # A line per firmware.
+        INFINEON,
         TI,
         VESC,
     )

@@ -40,14 +40,17 @@ from dqforge.optimizer.firmware.ti_format.ti_keys import (
     number,
 )
 
+_LAB = "TexasInstruments/motor-control-sdk tidm_02018_universal_motorcontrol "
+
+_OLDER = "anyway-blows/ti-c2000-motor-control-sdk 3.03 "
+
 SOURCES = (
-    "TexasInstruments/motor-control-sdk tidm_02018_universal_motorcontrol motor_common.c: "
-    "setupControllers, tuneControllerGains",
-    "the same, user_mtr1.c USER_setMotor1Params: BWc 200 Hz, delta 20",
-    "the same, motor1_drive.c motor1CtrlISR: series PI, d before q, no feedforward, speed in Hz",
-    "the same, spdfr.h: speed as the filtered difference of the angle of the eSMO",
-    "anyway-blows/ti-c2000-motor-control-sdk 3.03 user_mtr1.c: BWc 400 Hz, delta 10",
-    "pi.h of the same: integral limited to the output's limits, before it is used",
+    _LAB + "motor_common.c: setupControllers, tuneControllerGains",
+    _LAB + "user_mtr1.c USER_setMotor1Params: BWc 200 Hz, delta 20",
+    _LAB + "motor1_drive.c motor1CtrlISR: series PI, d before q, no feedforward, speed in Hz",
+    _LAB + "spdfr.h: speed as the filtered difference of the angle of the eSMO",
+    _OLDER + "user_mtr1.c: BWc 400 Hz, delta 10",
+    _OLDER + "pi.h: integral limited to the output's limits, before it is used",
 )
 
 VOLTAGE_PU = 0.66

@@ -74,9 +74,10 @@ def _speeds(own: Mapping[str, OwnValue], drive: DriveValues) -> Iterator[str]:
 
 
 def _copied(name: str, drive: DriveValues) -> Iterator[str]:
-    if drive.inertia is not None and math.isclose(drive.inertia, TEKNIC_INERTIA, rel_tol=1e-6):
-        if "teknic" not in name.lower():
-            yield (
-                f"INERTIA_Kgm2 {drive.inertia:g} is that of the Teknic M2310 in TI's file, which "
-                f"other blocks repeat: the gain of the speed loop is proportional to it"
-            )
+    if drive.inertia is None or "teknic" in name.lower():
+        return
+    if math.isclose(drive.inertia, TEKNIC_INERTIA, rel_tol=1e-6):
+        yield (
+            f"INERTIA_Kgm2 {drive.inertia:g} is that of the Teknic M2310 in TI's file, which "
+            f"other blocks repeat: the gain of the speed loop is proportional to it"
+        )
