@@ -173,7 +173,7 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         reading,
         any_back_emf=found.phases is not None,
     )
-    needed = bool(file.export.control) or simulated
+    needed = bool(file.export.control or file.export.firmware) or simulated
     named = "control" in file.model_fields_set
     control = replace(control, gains=read_gain_wish(file.control, named, needed, document))
     remarks.extend(_remarks(file, machine, inverter, control))

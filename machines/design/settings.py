@@ -395,9 +395,11 @@ class ExportSettings:
 
     ``control`` are the number formats in which the control functions are emitted,
     each in a header of its own. ``frame_tables`` asks for tables of the frames dqx and dqy.
+    ``firmware`` names firmware of others whose configuration files are written.
     """
 
     prefix: str
     vectors: int = 256
     control: tuple[NumberFormat, ...] = ()
     frame_tables: bool = False
+    firmware: tuple[Firmware, ...] = ()

@@ -6,6 +6,7 @@ from dqforge.machines.names import Firmware
 from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
 from dqforge.optimizer.firmware.targets.moteus import MOTEUS
 from dqforge.optimizer.firmware.targets.odrive import ODRIVE
+from dqforge.optimizer.firmware.targets.vesc import VESC
 
 METHODS: dict[Firmware, FirmwareMethod] = {
     method.name: method
@@ -13,5 +14,6 @@ METHODS: dict[Firmware, FirmwareMethod] = {
         # A line per firmware.
         MOTEUS,
         ODRIVE,
+        VESC,
     )
 }

@@ -6,6 +6,7 @@ from dqforge.machines.names import Firmware
 from dqforge.reports.firmware.moteus.target import TARGET as MOTEUS
 from dqforge.reports.firmware.odrive.target import TARGET as ODRIVE
 from dqforge.reports.firmware.target import Target
+from dqforge.reports.firmware.vesc.target import TARGET as VESC
 
 TARGETS: dict[Firmware, Target] = {
     target.method.name: target
@@ -13,5 +14,6 @@ TARGETS: dict[Firmware, Target] = {
         # A line per firmware.
         MOTEUS,
         ODRIVE,
+        VESC,
     )
 }

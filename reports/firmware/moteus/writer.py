@@ -1,4 +1,4 @@
-"""Configurations of moteus written: a line per value, as ``moteus_tool --write-config`` sends it."""
+"""Configurations of moteus written: a line per value, as moteus_tool --write-config sends it."""
 
 from __future__ import annotations
 
