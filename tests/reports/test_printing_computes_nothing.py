@@ -22,6 +22,8 @@ ROOMS_THAT_ASK = {
 
 ORCHESTRATORS = {
     "comparison.sources": "solves a design that is to be compared",
+    "firmware.moteus.reader": "works out what a file amounts to, as for a design",
+    "firmware.odrive.reader": "works out what a file amounts to, as for a design",
     "flashing_choice.row_files": "solves the currents of a salient machine on the row's topology",
     "flashing_choice.question": "answers a question: what to flash, with all that can be run here",
     "losses.question": "answers a question: losses over a map or a mission",
