@@ -40,10 +40,12 @@ def current_pi(t_s: float, bandwidth: float, **changes: object) -> PiController:
     return replace(PiController(bandwidth * 1e-4, bandwidth * 0.05, t_s), **changes)
 
 
-def speed_pi(t_s: float, crossover: float, **changes: object) -> PiController:
-    """A speed controller that crosses over at ``crossover`` rad/s, its zero 16 times lower."""
+def speed_pi(t_s: float, crossover: float, spread: float = 16.0, **changes: object) -> PiController:
+    """A speed controller that crosses over at ``crossover`` rad/s, its zero ``spread`` times
+    lower.
+    """
     kp = crossover * 1e-3 / CONSTANT
-    return replace(PiController(kp, kp * crossover / 16.0, t_s), **changes)
+    return replace(PiController(kp, kp * crossover / spread, t_s), **changes)
 
 
 FAST = 2.0 * math.pi * 1000.0
@@ -54,7 +56,7 @@ def vesc(pll_ki: float = 3e4) -> LoopProfile:
     """Backward Euler, d first, the whole excess taken back, a PLL with two real poles."""
     t_s = 50e-6
     pi = current_pi(t_s, FAST, anti_windup="back-calculation", tracking=1.0 / t_s)
-    speed = SpeedController(speed_pi(1e-3, SPEED), SpeedEstimate("pll", t_s, 2000.0, pll_ki))
+    speed = SpeedController(speed_pi(1e-3, SPEED, 8.0), SpeedEstimate("pll", t_s, 2000.0, pll_ki))
     loops = CurrentLoops(pi, pi, order="d-first", voltage_share=0.95)
     return LoopProfile("vesc", "hand", loops, speed, reference="mtpa-linear")
 

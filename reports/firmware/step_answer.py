@@ -18,7 +18,7 @@ BAND = 0.05
 """Share of a step within which an answer must lie over the last quarter of its time."""
 
 
-_KEPT = 0.6  # of the swing from the last quarter but one to the last: what keeps more swings on
+_KEPT = 0.9  # of the swing from the last quarter but one to the last: what keeps more swings on
 
 
 _TURNS = 4  # through its mean in the last half: fewer are no oscillation

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
-from dqforge.optimizer.firmware.explained import Explained
+from dqforge.optimizer.firmware.explained import Explained, OwnGains
 from dqforge.optimizer.firmware.firmware_method import Shortfall
 from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop
 from dqforge.optimizer.firmware.profile import LoopProfile
@@ -89,14 +89,18 @@ def configuration_table(found: Configuration, title: str) -> Table:
             line = "" if origin.line is None else str(origin.line)
             written = f"{origin.key} {origin.text}".strip()
             rows.append((label, text, written, line, origin.conversion))
-    own = [(key, "", f"{key} {value}", "", "") for key, value in found.own.items()]
-    shown = [row for row in own if not any(row[2] == other[2] for other in rows)]
+    shown = {origin.key for origin in found.origins.values()}
+    rows += [
+        (key, "", f"{value:.9g}" if isinstance(value, float) else str(value), "", "")
+        for key, value in found.own.items()
+        if key not in shown
+    ]
     columns = ("", "value", "in the file", "line", "conversion")
     notes = (
         *(f"convention: {sentence}" for sentence in found.conventions),
         *(f"contradiction: {sentence}" for sentence in found.contradictions),
     )
-    return Table(title, columns, (*rows, *shown), notes)
+    return Table(title, columns, tuple(rows), notes)
 
 
 def loops_table(found: JudgedFirmware, title: str, profile: LoopProfile | None = None) -> Table:
@@ -172,6 +176,21 @@ def explained_tables(found: Explained, source: str, title: str) -> list[Table]:
     return [
         configuration_table(found.configuration, f"{source}: {title}"),
         loops_table(found.judged, runs, found.profile),
+    ]
+
+
+def own_tables(found: OwnGains, judged: JudgedFirmware, source: str) -> list[Table]:
+    """Gains that dqforge wrote, on a machine, and their loops."""
+    rows = [(label, text) for _, label, text in value_rows(found.drive)]
+    units = (("V/A", "V/(A s)"), ("V/A", "V/(A s)"), ("N m s/rad", "N m/rad"))
+    for (name, label), (unit_p, unit_i) in zip(_LOOPS, units, strict=True):
+        gains: PiGains | None = getattr(found, name)
+        if gains is not None:
+            rows.append((f"{label} kp", format_quantity(gains.kp, unit_p)))
+            rows.append((f"{label} ki", format_quantity(gains.ki, unit_i)))
+    return [
+        Table(f"{source}: gains of dqforge", ("", "value"), tuple(rows)),
+        loops_table(judged, "loops as the emitted control runs them"),
     ]
 
 
