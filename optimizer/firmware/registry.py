@@ -21,5 +21,6 @@ METHODS: dict[Firmware, FirmwareMethod] = {
         SIMPLEFOC,
         MOTEUS,
         ODRIVE,
+        VESC,
     )
 }

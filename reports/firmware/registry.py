@@ -21,5 +21,6 @@ TARGETS: dict[Firmware, Target] = {
         SIMPLEFOC,
         MOTEUS,
         ODRIVE,
+        VESC,
     )
 }

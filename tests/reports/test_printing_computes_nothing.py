@@ -23,6 +23,9 @@ ROOMS_THAT_ASK = {
 ORCHESTRATORS = {
     "comparison.firmware_side": "judges the loops of a firmware's file that is to be compared",
     "comparison.sources": "solves a design that is to be compared",
+    "firmware.moteus.reader": "works out what a file amounts to, as for a design",
+    "firmware.odrive.reader": "works out what a file amounts to, as for a design",
+    "firmware.settling": "runs the loops of a firmware on a design's machine",
     "firmware_files.design_made": "finds the phase-locked loop of a file that becomes a design",
     "firmware.design_simulation": "solves a design, and runs the loops of its firmware beside it",
     "flashing_choice.row_files": "solves the currents of a salient machine on the row's topology",
