@@ -117,9 +117,7 @@ def ti() -> LoopProfile:
     """Both voltages fed forward, d first, no delay but that of the half period."""
     t_s = 100e-6
     pi = current_pi(t_s, 1500.0)
-    speed = SpeedController(
-        speed_pi(1e-3, 40.0), SpeedEstimate("low-pass", t_s, filter_time=2e-3)
-    )
+    speed = SpeedController(speed_pi(1e-3, 40.0), SpeedEstimate("low-pass", t_s, filter_time=2e-3))
     loops = CurrentLoops(
         pi, pi, delay=0.5, cross=True, back_emf=True, order="d-first", angle_advance=1.0
     )

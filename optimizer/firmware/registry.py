@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
+from dqforge.optimizer.firmware.targets.nxp import NXP
 from dqforge.optimizer.firmware.targets.vesc import VESC
 
 METHODS: dict[Firmware, FirmwareMethod] = {
     method.name: method
     for method in (
         # A line per firmware.
+        NXP,
         VESC,
     )
 }

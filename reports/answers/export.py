@@ -79,4 +79,3 @@ def _check_names(files: dict[str, bytes], made: dict[str, bytes], fit: FirmwareF
             f"--for: {fit.name} and another firmware both write {twice[0]}; export them one by "
             "one, each with an -o of its own"
         )
-

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dqforge.machines.names import Firmware
+from dqforge.reports.firmware.nxp.target import TARGET as NXP
 from dqforge.reports.firmware.target import Target
 from dqforge.reports.firmware.vesc.target import TARGET as VESC
 
@@ -10,6 +11,7 @@ TARGETS: dict[Firmware, Target] = {
     target.method.name: target
     for target in (
         # A line per firmware.
+        NXP,
         VESC,
     )
 }

@@ -125,7 +125,7 @@ def _old_volts(known: Mapping[str, float]) -> float | None:
 
 def _old(edition: Edition, name: str, value: float) -> float:
     """As it was printed before 2021: scales coarsely, some gains rounded up."""
-    if name in _WHOLE and not edition.fixed or name == "M1_FREQ_MAX":
+    if (name in _WHOLE and not edition.fixed) or name == "M1_FREQ_MAX":
         return float(round(value))
     if name == "M1_U_MAX" or (name in _TENTHS and not edition.fixed):
         return math.floor(value * 10.0 + 0.5) / 10.0

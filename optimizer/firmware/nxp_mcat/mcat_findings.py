@@ -102,8 +102,7 @@ def conventions(sheet: McatSheet) -> tuple[str, ...]:
     share = sheet.edition.current_share
     integral = "ki T/2 (trapezoids)" if share == 0.5 else "ki T (rectangles)"
     said = [
-        f"M1_D_KI_GAIN and M1_Q_KI_GAIN are {integral} as MCAT of this age ({sheet.edition.version})"
-        f" makes them",
+        f"M1_D_KI_GAIN and M1_Q_KI_GAIN are {integral}, as MCAT {sheet.edition.version} makes them",
         "speeds and speed gains count in electrical rad/s; currents are peak of phase",
     ]
     if sheet.edition.fixed:
