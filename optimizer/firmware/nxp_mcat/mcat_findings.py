@@ -16,7 +16,7 @@ MOST = 8
 """So many constants that do not follow from the inputs are named each by itself."""
 
 
-LOST_IN_COUNTS = 0.01
+LOST_IN_COUNTS = 0.02
 
 """Share of a gain that is named where its integer cuts off more."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import PurePath
 
 from dqforge.machines.errors import InputError
@@ -24,6 +25,13 @@ MOST_DIGITS = 7
 
 """Significant digits beyond which a header is one of the older age."""
 
+
+_PI = "\n#define FLOAT_PI 3.14159265358979\n"
+
+"""What the headers of the library define for all that include them."""
+
+
+_NUMBER = re.compile(r"\d*\.\d+")
 
 _KEPT = dict.fromkeys(FRACTIONS, float)
 
@@ -70,7 +78,7 @@ def read_file(text: str, place: str) -> McatFile:
             "the m1_pmsm_appconfig.h of the project",
             source=place,
         )
-    macros = read_macros(text, place, functions=_KEPT, known={"FLOAT_PI": "3.14159265358979"})
+    macros = read_macros(text + _PI, place, functions=_KEPT)
     own: dict[str, OwnValue] = {}
     origins: dict[str, Origin] = {}
     found = objects(text, place)
@@ -114,9 +122,8 @@ def _is_fixed(macros: Macros, prefix: str) -> bool:
 def _has_many_digits(macros: Macros, prefix: str) -> bool:
     """Whether gains are printed with more digits than MCAT prints since 2021."""
     for name in ("D_KP_GAIN", "Q_KP_GAIN", "BEMF_DQ_KP_GAIN"):
-        digits = [sign for sign in macros.text(prefix + name) or "" if sign.isdigit()]
-        text = "".join(digits).lstrip("0").removeprefix("32").removeprefix("16")
-        if len(text) > MOST_DIGITS:
+        found = _NUMBER.search(macros.text(prefix + name) or "")
+        if found is not None and len(found[0].replace(".", "").lstrip("0")) > MOST_DIGITS:
             return True
     return False
 
