@@ -6,6 +6,7 @@ from dqforge.machines.names import Firmware
 from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
 from dqforge.optimizer.firmware.targets.infineon import INFINEON
 from dqforge.optimizer.firmware.targets.moteus import MOTEUS
+from dqforge.optimizer.firmware.targets.nxp import NXP
 from dqforge.optimizer.firmware.targets.odrive import ODRIVE
 from dqforge.optimizer.firmware.targets.simplefoc import SIMPLEFOC
 from dqforge.optimizer.firmware.targets.ti import TI
@@ -21,6 +22,7 @@ METHODS: dict[Firmware, FirmwareMethod] = {
         SIMPLEFOC,
         MOTEUS,
         ODRIVE,
+        NXP,
         VESC,
     )
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dqforge.machines.names import Firmware
 from dqforge.reports.firmware.infineon.target import TARGET as INFINEON
 from dqforge.reports.firmware.moteus.target import TARGET as MOTEUS
+from dqforge.reports.firmware.nxp.target import TARGET as NXP
 from dqforge.reports.firmware.odrive.target import TARGET as ODRIVE
 from dqforge.reports.firmware.simplefoc.target import TARGET as SIMPLEFOC
 from dqforge.reports.firmware.target import Target
@@ -21,6 +22,7 @@ TARGETS: dict[Firmware, Target] = {
         SIMPLEFOC,
         MOTEUS,
         ODRIVE,
+        NXP,
         VESC,
     )
 }
