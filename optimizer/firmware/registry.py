@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
+from dqforge.optimizer.firmware.targets.st import ST
 
 METHODS: dict[Firmware, FirmwareMethod] = {
     method.name: method
     for method in (
         # A line per firmware.
+        ST,
     )
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from dqforge.optimizer.firmware.configuration import Configuration
@@ -40,6 +40,9 @@ class Target:
     read:
         The configuration in a text; the place (a path) is for messages. Raises InputError with
         place and line where it is not what the firmware writes.
+    read_several:
+        The configuration that several files state together, from text and place of each; None
+        where each file is understood by itself.
     """
 
     method: FirmwareMethod
@@ -47,3 +50,4 @@ class Target:
     write: Callable[[Configuration, FileTitle, str | None], dict[str, bytes]]
     recognise: Callable[[str, str], bool]
     read: Callable[[str, str], Configuration]
+    read_several: Callable[[Sequence[tuple[str, str]]], Configuration] | None = None
