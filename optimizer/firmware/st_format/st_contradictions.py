@@ -54,8 +54,8 @@ def _gains(own: Mapping[str, OwnValue], axis: str) -> Iterator[str]:
     if abs(ki - wanted) > room:
         yield (
             f"PID_{axis}_KI_DEFAULT {ki:g} is not R/(L f) of PID_{axis}_KP_DEFAULT {kp:g} = "
-            f"{wanted:.1f} counts, Workbench's rule: chosen by another one, edited by hand, or R or L "
-            "were measured again"
+            f"{wanted:.1f} counts, Workbench's rule: chosen by another one, edited by hand, or R "
+            "or L measured again"
         )
 
 

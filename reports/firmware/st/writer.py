@@ -1,4 +1,4 @@
-"""Files of ST's MCSDK written: one header of its macros, the motor file, values in others' files."""
+"""Files of ST's MCSDK written: a header of its macros, the motor file, values in other files."""
 
 from __future__ import annotations
 
