@@ -20,6 +20,7 @@ from dqforge.optimizer.current_reference.signed import signed_designs, signed_re
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.field_weakening.fit import WeakeningFit
 from dqforge.optimizer.field_weakening.solve import solve_weakening
+from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FixedObserverFit,
     solve_fixed_observers,
@@ -62,7 +63,7 @@ class Solution:
     why. ``negative`` is None where one reference serves torques of both signs; else ``fit`` and
     ``certificate`` are those of positive ones. ``fixed_references`` lead from torque, dc link and
     speed to currents in fixed point. ``frame_tables`` and ``overmodulation`` are None where they
-    are not asked for. ``observer_errors`` are those of the speed observer at half the base speed,
+    are not asked for. ``firmware`` is what each firmware of others is given. ``observer_errors`` are those of the speed observer at half the base speed,
     without load and with half the largest torque; empty without that observer.
     """
 
@@ -88,6 +89,7 @@ class Solution:
     frame_tables: FrameTables | None = None
     overmodulation: Overmodulation | None = None
     fixed_references: tuple[FixedReferenceFit, ...] = ()
+    firmware: tuple[FirmwareFit, ...] = ()
 
     @property
     def positive(self) -> Design:
@@ -182,4 +184,5 @@ def solve(design: Design) -> Solution:
         frame_tables=solve_frame_tables(design),
         overmodulation=solve_overmodulation(design),
         fixed_references=references,
+        firmware=solve_firmware(design, gains),
     )

@@ -24,6 +24,7 @@ from dqforge.machines.design.sections.control import (
 )
 from dqforge.machines.design.sections.export import read_export
 from dqforge.machines.design.sections.field_weakening import read_weakening
+from dqforge.machines.design.sections.firmware import check_firmware
 from dqforge.machines.design.sections.fit import check_fit, read_fit
 from dqforge.machines.design.sections.inverter import (
     DEFAULT_COOLANT,
@@ -137,6 +138,12 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         document,
         any_back_emf=found.phases is not None,
     )
+    check_firmware(
+        file.control.firmware,
+        document,
+        any_back_emf=found.phases is not None,
+        gains=file.control.gains,
+    )
     inverter = read_inverter(file.inverter, machine.i_max, reading)
     check_overmodulation(
         file.operation, inverter, file.export.control, found.phases is not None, document
@@ -166,7 +173,7 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         reading,
         any_back_emf=found.phases is not None,
     )
-    needed = bool(file.export.control) or simulated
+    needed = bool(file.export.control or file.export.firmware) or simulated
     named = "control" in file.model_fields_set
     control = replace(control, gains=read_gain_wish(file.control, named, needed, document))
     remarks.extend(_remarks(file, machine, inverter, control))

@@ -17,6 +17,7 @@ from dqforge.machines.names import (
     CurrentFrame,
     CurrentLoopMethod,
     Feedforward,
+    Firmware,
     FitForm,
     FitMethod,
     ModulationName,
@@ -285,12 +286,25 @@ class ReferenceSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class FirmwareSettings:
+    """The firmware of others whose loops are to run the drive.
+
+    ``pll`` are the gains (1/s, 1/s^2) of the phase-locked loop that makes its speed, None where
+    they may be chosen.
+    """
+
+    name: Firmware
+    pll: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class ControlSettings:
     """Sampling and controllers; ``t_s`` is the current-control sampling period in s.
 
     ``tolerances`` is the box in which every loop must hold, None where only the data themselves
     count. ``gains`` are ``optional`` where the design says nothing of control: a machine without
-    them still has its current references.
+    them still has its current references. ``firmware`` is that of others whose loops are judged
+    beside those of the emitted code, None without one.
     """
 
     t_s: float
@@ -301,6 +315,7 @@ class ControlSettings:
     tolerances: Tolerances | None = None
     gains: GainWish = "required"
     references: ReferenceSettings = ReferenceSettings()
+    firmware: FirmwareSettings | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -380,9 +395,11 @@ class ExportSettings:
 
     ``control`` are the number formats in which the control functions are emitted,
     each in a header of its own. ``frame_tables`` asks for tables of the frames dqx and dqy.
+    ``firmware`` names firmware of others whose configuration files are written.
     """
 
     prefix: str
     vectors: int = 256
     control: tuple[NumberFormat, ...] = ()
     frame_tables: bool = False
+    firmware: tuple[Firmware, ...] = ()

@@ -23,12 +23,13 @@ from dqforge.machines.entries.rules import (
     QuantityRule,
     auto_or,
     byte_count,
+    firmware_names,
     not_truth,
     number_formats,
     plain_text,
 )
 from dqforge.machines.entries.two_sided import Between
-from dqforge.machines.names import NumberFormat, QFormats
+from dqforge.machines.names import Firmware, NumberFormat, QFormats
 from dqforge.machines.places import KeyPath
 
 _PHASE = ("phase", "line-to-line")
@@ -95,6 +96,11 @@ else:  # not a union, whose complaints would name the alternatives inside the pa
 
 ControlFormats = Annotated[
     tuple[NumberFormat, ...], Field(strict=False, max_length=3), BeforeValidator(number_formats)
+]
+
+
+FirmwareNames = Annotated[
+    tuple[Firmware, ...], Field(strict=False, max_length=8), BeforeValidator(firmware_names)
 ]
 
 

@@ -18,7 +18,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import NumberFormat
+from dqforge.machines.names import Firmware, NumberFormat
 from dqforge.machines.units.quantities import format_quantity, parse_quantity, read_quantity
 from dqforge.machines.units.registry import DIMENSIONS
 from dqforge.machines.wording import close_matches, shown
@@ -383,6 +383,15 @@ def number_formats(value: object) -> object:
         return value
     if value not in get_args(NumberFormat):
         raise EntryError(not_one_of(value, get_args(NumberFormat)))
+    return [value]
+
+
+def firmware_names(value: object) -> object:
+    """A list of one entry for the name of a firmware; other values as they are."""
+    if not isinstance(value, str):
+        return value
+    if value not in get_args(Firmware):
+        raise EntryError(not_one_of(value, get_args(Firmware)))
     return [value]
 
 

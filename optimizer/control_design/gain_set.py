@@ -14,6 +14,7 @@ from dqforge.optimizer.control_design.loop_proofs import LoopProofs, prove_loops
 from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
 from dqforge.optimizer.control_design.turning_proof import turning_proof
 from dqforge.optimizer.dynamic_references.solve import DynamicReferences, dynamic_references
+from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops, firmware_loops
 from dqforge.optimizer.loops.gains import tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loops.inductances import inductance_range
 from dqforge.optimizer.loops.integer_gains import PerUnitGains, per_unit_gains
@@ -52,7 +53,8 @@ class GainSet:
     it asks for none. ``phases`` is the current control of a machine whose back-EMF is not
     sinusoidal, None for all others. ``references`` are slopes of the references and voltage
     feedback, None where the design asks for none.
-    ``proofs`` are those of single loops.
+    ``proofs`` are those of single loops. ``firmware`` is what `control.firmware` makes of the
+    loops, None where the design names none.
     """
 
     i_d: LoopGains
@@ -67,6 +69,7 @@ class GainSet:
     phases: PhaseLoops | None = None
     proofs: LoopProofs = field(default_factory=LoopProofs)
     references: DynamicReferences | None = None
+    firmware: FirmwareLoops | None = None
 
     @property
     def loops(self) -> tuple[LoopGains, ...]:
@@ -141,6 +144,7 @@ def solve_gains(design: Design) -> GainSet:
         None if observer is None else speed_error_slopes(machine, observer, control.bases.speed)
     )
     references = dynamic_references(design, box, (i_d, i_q), speed)
+    firmware = firmware_loops(design, box, (i_d, i_q, speed))
     return GainSet(
         i_d,
         i_q,
@@ -154,6 +158,7 @@ def solve_gains(design: Design) -> GainSet:
         phases,
         proofs,
         references,
+        firmware,
     )
 
 

@@ -31,6 +31,9 @@ class Asked:
         Gains wished for, V/A and V/(A s); a structure that cannot hold them takes what is nearest.
     speed:
         Gains wished for in A s/rad and A/rad, None without a speed loop.
+    pll:
+        Gains wished for (1/s and 1/s^2) of the phase-locked loop that makes the speed,
+        s^2 + kp s + ki; None for the firmware's own. A firmware without one takes no notice.
     """
 
     design: Design
@@ -38,6 +41,7 @@ class Asked:
     current_d: PiGains
     current_q: PiGains
     speed: PiGains | None = None
+    pll: PiGains | None = None
 
 
 @dataclass(frozen=True, slots=True)

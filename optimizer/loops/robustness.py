@@ -125,8 +125,18 @@ def summarise(margins: BatchMargins, points: BoxPoints) -> LoopRobustness:
     )
 
 
-def _first_fault(margins: BatchMargins, points: BoxPoints, required: float) -> str | None:
-    """What the worst point does not keep, in words, or None."""
+def first_fault(margins: BatchMargins, points: BoxPoints, required: float) -> str | None:
+    """What the worst point does not keep, in words, or None.
+
+    Parameters
+    ----------
+    margins:
+        Margins of the loop at N points of the box.
+    points:
+        The points.
+    required:
+        Phase margin in rad that the loop must have.
+    """
     unstable = margins.radius >= 1.0
     if unstable.any():
         row = int(np.argmax(margins.radius))
@@ -161,10 +171,10 @@ def _kept(
             return False
         if not min(pair) > 0.0 or np.max(close_loops(plants, *pair).radius) >= 1.0:
             return False  # without the margins, which take far longer
-        return _first_fault(evaluate(pair), points, required) is None
+        return first_fault(evaluate(pair), points, required) is None
 
     margins = evaluate((gains.kp, gains.ki))
-    fault = _first_fault(margins, points, required)
+    fault = first_fault(margins, points, required)
     if fault is None:
         return summarise(margins, points)
     factor = largest_factor(holds)

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from dqforge.machines.names import Firmware
+from dqforge.reports.firmware.moteus.target import TARGET as MOTEUS
+from dqforge.reports.firmware.odrive.target import TARGET as ODRIVE
 from dqforge.reports.firmware.st.target import TARGET as ST
 from dqforge.reports.firmware.target import Target
+from dqforge.reports.firmware.vesc.target import TARGET as VESC
 
 TARGETS: dict[Firmware, Target] = {
     target.method.name: target
     for target in (
         # A line per firmware.
+        VESC,
+        MOTEUS,
+        ODRIVE,
         ST,
     )
 }

@@ -21,7 +21,10 @@ ROOMS_THAT_ASK = {
 """Rooms whose modules ask the optimizer, and what for."""
 
 ORCHESTRATORS = {
+    "comparison.firmware_side": "judges the loops of a firmware's file that is to be compared",
     "comparison.sources": "solves a design that is to be compared",
+    "firmware.settling": "runs the loops of a firmware on a design's machine",
+    "firmware_files.design_made": "finds the phase-locked loop of a file that becomes a design",
     "flashing_choice.row_files": "solves the currents of a salient machine on the row's topology",
     "flashing_choice.question": "answers a question: what to flash, with all that can be run here",
     "losses.question": "answers a question: losses over a map or a mission",

@@ -11,6 +11,7 @@ from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
 
 from dqforge.machines.design.from_section import settings_from
 from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
+from dqforge.machines.design.sections.firmware import AnyFirmware, read_firmware
 from dqforge.machines.design.sections.per_unit import PerUnitSection, read_bases
 from dqforge.machines.design.sections.references import ReferencesSection, read_references
 from dqforge.machines.design.sections.tolerances import TolerancesSection, read_tolerances
@@ -242,6 +243,10 @@ class ControlSection(Section):
     references: ReferencesSection | None = Field(
         default=None, description="slopes of the references, and what corrects them"
     )
+    firmware: AnyFirmware | None = Field(
+        default=None,
+        description="firmware of others whose loops run the drive: vesc, simplefoc, ...",
+    )
     gains: bool = Field(
         default=True, description="false: no loops are tuned, the header holds the references alone"
     )
@@ -432,6 +437,7 @@ def read_control(
             section.tolerances, speed_loop is not None, machine, inverter, i_max, reading
         ),
         references=read_references(section.references),
+        firmware=read_firmware(section.firmware),
     )
 
 

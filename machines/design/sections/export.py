@@ -10,6 +10,7 @@ from dqforge.machines.design.settings import (
 )
 from dqforge.machines.entries.kinds import (
     ControlFormats,
+    FirmwareNames,
     Prefix,
     Section,
 )
@@ -34,8 +35,20 @@ class ExportSection(Section):
         default=_EXPORT.frame_tables,
         description="tables of the frames dqx and dqy over the angle, with their decoupling terms",
     )
+    firmware: FirmwareNames = Field(
+        default=_EXPORT.firmware,
+        description=(
+            "configuration files of other firmware: vesc, simplefoc, moteus, odrive, nxp, st, ti, "
+            "infineon or a list of them; default none"
+        ),
+    )
 
 
 def read_export(section: ExportSection) -> ExportSettings:
     """What the section ``export`` asks for."""
-    return settings_from(ExportSettings, section, control=tuple(dict.fromkeys(section.control)))
+    return settings_from(
+        ExportSettings,
+        section,
+        control=tuple(dict.fromkeys(section.control)),
+        firmware=tuple(dict.fromkeys(section.firmware)),
+    )

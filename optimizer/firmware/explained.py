@@ -1,0 +1,157 @@
+"""What the configuration of a firmware, or a header of our own, amounts to on a machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
+from dqforge.optimizer.firmware.judge import (
+    JudgedFirmware,
+    JudgedLoop,
+    judge,
+    judged_loop,
+    mechanics_of,
+)
+from dqforge.optimizer.firmware.profile import (
+    CurrentLoops,
+    LoopProfile,
+    PiController,
+    SpeedController,
+    SpeedEstimate,
+)
+from dqforge.optimizer.firmware.registry import METHODS
+from dqforge.optimizer.firmware.sampled_structure import Winding, current_loop, speed_loop
+from dqforge.optimizer.firmware.solve import Methods, method_of
+
+OF_MACHINE = ("pole_pairs", "r_s", "l_d", "l_q", "psi_pm", "inertia", "viscous")
+
+"""Fields of `DriveValues` that say what machine it is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explained:
+    """A configuration on a machine.
+
+    Parameters
+    ----------
+    configuration:
+        What was read.
+    drive:
+        The machine that its loops are judged on, in the file's timing.
+    profile, judged:
+        The loops; the profile is None where the configuration says too little.
+    """
+
+    configuration: Configuration
+    drive: DriveValues
+    profile: LoopProfile | None
+    judged: JudgedFirmware
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnGains:
+    """Gains that dqforge wrote, of a header or a result: the speed's in N m s/rad and N m/rad."""
+
+    drive: DriveValues
+    current_d: PiGains | None
+    current_q: PiGains | None
+    speed: PiGains | None
+
+
+def on_machine(drive: DriveValues, machine: DriveValues | None) -> DriveValues:
+    """The values of a file with those of a machine in place of its own.
+
+    What neither limits nor machine are stays that of the file; what it lacks is the machine's.
+    """
+    if machine is None:
+        return drive
+    found = {part.name: getattr(drive, part.name) for part in fields(DriveValues)}
+    for name, value in found.items():
+        other = getattr(machine, name)
+        if other is not None and (value is None or name in OF_MACHINE):
+            found[name] = other
+    return DriveValues(**found)
+
+
+def explain(
+    configuration: Configuration, machine: DriveValues | None = None, methods: Methods = METHODS
+) -> Explained:
+    """What a configuration amounts to.
+
+    Parameters
+    ----------
+    configuration:
+        Of a file.
+    machine:
+        The machine that it runs on, where that is not the one that it tells of.
+    methods:
+        Those of the package, or others.
+    """
+    drive = on_machine(configuration.drive, machine)
+    # What the file says counts for what the firmware computes from it; the machine completes it.
+    told = on_machine(drive, configuration.drive)
+    try:
+        profile = method_of(configuration.firmware, methods).profile(
+            replace(configuration, drive=told)
+        )
+    except InputError as error:
+        return Explained(configuration, drive, None, _nothing(error.message))
+    return Explained(configuration, drive, profile, judge(profile, drive))
+
+
+def _nothing(remark: str) -> JudgedFirmware:
+    return JudgedFirmware(None, None, None, None, (remark,))
+
+
+def explain_own(gains: OwnGains, machine: DriveValues | None = None) -> JudgedFirmware:
+    """The loops of gains that dqforge wrote: voltage held from the next sample on, the integral
+    counting at once, the speed known.
+
+    Parameters
+    ----------
+    gains:
+        Of a header or a result.
+    machine:
+        The machine that they run on, where that is not the one that they were made for.
+    """
+    drive = on_machine(gains.drive, machine)
+    if drive.r_s is None or drive.t_s is None:
+        missing = "phase resistance" if drive.r_s is None else "sampling period"
+        return _nothing(f"without the {missing} no loop can be judged")
+    d = _own_current(gains.current_d, drive, drive.l_d)
+    q = _own_current(gains.current_q, drive, drive.l_q)
+    return JudgedFirmware(d, q, _own_speed(gains, drive), None, ())
+
+
+def _own_current(
+    gains: PiGains | None, drive: DriveValues, inductance: float | None
+) -> JudgedLoop | None:
+    if gains is None or inductance is None or drive.r_s is None or drive.t_s is None:
+        return None
+    pi = PiController(gains.kp, gains.ki, drive.t_s)
+    return judged_loop(current_loop(Winding(drive.r_s, inductance), pi, 1.0))
+
+
+def _own_speed(gains: OwnGains, drive: DriveValues) -> JudgedLoop | None:
+    """The speed loop, None where something that it needs is not known."""
+    d, q, speed = gains.current_d, gains.current_q, gains.speed
+    known = (drive.pole_pairs, drive.psi_pm, drive.inertia, drive.t_speed)
+    if d is None or q is None or speed is None or None in known or not drive.psi_pm:
+        return None
+    assert drive.pole_pairs is not None
+    assert drive.t_s is not None
+    assert drive.r_s is not None
+    assert drive.t_speed is not None
+    if drive.l_q is None:
+        return None
+    per_ampere = 1.5 * drive.pole_pairs * drive.psi_pm
+    current = CurrentLoops(
+        PiController(d.kp, d.ki, drive.t_s), PiController(q.kp, q.ki, drive.t_s), back_emf=True
+    )
+    outer = SpeedController(
+        PiController(speed.kp / per_ampere, speed.ki / per_ampere, drive.t_speed),
+        SpeedEstimate(),
+    )
+    mechanics = mechanics_of(drive, current)
+    return judged_loop(speed_loop(Winding(drive.r_s, drive.l_q), mechanics, current, outer))

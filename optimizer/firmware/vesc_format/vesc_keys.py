@@ -1,0 +1,120 @@
+"""The keys of VESC's motor configuration that a design decides, or that its loops depend on.
+
+Names, kinds and permitted values are those of VESC Tool's ``res/config/7.01/parameters_mcconf.xml``
+(vedderb/vesc_tool 461ecc6); the tool takes others without a word.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.firmware.configuration import Number, OwnValue
+
+VERSION = "7.01"
+
+
+SIGNIFICANT = 6
+
+"""Significant digits that the tool prints of a number (configparams.cpp, getXML)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One key: its name in the file, whether it is a whole number, and the permitted values.
+
+    ``says`` is what it means, with its unit.
+    """
+
+    name: str
+    kind: Literal["whole", "real"]
+    least: float
+    most: float
+    says: str
+
+
+# fmt: off
+KEYS = {key.name: key for key in (
+    Key("motor_type", "whole", 0, 2, "2 for field-oriented control"),
+    Key("l_current_max", "real", 0.0, 5000.0, "largest current, A (peak of phase)"),
+    Key("l_current_min", "real", -5000.0, 0.0, "largest braking current, A (peak), negative"),
+    Key("l_abs_current_max", "real", 0.0, 5000.0, "current that trips, A (peak)"),
+    Key("l_min_erpm", "real", -1e6, 0.0, "electrical speed backwards, rev/min"),
+    Key("l_max_erpm", "real", 0.0, 1e6, "electrical speed, rev/min"),
+    Key("foc_current_kp", "real", 0.0, 1e5, "gain of both current controllers, V/A"),
+    Key("foc_current_ki", "real", 0.0, 1e5, "integral gain of both, V/(A s)"),
+    Key("foc_f_zv", "real", 0.0, 150e3, "zero vectors per second: twice the PWM frequency, Hz"),
+    Key("foc_dt_us", "real", 0.0, 1000.0, "dead time that the observer allows for, us"),
+    Key("foc_pll_kp", "real", 0.0, 1e6, "gain of the tracking loop for the speed, 1/s"),
+    Key("foc_pll_ki", "real", 0.0, 1e6, "integral gain of that loop, 1/s^2"),
+    Key("foc_motor_l", "real", 0.0, 10.0, "mean of L_d and L_q of a phase, H"),
+    Key("foc_motor_ld_lq_diff", "real", -10.0, 10.0, "L_q - L_d, H"),
+    Key("foc_motor_r", "real", 0.0, 1000.0, "resistance of a phase, Ohm"),
+    Key("foc_motor_flux_linkage", "real", 0.0, 1000.0, "flux linkage of the magnets, Wb (peak)"),
+    Key("foc_observer_gain", "real", 0.0, 2e10, "gain of the flux observer, 1/(s Wb^2)"),
+    Key("foc_control_sample_mode", "whole", 0, 2, "0: one control step per PWM period"),
+    Key("foc_cc_decoupling", "whole", 0, 3, "what is fed forward: 1 cross, 2 back-EMF, 3 both"),
+    Key("foc_mtpa_mode", "whole", 0, 2, "currents of most torque per ampere: 1 of the command"),
+    Key("sp_pid_loop_rate", "whole", 0, 8, "how often the speed controller runs, by number"),
+    Key("s_pid_kp", "real", 0.0, 1e4, "speed gain, 20 x share of l_current_max per erpm"),
+    Key("s_pid_ki", "real", 0.0, 1e4, "its integral gain, the same per second"),
+    Key("s_pid_kd", "real", 0.0, 1e4, "its derivative gain"),
+    Key("s_pid_speed_source", "whole", 0, 2, "which speed is controlled: 0 of the tracking loop"),
+    Key("si_motor_poles", "whole", 2, 254, "number of poles: twice the pole pairs"),
+)}
+# fmt: on
+
+"""The keys that `configure` writes, in the order of the file."""
+
+
+LOOP_DEFAULTS: Mapping[str, Number] = {
+    "foc_pll_kp": 2000.0,
+    "foc_pll_ki": 30000.0,
+    "foc_control_sample_mode": 0,
+    "foc_cc_decoupling": 0,
+    "foc_observer_type": 3,
+    "foc_observer_gain_slow": 0.05,
+    "foc_overmod_factor": 1.0,
+    "foc_mtpa_mode": 0,
+    "foc_sensor_mode": 0,
+    "l_max_duty": 0.95,
+    "sp_pid_loop_rate": 5,
+    "s_pid_ramp_erpms_s": 25000.0,
+    "s_pid_speed_source": 0,
+}
+
+"""What the loops depend on where a file is silent: the tool's own defaults."""
+
+
+def as_printed(value: float) -> float:
+    """A number as it comes back from the file."""
+    return float(f"{value:.{SIGNIFICANT}g}")
+
+
+def kept(name: str, value: float, asked_by: str) -> Number:
+    """A value as the file holds it.
+
+    Raises InputError, naming the key of the design that asks for it, where it cannot be held.
+    """
+    key = KEYS[name]
+    rounded = round(value) if key.kind == "whole" else as_printed(value)
+    if not key.least <= rounded <= key.most:
+        raise InputError(
+            f"{asked_by}: VESC's {name} holds {key.least:g} to {key.most:g}, not {rounded:g}; "
+            f"choose a design within that"
+        )
+    return rounded
+
+
+def number(own: Mapping[str, OwnValue], name: str) -> float | None:
+    """A value of the file as a number; None where it is not there."""
+    value = own.get(name)
+    return None if value is None or isinstance(value, str) else float(value)
+
+
+def loop_number(own: Mapping[str, OwnValue], name: str) -> float:
+    """A value of the file, or the tool's default."""
+    value = number(own, name)
+    return float(LOOP_DEFAULTS[name]) if value is None else value

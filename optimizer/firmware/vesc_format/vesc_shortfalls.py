@@ -1,0 +1,151 @@
+"""What VESC's configuration cannot hold of a design, and what that costs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+from dqforge.optimizer.firmware.configuration import Configuration
+from dqforge.optimizer.firmware.current_prices import linear_rule, price_of
+from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall
+from dqforge.optimizer.firmware.judge import judge
+from dqforge.optimizer.firmware.profile import LoopProfile
+from dqforge.optimizer.firmware.vesc_format.vesc_keys import loop_number, number
+
+_NOTICED = 1e-3
+
+
+_BACK_EMF_SHARE = 0.98
+
+
+def shortfalls(asked: Asked, held: Configuration, runs: LoopProfile) -> tuple[Shortfall, ...]:
+    """What the configuration does not hold of what was asked, each with its price.
+
+    Parameters
+    ----------
+    asked:
+        What was asked.
+    held:
+        What was made of it.
+    runs:
+        The loops that VESC runs with it.
+    """
+    return (
+        *_one_pair(asked, held, runs),
+        *_currents(asked, held),
+        *_periods(asked, held),
+        *_voltage(asked, held),
+        *_dead_time(asked, held),
+    )
+
+
+def _one_pair(asked: Asked, held: Configuration, runs: LoopProfile) -> Iterator[Shortfall]:
+    gains = held.current_q
+    if gains is None or (asked.current_d, asked.current_q) == (gains, gains):
+        return
+    if _alike(asked.current_d.kp, asked.current_q.kp):
+        return
+    current = runs.current
+    wished = replace(
+        current,
+        d=replace(current.d, kp=asked.current_d.kp, ki=asked.current_d.ki),
+        q=replace(current.q, kp=asked.current_q.kp, ki=asked.current_q.ki),
+    )
+    now = judge(replace(runs, speed=None), asked.drive)
+    then = judge(replace(runs, speed=None, current=wished), asked.drive)
+    prices, words = [], []
+    for axis, is_now, was in (
+        ("d", now.current_d, then.current_d),
+        ("q", now.current_q, then.current_q),
+    ):
+        if is_now is not None and was is not None:
+            lost = was.phase_margin - is_now.phase_margin
+            prices.append(Price(f"phase margin of the {axis} axis", lost, "rad"))
+            words.append(
+                f"the {axis} axis crosses over at {is_now.crossover:.4g} rad/s with "
+                f"{math.degrees(is_now.phase_margin):.1f} deg instead of {was.crossover:.4g} rad/s "
+                f"with {math.degrees(was.phase_margin):.1f} deg"
+            )
+    yield Shortfall(
+        f"one foc_current_kp serves two inductances: {gains.kp:.4g} V/A stands for "
+        f"{asked.current_d.kp:.4g} V/A (d) and {asked.current_q.kp:.4g} V/A (q); "
+        + "; ".join(words),
+        tuple(prices),
+    )
+
+
+def _currents(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
+    """The closed form of linear machines, or no d current, against what the machine needs."""
+    if asked.design.strategy != "mtpa":
+        return
+    psi, difference = held.drive.psi_pm, number(held.own, "foc_motor_ld_lq_diff") or 0.0
+    if psi is None or held.drive.i_max is None:
+        return
+    used = difference if loop_number(held.own, "foc_mtpa_mode") > 0 else 0.0
+    i_max = min(held.drive.i_max, asked.design.i_max)
+    price = price_of(asked.design.machine, i_max, linear_rule(psi, used))
+    if price.torque < _NOTICED:
+        return
+    form = "the closed form of a linear machine" if used else "no d current"
+    yield Shortfall(
+        f"VESC's currents of most torque per ampere are {form}: at {i_max:.4g} A they make "
+        f"{100.0 * price.torque:.2g} % less torque than this machine can, or lose "
+        f"{100.0 * price.copper_loss:.2g} % more in copper for the same torque",
+        (
+            Price("torque", price.torque, ""),
+            Price("copper loss", price.copper_loss, ""),
+        ),
+    )
+
+
+def _periods(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
+    for what, wanted, has in (
+        ("control step", asked.drive.t_s, held.drive.t_s),
+        ("speed controller", asked.drive.t_speed, held.drive.t_speed),
+    ):
+        if wanted and has and not _alike(wanted, has):
+            yield Shortfall(
+                f"VESC runs the {what} every {1e6 * has:.4g} us, the design every "
+                f"{1e6 * wanted:.4g} us",
+                (Price(f"period of the {what}", has - wanted, "s"),),
+            )
+
+
+def _voltage(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
+    """l_max_duty keeps a share of the range; without field weakening the speed ends there."""
+    share = loop_number(held.own, "l_max_duty") * loop_number(held.own, "foc_overmod_factor")
+    limit = share * asked.design.inverter.v_dc / math.sqrt(3.0)
+    lost = 1.0 - limit / asked.design.v_max
+    if lost > _NOTICED:
+        yield Shortfall(
+            f"VESC uses {100.0 * share:.3g} % of the linear range (l_max_duty): {limit:.4g} V of "
+            f"the {asked.design.v_max:.4g} V that the design counts on",
+            (Price("voltage", lost, ""),),
+        )
+    drive = asked.drive
+    if drive.omega_m_max and drive.pole_pairs and drive.psi_pm:
+        emf = drive.omega_m_max * drive.pole_pairs * drive.psi_pm
+        if emf > _BACK_EMF_SHARE * limit:
+            reached = limit / (drive.pole_pairs * drive.psi_pm)
+            yield Shortfall(
+                f"the back-EMF at the largest speed is {emf:.4g} V, the voltage {limit:.4g} V: "
+                f"without foc_fw_current_max, which is not written, the speed ends at "
+                f"{reached:.4g} rad/s",
+                (Price("speed", 1.0 - reached / drive.omega_m_max, ""),),
+            )
+
+
+def _dead_time(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
+    drive = asked.drive
+    if held.drive.dead_time and drive.f_sw and drive.v_dc:
+        volts = held.drive.dead_time * drive.f_sw * drive.v_dc / 3.0
+        yield Shortfall(
+            f"VESC's observer takes off 4/3 of the voltage of the dead time foc_dt_us: "
+            f"{volts:.3g} V too much; {0.75e6 * held.drive.dead_time:.4g} us would be exact",
+            (Price("voltage in the observer", volts, "V"),),
+        )
+
+
+def _alike(one: float, other: float) -> bool:
+    return math.isclose(one, other, rel_tol=1e-4)

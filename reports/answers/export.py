@@ -1,0 +1,81 @@
+"""What `dqforge export --for` answers: files of other firmware, what they hold and what not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.numerical import on_design
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.control_design.gain_set import solve_gains
+from dqforge.optimizer.firmware.solve import FirmwareFit, method_of, solve_firmware
+from dqforge.reports.firmware.text_file import read_text_file
+from dqforge.reports.firmware_files.exported import firmware_files, read_files, target_named
+from dqforge.reports.firmware_files.plain import plain_fit
+from dqforge.reports.firmware_files.settled import require_settling
+from dqforge.reports.firmware_files.tables import fit_tables
+from dqforge.reports.pages.answer import Answer, Files
+from dqforge.reports.pages.console import stage
+from dqforge.reports.pages.table import Table
+from dqforge.reports.plain_data import PlainData
+
+
+@on_design("export")
+def answer_export_for(
+    design: Design, names: Sequence[str], into: Path | None, *, verify: bool
+) -> Answer:
+    """Write a design as the files of other firmware.
+
+    Parameters
+    ----------
+    design:
+        The design.
+    names:
+        Whose files.
+    into:
+        An existing file whose other fields are kept; of one firmware only.
+    verify:
+        Whether the loops of each firmware are simulated, and refused where they do not settle.
+
+    Raises
+    ------
+    InputError
+        There is no such firmware, it needs what the design does not say, or the existing file is
+        not its own.
+    NoSolutionError
+        Its loops do not settle on this drive; says why.
+    """
+    chosen = tuple(dict.fromkeys(method_of(name, option="--for").name for name in names))
+    if into is not None and len(chosen) != 1:
+        raise InputError("--into: a file is one firmware's; write a single --for NAME with it")
+    existing = None if into is None else read_text_file(into)
+    wanted = replace(design, export=replace(design.export, firmware=chosen))
+    stage("tuning")
+    fits = solve_firmware(wanted, solve_gains(wanted))
+    files: dict[str, bytes] = {}
+    tables: list[Table] = []
+    plain: PlainData = {}
+    for fit in fits:
+        made = firmware_files(wanted, fit, existing)
+        if verify:
+            stage(f"running the loops of {fit.name}")
+            require_settling(wanted, fit)
+        _check_names(files, made, fit)
+        files |= made
+        read = read_files(made, target_named(fit))
+        title = f"{target_named(fit).title}: {', '.join(made)}"
+        tables += fit_tables(fit, read, title)
+        plain[fit.name] = plain_fit(fit) | {"files": list(made)}
+    return Answer(design.name, tables, {"firmware": plain}, files=Files(files, "", design))
+
+
+def _check_names(files: dict[str, bytes], made: dict[str, bytes], fit: FirmwareFit) -> None:
+    """Refuse two files of one name."""
+    twice = sorted(set(files) & set(made))
+    if twice:
+        raise InputError(
+            f"--for: {fit.name} and another firmware both write {twice[0]}; export them one by "
+            "one, each with an -o of its own"
+        )

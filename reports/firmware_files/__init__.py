@@ -1,0 +1,1 @@
+"""Configurations of other firmware: files recognised and written, explained, made designs."""

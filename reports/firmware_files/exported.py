@@ -1,0 +1,178 @@
+"""Files of a firmware from what was solved for it, each read back and held against that."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import PurePath
+
+from dqforge import __version__
+from dqforge.machines.design.design import Design
+from dqforge.machines.errors import InputError, VerificationError
+from dqforge.optimizer.firmware.configuration import Configuration
+from dqforge.optimizer.firmware.solve import FirmwareFit
+from dqforge.reports.firmware.registry import TARGETS
+from dqforge.reports.firmware.target import FileTitle, Target
+from dqforge.reports.firmware.text_file import TextFile, decoded_file
+from dqforge.reports.firmware_files.recognised import Targets
+
+
+def file_title(design: Design, fit: FirmwareFit) -> FileTitle:
+    """What stands at the head of the files of a design."""
+    return FileTitle(
+        design.export.prefix,
+        design.name,
+        design.digest,
+        __version__,
+        tuple(shortfall.words for shortfall in fit.shortfalls),
+    )
+
+
+def target_named(fit: FirmwareFit, targets: Targets = TARGETS) -> Target:
+    """The target of what was solved; raises InputError where its files are not written."""
+    found = targets.get(fit.name)
+    if found is None:
+        raise InputError(f"export.firmware: files of {fit.name} are not written; leave it out")
+    return found
+
+
+def firmware_files(
+    design: Design,
+    fit: FirmwareFit,
+    existing: TextFile | None = None,
+    targets: Targets = TARGETS,
+) -> dict[str, bytes]:
+    """Files of a firmware by name.
+
+    Parameters
+    ----------
+    design:
+        What was solved.
+    fit:
+        What the firmware is given of it.
+    existing:
+        A file of the firmware whose other fields are kept; it is then among the files under its
+        own name, in its own encoding.
+    targets:
+        Those of the package, or others.
+
+    Raises
+    ------
+    InputError
+        The existing file is not one of the firmware.
+    VerificationError
+        What was written does not read back as what was to be written.
+    """
+    target = target_named(fit, targets)
+    if existing is None:
+        files = target.write(fit.configuration, file_title(design, fit), None)
+    else:
+        files = _into(design, fit, existing, target)
+    read_back(files, fit.configuration, target, whole=existing is None)
+    return files
+
+
+def _into(design: Design, fit: FirmwareFit, existing: TextFile, target: Target) -> dict[str, bytes]:
+    """The existing file with the values of the design, and no other file."""
+    own = PurePath(existing.source).name
+    if not target.recognise(own, existing.text):
+        raise InputError(
+            f"is no file of {target.title}; name one that it writes", source=existing.source
+        )
+    target.read(existing.text, existing.source)  # its faults are named by it, not by the result
+    files = target.write(fit.configuration, file_title(design, fit), existing.text)
+    alike = [name for name in files if PurePath(name).suffix == PurePath(own).suffix]
+    readable = [name for name in alike or files if _recognised(target, own, files[name])]
+    if not readable:
+        raise InputError(
+            f"cannot be rewritten as a file of {target.title}; leave --into out",
+            source=existing.source,
+        )
+    text = files[readable[0]].decode("utf-8")
+    return {own: existing.encoded(text.replace("\r\n", "\n"))}
+
+
+def _recognised(target: Target, name: str, content: bytes) -> bool:
+    return target.recognise(name, content.decode("utf-8", "replace"))
+
+
+def read_back(
+    files: Mapping[str, bytes], configuration: Configuration, target: Target, *, whole: bool = True
+) -> tuple[str, ...]:
+    """Read the files back and hold them against what they were made of.
+
+    Parameters
+    ----------
+    files:
+        By name.
+    configuration:
+        What they were made of.
+    target:
+        Whose they are.
+    whole:
+        Whether they may say nothing else; false for files with fields of others.
+
+    Returns
+    -------
+    tuple of str
+        Names of the files that a reader knows; others (a script beside the file) are not read.
+
+    Raises
+    ------
+    VerificationError
+        One of them says something else, or none is known.
+    """
+    names = []
+    for name, content in files.items():
+        file = decoded_file(content, name)
+        if not target.recognise(PurePath(name).name, file.text):
+            continue
+        names.append(name)
+        found = target.read(file.text, name)
+        difference = differing(configuration, found, whole=whole)
+        if difference:
+            raise VerificationError(f"{name}: reads back as something else: {difference}")
+    if not names:
+        raise VerificationError(
+            f"{', '.join(files)}: the reader of {target.method.name} does not know its own files"
+        )
+    return tuple(names)
+
+
+def read_files(files: Mapping[str, bytes], target: Target) -> Configuration:
+    """What the first file that a reader knows says, with the places of its values."""
+    for name, content in files.items():
+        file = decoded_file(content, name)
+        if target.recognise(PurePath(name).name, file.text):
+            return target.read(file.text, name)
+    raise VerificationError(f"{', '.join(files)}: none is a file of {target.method.name}")
+
+
+def differing(wanted: Configuration, found: Configuration, *, whole: bool = True) -> str:
+    """The first difference of two configurations in what they say, "" where there is none.
+
+    Unless they are held against each other as a whole, the second may say more than the first.
+    """
+    one, other = _values(wanted), _values(found)
+    if not whole:
+        one = {key: value for key, value in one.items() if value is not None}
+        other = {key: value for key, value in other.items() if key in one}
+    for key in [*one, *(key for key in other if key not in one)]:
+        if one.get(key) != other.get(key):
+            return f"{key} is {other.get(key)}, not {one.get(key)}"
+    return ""
+
+
+def _values(configuration: Configuration) -> dict[str, object]:
+    """What a configuration says, by name, without where it stands and what is said of it."""
+    plain = replace(configuration, own={}, origins={})
+    found: dict[str, object] = {
+        "firmware": plain.firmware,
+        "version": plain.version,
+        **{name: getattr(plain.drive, name) for name in plain.drive.__slots__},
+    }
+    for name in ("current_d", "current_q", "speed"):
+        gains = getattr(plain, name)
+        found[f"{name}.kp"] = None if gains is None else gains.kp
+        found[f"{name}.ki"] = None if gains is None else gains.ki
+    return found | {f"own.{key}": value for key, value in configuration.own.items()}
