@@ -8,6 +8,7 @@ from dqforge.reports.firmware.moteus.target import TARGET as MOTEUS
 from dqforge.reports.firmware.nxp.target import TARGET as NXP
 from dqforge.reports.firmware.odrive.target import TARGET as ODRIVE
 from dqforge.reports.firmware.simplefoc.target import TARGET as SIMPLEFOC
+from dqforge.reports.firmware.st.target import TARGET as ST
 from dqforge.reports.firmware.target import Target
 from dqforge.reports.firmware.ti.target import TARGET as TI
 from dqforge.reports.firmware.vesc.target import TARGET as VESC
@@ -24,5 +25,6 @@ TARGETS: dict[Firmware, Target] = {
         ODRIVE,
         NXP,
         VESC,
+        ST,
     )
 }
