@@ -131,6 +131,6 @@ def _old(edition: Edition, name: str, value: float) -> float:
         return math.floor(value * 10.0 + 0.5) / 10.0
     if edition.fixed and name.endswith(_UNROUNDED) and not name.startswith("M1_TO_"):
         return value
-    if name in _UPWARD and not edition.fixed:
+    if name in _UPWARD:
         return math.ceil(value * 1e12) / 1e12
     return old_printed(value)
