@@ -64,13 +64,24 @@ def read_configuration(
                 "files of one firmware"
             )
             raise InputError(message, source=file.source)
+    return together(target, files), files
+
+
+def together(target: Target, files: Sequence[TextFile]) -> Configuration:
+    """The configuration that several files of one firmware state together.
+
+    Raises
+    ------
+    InputError
+        As `read_file`.
+    """
     if target.read_several is not None and len(files) > 1:
         with numerical_errors():
-            return target.read_several([(file.text, file.source) for file in files]), files
+            return target.read_several([(file.text, file.source) for file in files])
     found = read_file(target, files[0])
     for file in files[1:]:
         found = merged(found, read_file(target, file))
-    return found, files
+    return found
 
 
 def read_file(target: Target, file: TextFile) -> Configuration:
