@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import PurePath
 
@@ -122,16 +122,16 @@ def read_back(
     VerificationError
         One of them says something else, or none is known.
     """
-    names = []
-    for name, content in files.items():
-        file = decoded_file(content, name)
-        if not target.recognise(PurePath(name).name, file.text):
-            continue
-        names.append(name)
-        found = target.read(file.text, name)
-        difference = differing(configuration, found, whole=whole)
+    known = _known(files, target)
+    names = [name for _, name in known]
+    for found, places in _read(known, target):
+        difference = (
+            differing(configuration, found, whole=whole)
+            if whole or target.read_several is None
+            else differing_part(configuration, found)
+        )
         if difference:
-            raise VerificationError(f"{name}: reads back as something else: {difference}")
+            raise VerificationError(f"{places}: reads back as something else: {difference}")
     if not names:
         raise VerificationError(
             f"{', '.join(files)}: the reader of {target.method.name} does not know its own files"
@@ -139,12 +139,27 @@ def read_back(
     return tuple(names)
 
 
+def _known(files: Mapping[str, bytes], target: Target) -> list[tuple[str, str]]:
+    """Text and name of the files that a reader knows."""
+    decoded = [(decoded_file(content, name).text, name) for name, content in files.items()]
+    return [(text, name) for text, name in decoded if target.recognise(PurePath(name).name, text)]
+
+
+def _read(known: Sequence[tuple[str, str]], target: Target) -> Iterator[tuple[Configuration, str]]:
+    """What files say, each by itself or, where they are understood so, all together; and which."""
+    if target.read_several is not None and known:
+        yield target.read_several(known), ", ".join(name for _, name in known)
+        return
+    for text, name in known:
+        yield target.read(text, name), name
+
+
 def read_files(files: Mapping[str, bytes], target: Target) -> Configuration:
-    """What the first file that a reader knows says, with the places of its values."""
-    for name, content in files.items():
-        file = decoded_file(content, name)
-        if target.recognise(PurePath(name).name, file.text):
-            return target.read(file.text, name)
+    """What the first file that a reader knows says (all of them, where they are understood
+    together), with the places of its values.
+    """
+    for found, _ in _read(_known(files, target), target):
+        return found
     raise VerificationError(f"{', '.join(files)}: none is a file of {target.method.name}")
 
 
@@ -160,6 +175,16 @@ def differing(wanted: Configuration, found: Configuration, *, whole: bool = True
     for key in [*one, *(key for key in other if key not in one)]:
         if one.get(key) != other.get(key):
             return f"{key} is {other.get(key)}, not {one.get(key)}"
+    return ""
+
+
+def differing_part(wanted: Configuration, found: Configuration) -> str:
+    """The first difference in what both say by the format's own names, "" where there is none: of
+    a file that holds a part of a configuration.
+    """
+    for key, value in found.own.items():
+        if key in wanted.own and wanted.own[key] != value:
+            return f"{key} is {value}, not {wanted.own[key]}"
     return ""
 
 

@@ -193,7 +193,7 @@ def _motor_file(found: JsonText, place: str) -> Configuration:
     if ratio is not None:
         path = ("magneticStructure", "ld_lq_ratio")
         own["ld_lq_ratio"] = _number_of(found, path, "ld_lq_ratio", ratio)
-    conventions = CONVENTIONS
+    conventions: tuple[str, ...] = CONVENTIONS
     inductance = found.number("ls")
     if inductance is not None:
         henries, words = _inductance(inductance, number(own, "RS"), found.value("description"))
