@@ -24,7 +24,6 @@ METHODS: dict[Firmware, FirmwareMethod] = {
         MOTEUS,
         ODRIVE,
         NXP,
-        VESC,
         ST,
     )
 }

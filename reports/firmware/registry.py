@@ -24,7 +24,6 @@ TARGETS: dict[Firmware, Target] = {
         MOTEUS,
         ODRIVE,
         NXP,
-        VESC,
         ST,
     )
 }

@@ -128,6 +128,9 @@ def _drive(own: Mapping[str, OwnValue]) -> DriveValues:
         dead_time=None if dead_time is None else dead_time / 1e9,
         t_s=None if rate is None else 1.0 / rate,
         t_speed=None if speed_rate is None else 1.0 / speed_rate,
+        shunt=_positive(own, "RSHUNT"),
+        sense_gain=_positive(own, "AMPLIFICATION_GAIN"),
+        sense_reference=_positive(own, "ADC_REFERENCE_VOLTAGE"),
     )
 
 
