@@ -9,7 +9,7 @@ from pathlib import PurePath
 from dqforge import __version__
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.firmware.configuration import Configuration
+from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
 from dqforge.optimizer.firmware.solve import FirmwareFit
 from dqforge.reports.firmware.registry import TARGETS
 from dqforge.reports.firmware.target import FileTitle, Target
@@ -123,15 +123,25 @@ def read_back(
         One of them says something else, or none is known.
     """
     known = _known(files, target)
-    readings = [
-        (file.source, contradicting(configuration, read_file(target, file))) for file in known
-    ]
-    names = ", ".join(file.source for file in known)
-    all_of_them = differing(configuration, together(target, known), whole=whole)
-    for source, difference in (*readings, (names, all_of_them)):
+    names, found = ", ".join(file.source for file in known), together(target, known)
+    if not whole and target.read_several is not None:
+        differences = [(names, contradicting(_own(configuration), _own(found)))]
+    else:
+        differences = [
+            (file.source, contradicting(configuration, read_file(target, file))) for file in known
+        ]
+        differences.append((names, differing(configuration, found, whole=whole)))
+    for source, difference in differences:
         if difference:
             raise VerificationError(f"{source}: reads back as something else: {difference}")
     return tuple(file.source for file in known)
+
+
+def _own(configuration: Configuration) -> Configuration:
+    """What a file says by its own names, without what is worked out of several of them: one file
+    of several, in which values of others stand, says that only with the others.
+    """
+    return replace(configuration, drive=DriveValues(), current_d=None, current_q=None, speed=None)
 
 
 def _known(files: Mapping[str, bytes], target: Target) -> list[TextFile]:
