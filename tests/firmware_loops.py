@@ -8,6 +8,7 @@ from dataclasses import replace
 from drives import make_design
 
 from dqforge.machines.design.design import Design
+from dqforge.machines.devices.current_sensing import CurrentSensing
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.firmware.configuration import DriveValues
@@ -22,7 +23,7 @@ from dqforge.optimizer.firmware.profile import (
 # 48 V, 60 rpm/V (line to line, peak), 100 mOhm and 200 uH line to line, 15 pole pairs, 40 A rms.
 PSI = 60.0 / (math.sqrt(3.0) * 2.0 * math.pi * 15 * 60.0)
 MACHINE = LinearMachine(15, 0.05, 1e-4, 1e-4, PSI, 40.0 * math.sqrt(2.0), 1e-3, 1e-4)
-INVERTER = Inverter(48.0, 20e3)
+INVERTER = Inverter(48.0, 20e3, current_sensing=CurrentSensing(0.5e-3, 40.0, 3.3))
 VALUES = DriveValues(
     15, 0.05, 1e-4, 1e-4, PSI, 1e-3, 1e-4, MACHINE.i_max, None, 48.0, 20e3, 0.0, 50e-6, 1e-3
 )
