@@ -57,7 +57,7 @@ _COLUMNS = (
 )
 
 
-Row = tuple[str, float, str]
+_SHOWN = {"rad": "deg"}
 
 
 def value_rows(drive: DriveValues) -> list[tuple[str, str, str]]:
@@ -89,11 +89,11 @@ def configuration_table(found: Configuration, title: str) -> Table:
             line = "" if origin.line is None else str(origin.line)
             written = f"{origin.key} {origin.text}".strip()
             rows.append((label, text, written, line, origin.conversion))
-    shown = {origin.key for origin in found.origins.values()}
+    shown = tuple(origin.key for origin in found.origins.values())
     rows += [
         (key, "", f"{value:.9g}" if isinstance(value, float) else str(value), "", "")
         for key, value in found.own.items()
-        if key not in shown
+        if not any(other == key or other.endswith(f".{key}") for other in shown)
     ]
     columns = ("", "value", "in the file", "line", "conversion")
     notes = (
@@ -164,7 +164,8 @@ def price_text(shortfall: Shortfall) -> str:
     texts = []
     for price in shortfall.prices:
         if price.unit:
-            texts.append(f"{price.of} {format_quantity(price.value, price.unit)}")
+            unit = _SHOWN.get(price.unit, price.unit)
+            texts.append(f"{price.of} {format_quantity(price.value, unit)}")
         else:
             texts.append(f"{price.of} {100.0 * price.value:.3g} %")
     return ", ".join(texts)

@@ -44,6 +44,8 @@ MODELS = {
     "fixed_reference.mesh_reading": "proves again what is read back",
     "modulation_choice.rule_model": "the choice of modulator in single precision",
     "phase_control.fixed_phase_model": "the control of phases in integers, step by step",
+    "firmware.simplefoc.reader": "what a file amounts to, by the function that serves a design",
+    "firmware.vesc.reader": "what a file amounts to, by the function that serves a design",
     "output.stored_proof": "proves again what is read back",
     "phase_control.fixed_phase_reading": "proves again what is read back",
     "observers.float32_model": "position observers in single precision",
@@ -51,7 +53,7 @@ MODELS = {
     "waveforms.float32_model": "phase currents in single precision",
 }
 """Modules that evaluate emitted C in its own arithmetic, for test vectors and to compare with the
-compiled C."""
+compiled C; and those that work out what a file of other firmware amounts to."""
 
 
 def functions_of_the_optimizer(source: str) -> list[str]:
