@@ -35,11 +35,11 @@ class Pi:
         self.share = F(t_s / (t_s + pi.filter_time))
         self.limit = None if pi.limit is None else F(pi.limit)
         self.integral, self.before, self.error = ZERO, ZERO, ZERO
-        self.measured: np.float32 | None = None
+        self.measured, self.begun = ZERO, False
 
     def output(self, reference: np.float32, measured: np.float32) -> np.float32:
-        if self.measured is None or self.share >= 1.0:
-            self.measured = measured
+        if not self.begun or self.share >= 1.0:
+            self.measured, self.begun = measured, True
         else:
             self.measured = self.measured + self.share * (measured - self.measured)
         error, self.before = reference - self.measured, self.integral
