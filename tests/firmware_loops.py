@@ -40,10 +40,12 @@ def current_pi(t_s: float, bandwidth: float, **changes: object) -> PiController:
     return replace(PiController(bandwidth * 1e-4, bandwidth * 0.05, t_s), **changes)
 
 
-def speed_pi(t_s: float, crossover: float, **changes: object) -> PiController:
-    """A speed controller that crosses over at ``crossover`` rad/s, its zero 16 times lower."""
+def speed_pi(t_s: float, crossover: float, spread: float = 16.0, **changes: object) -> PiController:
+    """A speed controller that crosses over at ``crossover`` rad/s, its zero ``spread`` times
+    lower.
+    """
     kp = crossover * 1e-3 / CONSTANT
-    return replace(PiController(kp, kp * crossover / 16.0, t_s), **changes)
+    return replace(PiController(kp, kp * crossover / spread, t_s), **changes)
 
 
 FAST = 2.0 * math.pi * 1000.0
@@ -117,9 +119,7 @@ def ti() -> LoopProfile:
     """Both voltages fed forward, d first, no delay but that of the half period."""
     t_s = 100e-6
     pi = current_pi(t_s, 1500.0)
-    speed = SpeedController(
-        speed_pi(1e-3, 40.0), SpeedEstimate("low-pass", t_s, filter_time=2e-3)
-    )
+    speed = SpeedController(speed_pi(1e-3, 40.0), SpeedEstimate("low-pass", t_s, filter_time=2e-3))
     loops = CurrentLoops(
         pi, pi, delay=0.5, cross=True, back_emf=True, order="d-first", angle_advance=1.0
     )
