@@ -66,7 +66,7 @@ _KEYS = (
     Key("motor.i_cont", "real", "A", "continuous current: the same, as the design has one limit"),
     Key("motor.id_max", "real", "A", "largest current against the magnets: the same"),
     Key("motor.v_nom", "real", "V", "peak phase voltage: that of the dc link over sqrt(3)"),
-    Key("motor.w_nom.elec", "real", "rad/s", "electrical speed at which the back-EMF takes it"),
+    Key("motor.w_nom.elec", "real", "rad/s", "speed at which the back-EMF takes it"),
     Key("motor.w_max.elec", "real", "rad/s", "largest electrical speed"),
     Key("sys.samp.fs0", "real", "Hz", "frequency of the control"),
     Key("sys.samp.fpwm_fs0_ratio", "count", "", "PWM periods per control step"),

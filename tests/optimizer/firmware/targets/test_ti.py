@@ -1,4 +1,4 @@
-"""TI's lab: its own rule, factors that make other gains of it, and the loops that this amounts to."""
+"""TI's lab: its own rule, factors that make other gains of it, and the loops of that."""
 
 from __future__ import annotations
 

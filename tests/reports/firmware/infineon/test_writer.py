@@ -178,7 +178,7 @@ void automatic(void)
     params.ctrl.curr.kp.q = params.ctrl.curr.bw * params.motor.lq; // [V/A]
     params.ctrl.curr.ki.q = params.ctrl.curr.bw * params.motor.r;
 #elif defined(CTRL_METHOD_TBC)
-    params.ctrl.curr.kp = params.ctrl.curr.bw * 0.5f * (params.motor.lq + params.motor.ld);
+    params.ctrl.curr.kp = params.ctrl.curr.bw * params.motor.lq;
 #endif
 }
 """
@@ -195,7 +195,7 @@ def test_what_a_file_assigns_is_replaced_and_all_else_stays() -> None:
         "    params.motor.i2t.therm_tau = 5.0f; // [sec]",
         "    params.obs.pll.w0 = HZ_TO_RADSEC(1.5E3f); // [Ra/sec]",
         "    params.ctrl.curr.kp.q = 0.6283185f; // [V/A]",
-        "    params.ctrl.curr.kp = params.ctrl.curr.bw * 0.5f * (params.motor.lq + params.motor.ld);",
+        "    params.ctrl.curr.kp = params.ctrl.curr.bw * params.motor.lq;",
     ):
         assert kept in lines, kept
     assert len(lines) == len(DEFAULTS.splitlines())
