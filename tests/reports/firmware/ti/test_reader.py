@@ -27,6 +27,10 @@ BLOCK = """#define USER_MOTOR1_TYPE                   MOTOR_TYPE_PM
 #endif
 """
 
+CIRCLE = """#define USER_MOTOR1_Rs_Ohm USER_MOTOR1_Ls_d_H
+#define USER_MOTOR1_Ls_d_H USER_MOTOR1_Rs_Ohm
+"""
+
 MANY = f"""#if defined(BOARD_A)
 #define USER_MOTOR1 one_motor
 #endif
@@ -141,8 +145,7 @@ def test_a_second_motor_has_its_own_macros() -> None:
         (BLOCK[: BLOCK.index("#endif")], "#endif"),
         (BLOCK.replace("// V/Hz", "/* V/Hz"), "comment"),
         (
-            "#define USER_MOTOR1_Rs_Ohm USER_MOTOR1_Ls_d_H\n#define USER_MOTOR1_Ls_d_H "
-            "USER_MOTOR1_Rs_Ohm\n",
+            CIRCLE,
             "not a number",
         ),
         ("#define USER_MOTOR1_Rs_Ohm " + "(" * 5000 + "1" + ")" * 5000 + "\n", "not a number"),
