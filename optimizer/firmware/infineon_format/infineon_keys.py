@@ -88,7 +88,7 @@ _KEYS = (
     Key("ctrl.speed.bw", "real", "rad/s", "bandwidth of the speed controller"),
     Key("ctrl.curr.bw", "real", "rad/s", "bandwidth of the current controllers", "rotor"),
     Key("ctrl.curr.ff_coef", "real", "", "back-EMF and cross terms are fed forward", "rotor"),
-    Key("ctrl.curr.i_cmd_thresh", "real", "A", "least current: 20 % of i_cont", "rotor", start=True),
+    Key("ctrl.curr.i_cmd_thresh", "real", "A", "least: 20 % of i_cont", "rotor", start=True),
     Key("ctrl.curr.i_cmd_hyst", "real", "A", "its hysteresis", "rotor", start=True),
     Key("ctrl.flux_weaken.bw", "real", "rad/s", "field weakening: a fifth of it", "rotor"),
     Key("ctrl.volt.w_thresh.elec", "real", "rad/s", "least speed of V/f: 1 % of w_nom", start=True),
