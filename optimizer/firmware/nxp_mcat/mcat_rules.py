@@ -202,9 +202,7 @@ FLOAT_2022_ONLY: dict[str, Rule] = {
     "M1_Q_KI_GAIN": ((F0, LQ, TS), gain_i),
     "M1_SPEED_PI_PROP_GAIN": (
         SPEED_KEYS,
-        lambda ksi, f_0, inertia, torque: (
-            TURN / 60.0 * (2.0 * TURN * ksi * f_0) * inertia / torque
-        ),
+        lambda ksi, f_0, inertia, torque: TURN / 60.0 * (2.0 * TURN * ksi * f_0) * inertia / torque,
     ),
     "M1_SPEED_PI_INTEG_GAIN": (
         (*SPEED_KEYS, TW),

@@ -30,6 +30,7 @@ TURN = 2.0 * math.pi
 
 ROOT_3 = math.sqrt(3.0)
 
+
 def kind_of(macro: str, edition: Edition) -> str:
     """How a constant is written: ``plain``, ``float``, ``FRAC16``, ``FRAC32`` or ``ACC32``."""
     name = macro.removeprefix("M1_")
