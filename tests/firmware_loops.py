@@ -56,7 +56,7 @@ def vesc(pll_ki: float = 3e4) -> LoopProfile:
     """Backward Euler, d first, the whole excess taken back, a PLL with two real poles."""
     t_s = 50e-6
     pi = current_pi(t_s, FAST, anti_windup="back-calculation", tracking=1.0 / t_s)
-    speed = SpeedController(speed_pi(1e-3, SPEED, 8.0), SpeedEstimate("pll", t_s, 2000.0, pll_ki))
+    speed = SpeedController(speed_pi(1e-3, SPEED), SpeedEstimate("pll", t_s, 2000.0, pll_ki))
     loops = CurrentLoops(pi, pi, order="d-first", voltage_share=0.95)
     return LoopProfile("vesc", "hand", loops, speed, reference="mtpa-linear")
 

@@ -30,6 +30,7 @@ from dqforge.optimizer.loops.robustness import (
 )
 from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule, schedule_gains
 from dqforge.optimizer.loops.tolerance_box import Axis, drive_box
+from dqforge.optimizer.loops.vendor_methods import vendor_inductance
 from dqforge.optimizer.observers.reduced_order import (
     ReducedOrderObserver,
     SpeedErrorSlopes,
@@ -38,6 +39,8 @@ from dqforge.optimizer.observers.reduced_order import (
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.optimizer.phase_control.design import PhaseLoops, judged, phase_control
+
+AXES: tuple[Axis, Axis] = ("i_d", "i_q")
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +109,18 @@ def solve_gains(design: Design) -> GainSet:
         points = box.speed_points()
         return box.speed_loop_plants(points, (i_q.kp, i_q.ki)).some(np.arange(points.corners))
 
-    l_d, l_q = nominal
-    i_d = tune_current_loop(
-        machine.r_s, l_d, control.t_s, control.current_loop, "i_d", axis_corners("i_d")
-    )
-    i_q = tune_current_loop(
-        machine.r_s, l_q, control.t_s, control.current_loop, "i_q", axis_corners("i_q")
+    settings = control.current_loop
+    i_d, i_q = (
+        tune_current_loop(
+            machine.r_s,
+            nominal[place],
+            control.t_s,
+            settings,
+            axis,
+            axis_corners(axis),
+            vendor_inductance(settings.method, nominal, place),
+        )
+        for place, axis in enumerate(AXES)
     )
     speed = (
         tune_speed_loop(machine, i_q, control, speed_corners())

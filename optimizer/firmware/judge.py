@@ -283,7 +283,7 @@ def _of_pll(
     apart = feedback.ki < _APART * double
     if not (math.isfinite(crossover) and cost > (_DEAR if apart else _DEAR_AT_BEST)):
         return ()
-    relation = "below" if slow < crossover else "against"
+    relation = "below" if slow < crossover else "close to"
     remedy = (
         f"ki = kp^2/4 = {double:.6g} puts both poles at {0.5 * feedback.kp:.6g} rad/s"
         if apart

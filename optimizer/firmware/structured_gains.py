@@ -13,11 +13,13 @@ the bound of M_s in this structure.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import get_args
 
 import numpy as np
 
 from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSettings
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.names import VendorMethod
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
 from dqforge.optimizer.firmware.profile import LoopProfile, PiController
@@ -41,12 +43,13 @@ from dqforge.optimizer.loops.pi_methods import (
     speed_pi,
 )
 from dqforge.optimizer.loops.tolerance_box import DriveBox
+from dqforge.optimizer.loops.vendor_methods import vendor_inductance
 
 _SHRUNK = (1.0, 0.999, 0.99, 0.95, 0.9, 0.8, 0.6)
 """Shares of M_s - 1 that are tried until the rounded gains keep the bound."""
 
 
-_NAMED = ("bandwidth", "damping", "given")
+_NAMED = ("bandwidth", "damping", "given", *get_args(VendorMethod))
 """Methods whose numbers the design names."""
 
 
@@ -120,8 +123,13 @@ class CurrentSearch:
         """What is asked by a formula for both axes."""
         design = self.box.design
         d, q = (
-            current_pi(design.machine.r_s, inductance, design.control.t_s, trial)
-            for inductance in self.box.nominal
+            current_pi(
+                design.machine.r_s,
+                vendor_inductance(trial.method, self.box.nominal, place),
+                design.control.t_s,
+                trial,
+            )
+            for place in (0, 1)
         )
         return self.with_gains(d, q)
 

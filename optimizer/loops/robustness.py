@@ -28,6 +28,7 @@ from dqforge.optimizer.loops.pi_methods import (
     speed_pi,
 )
 from dqforge.optimizer.loops.tolerance_box import Axis, BoxPoints, DriveBox
+from dqforge.optimizer.loops.vendor_methods import vendor_inductance
 
 FloatArray = NDArray[np.float64]
 
@@ -244,7 +245,8 @@ def current_robustness(box: DriveBox, gains: LoopGains, axis: Axis) -> LoopRobus
     def formula(trial: CurrentLoopSettings) -> tuple[float, float]:
         if trial.method == "optimised":
             return optimised_current(r_s, inductance, control.t_s, trial.max_sensitivity, corners)
-        return current_pi(r_s, inductance, control.t_s, trial)
+        rule = vendor_inductance(trial.method, box.nominal, 0 if axis == "i_d" else 1)
+        return current_pi(r_s, rule, control.t_s, trial)
 
     return _kept("control.current_loop", gains, settings, plants, points, formula)
 

@@ -67,14 +67,33 @@ def simulate_with_firmware(
     )
     if loops is None:
         return found
-    mine = _by_firmware(design, loops, scenario, _part(progress, 1, 2))
+    mine = simulate_loops(design, loops, scenario, _part(progress, 1, 2))
     return replace(found, others=(*found.others, mine))
 
 
-def _by_firmware(
-    design: Design, loops: FirmwareLoops, scenario: Scenario, progress: Progress | None
+def simulate_loops(
+    design: Design, loops: FirmwareLoops, scenario: Scenario, progress: Progress | None = None
 ) -> DriveSimulation:
-    """The run of the firmware's loops."""
+    """Run a firmware's loops alone through a scenario.
+
+    Parameters
+    ----------
+    design:
+        Machine and inverter.
+    loops:
+        What the firmware makes of the design.
+    scenario:
+        What the drive goes through; what the loops have not is left out, and said in the remarks.
+    progress:
+        Called with the share that is done.
+
+    Raises
+    ------
+    InputError
+        The firmware has no such control.
+    VerificationError
+        There is no C compiler.
+    """
     drive = firmware_drive(loops.profile, design)
     possible, remarks = _as_it_can_run(loops, scenario, drive)
     try:

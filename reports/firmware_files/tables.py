@@ -62,7 +62,7 @@ _COLUMNS = (
 )
 
 
-Row = tuple[str, float, str]
+_SHOWN = {"rad": "deg"}
 
 
 def value_rows(drive: DriveValues) -> list[tuple[str, str, str]]:
@@ -174,7 +174,8 @@ def price_text(shortfall: Shortfall) -> str:
     texts = []
     for price in shortfall.prices:
         if price.unit:
-            texts.append(f"{price.of} {format_quantity(price.value, price.unit)}")
+            unit = _SHOWN.get(price.unit, price.unit)
+            texts.append(f"{price.of} {format_quantity(price.value, unit)}")
         else:
             texts.append(f"{price.of} {100.0 * price.value:.3g} %")
     return ", ".join(texts)

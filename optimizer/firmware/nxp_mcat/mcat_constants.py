@@ -125,12 +125,12 @@ def _old_volts(known: Mapping[str, float]) -> float | None:
 
 def _old(edition: Edition, name: str, value: float) -> float:
     """As it was printed before 2021: scales coarsely, some gains rounded up."""
-    if name in _WHOLE and not edition.fixed or name == "M1_FREQ_MAX":
+    if (name in _WHOLE and not edition.fixed) or name == "M1_FREQ_MAX":
         return float(round(value))
     if name == "M1_U_MAX" or (name in _TENTHS and not edition.fixed):
         return math.floor(value * 10.0 + 0.5) / 10.0
     if edition.fixed and name.endswith(_UNROUNDED) and not name.startswith("M1_TO_"):
         return value
-    if name in _UPWARD and not edition.fixed:
+    if name in _UPWARD:
         return math.ceil(value * 1e12) / 1e12
     return old_printed(value)

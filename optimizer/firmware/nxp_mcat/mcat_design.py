@@ -9,7 +9,7 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import DriveValues, OwnValue, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked
 from dqforge.optimizer.firmware.nxp_mcat.mcat_constants import SPEED_I, SPEED_P, constants
-from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import Edition
+from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import FLOAT_2025, Edition
 from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import FRACTION_BITS, printed
 from dqforge.optimizer.firmware.nxp_mcat.mcat_rules import ROOT_3, TURN
 from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatSheet, kind_of
@@ -24,7 +24,7 @@ OVERSPEED = 1.1
 """Trip of the speed over its largest value."""
 
 
-OBSERVER_SHARE = 3.0
+OBSERVER_SHARE = 8.0
 
 """Natural frequency of the tracking observer: that of the speed loop by this factor."""
 
@@ -193,7 +193,7 @@ def _speed(asked: Asked, edition: Edition) -> Values:
         rate = math.sqrt(gains.ki * torque / drive.inertia)
         values["speedLoopF0"] = rate / TURN
         values["speedLoopKsi"] = gains.kp * torque / (2.0 * rate * drive.inertia)
-        values["speedLoopManualConstantTunning"] = float(edition.fixed)
+        values["speedLoopManualConstantTunning"] = float(edition is not FLOAT_2025)
     return values
 
 
@@ -215,7 +215,7 @@ def _speed_rate(asked: Asked) -> float:
 
 def _cutoff(asked: Asked, period: float) -> float:
     """Cut-off of the speed filter in Hz: well beyond the loop, and within its own sampling."""
-    return min(max(100.0, 10.0 * _speed_rate(asked) / TURN), 0.2 / period)
+    return min(max(100.0, 20.0 * _speed_rate(asked) / TURN), 0.2 / period)
 
 
 def _observer(asked: Asked) -> Values:

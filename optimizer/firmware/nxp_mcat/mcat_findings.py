@@ -16,7 +16,7 @@ MOST = 8
 """So many constants that do not follow from the inputs are named each by itself."""
 
 
-LOST_IN_COUNTS = 0.01
+LOST_IN_COUNTS = 0.02
 
 """Share of a gain that is named where its integer cuts off more."""
 
@@ -102,8 +102,7 @@ def conventions(sheet: McatSheet) -> tuple[str, ...]:
     share = sheet.edition.current_share
     integral = "ki T/2 (trapezoids)" if share == 0.5 else "ki T (rectangles)"
     said = [
-        f"M1_D_KI_GAIN and M1_Q_KI_GAIN are {integral} as MCAT of this age ({sheet.edition.version})"
-        f" makes them",
+        f"M1_D_KI_GAIN and M1_Q_KI_GAIN are {integral}, as MCAT {sheet.edition.version} makes them",
         "speeds and speed gains count in electrical rad/s; currents are peak of phase",
     ]
     if sheet.edition.fixed:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.configuration import Configuration
+from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
 from dqforge.optimizer.firmware.nxp_mcat.mcat_design import own_values
 from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import (
@@ -14,7 +14,7 @@ from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import (
     FLOAT_2025,
     Edition,
 )
-from dqforge.optimizer.firmware.nxp_mcat.mcat_findings import contradictions, conventions
+from dqforge.optimizer.firmware.nxp_mcat.mcat_file import McatFile
 from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import ROOT_3, McatSheet
 from dqforge.optimizer.firmware.nxp_mcat.mcat_shortfalls import shortfalls
 from dqforge.optimizer.firmware.profile import (
@@ -27,15 +27,13 @@ from dqforge.optimizer.firmware.profile import (
     SpeedEstimate,
 )
 
+_HOME = "nxp-mcuxpresso/mcux-motor_control"
+
 SOURCES = (
-    "nxp-mcuxpresso/mcux-motor_control pmsm/pmsm_float/mc_algorithms/pmsm_control.c: MCS_PMSMFocCtrl,"
-    " MCS_PMSMFocCtrlSpeed",
-    "nxp-mcuxpresso/mcux-motor_control pmsm/pmsm_frac/mc_algorithms/pmsm_control.c: the same in "
-    "fractions",
-    "nxp-mcuxpresso/mcux-motor_control pmsm/pmsm_float/mc_state_machine/m1_sm_snsless_enc.c: filters "
-    "of the speed, fast and slow loop",
-    "nxp-mcuxpresso/mcux-motor_control freemaster/pmsm_float and pmsm_frac mcat.js: rules for the "
-    "constants",
+    f"{_HOME} pmsm/pmsm_float/mc_algorithms/pmsm_control.c: current and speed control",
+    f"{_HOME} pmsm/pmsm_frac/mc_algorithms/pmsm_control.c: the same in fractions",
+    f"{_HOME} pmsm/pmsm_float/mc_state_machine/m1_sm_snsless_enc.c: filters and periods",
+    f"{_HOME} freemaster/pmsm_float and pmsm_frac, mcat.js: rules for the constants",
 )
 
 
@@ -43,7 +41,7 @@ def configure(asked: Asked) -> Configuration:
     """The configuration for a design: MCAT of 2025, in float or in fixed point.
 
     Fixed point where the gains of the current loop are asked for in integers
-    (``control.current_loop.fixed_point``).
+    (``control.current_loop.q_formats``).
 
     Raises
     ------
@@ -69,8 +67,7 @@ def configured(asked: Asked, edition: Edition) -> Configuration:
     edition:
         The age of the format, and its arithmetic.
     """
-    sheet = McatSheet(edition, own_values(asked, edition))
-    return sheet.configuration(asked.design.name, {}, conventions(sheet), contradictions(sheet))
+    return McatFile(asked.design.name, edition, own_values(asked, edition)).configuration()
 
 
 def profile(found: Configuration) -> LoopProfile:
@@ -82,7 +79,8 @@ def profile(found: Configuration) -> LoopProfile:
         It says nothing of the current controllers, or of their period.
     """
     sheet = McatSheet(EDITIONS[found.version], found.own)
-    if found.current_d is None or found.current_q is None or sheet.t_s is None:
+    axes = found.current_d, found.current_q
+    if axes[0] is None or axes[1] is None or sheet.t_s is None:
         missing = "period of the current loop" if sheet.t_s is None else "gains of both axes"
         raise InputError(
             f"the configuration of NXP has no {missing}; keep M1_D_KP_GAIN to M1_Q_KI_GAIN and the "
@@ -91,7 +89,7 @@ def profile(found: Configuration) -> LoopProfile:
     return LoopProfile(
         firmware="nxp",
         version=found.version,
-        current=_current(found, sheet, sheet.t_s),
+        current=_current(axes[0], axes[1], sheet, sheet.t_s),
         speed=_speed(found, sheet, sheet.t_s),
         observer=_observer(sheet),
         sources=SOURCES,
@@ -102,17 +100,15 @@ def _rule(share: float) -> PiRule:
     return "trapezoid" if share == 0.5 else "integral-first"
 
 
-def _current(found: Configuration, sheet: McatSheet, t_s: float) -> CurrentLoops:
+def _current(d: PiGains, q: PiGains, sheet: McatSheet, t_s: float) -> CurrentLoops:
     """The d axis limited first, q to what it leaves; integrals are held to these limits."""
-    assert found.current_d is not None
-    assert found.current_q is not None
     rule = _rule(sheet.edition.current_share)
     share = sheet.constant("M1_CLOOP_LIMIT")
     if share is not None and not sheet.edition.fixed:
         share *= ROOT_3
     return CurrentLoops(
-        d=PiController(found.current_d.kp, found.current_d.ki, t_s, rule),
-        q=PiController(found.current_q.kp, found.current_q.ki, t_s, rule),
+        d=PiController(d.kp, d.ki, t_s, rule),
+        q=PiController(q.kp, q.ki, t_s, rule),
         delay=1.0,
         order="d-first",
         voltage_share=0.9 if share is None else min(1.0, share),

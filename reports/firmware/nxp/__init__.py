@@ -1,0 +1,1 @@
+"""Configurations of NXP's MCAT: headers written, read, edited in place."""

@@ -1,0 +1,165 @@
+"""Inputs of MCAT in the comments of its headers: one JSON, or lines such as
+``//Loop bandwidth = 280 [Hz]``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from dqforge.machines.errors import InputError
+from dqforge.machines.wording import shown
+from dqforge.optimizer.firmware.nxp_mcat.mcat_names import FLAGS, INPUTS, SPELLINGS
+from dqforge.reports.firmware.json_text import JsonText, parsed_json
+from dqforge.reports.firmware.nxp.names import (
+    COMMENTED,
+    COMMENTED_LOOPS,
+    HEADING_LINE,
+    LOOP_WORDS,
+)
+from dqforge.reports.firmware.text_file import plain_number
+
+_OBJECT = re.compile(r"/\*\s*(\{.*?\})\s*\*/", re.DOTALL)
+
+_LINE = re.compile(
+    r"^[ \t]*(?://|\*)[ \t]*([A-Za-z][\w \t&-]*?)[ \t]*=[ \t]*(\S+)[ \t]*\[[^\]\n]*\][ \t]*$"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class InputLine:
+    """One input in a line comment: its key, its text, its one-based line."""
+
+    key: str
+    text: str
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class CommentObject:
+    """A JSON object that is a comment: where it stands, and what it holds."""
+
+    start: int
+    end: int
+    json: JsonText
+
+
+def objects(text: str, place: str) -> list[CommentObject]:
+    """JSON objects among the comments of a header, in their order.
+
+    Parameters
+    ----------
+    text:
+        The text of the header.
+    place:
+        Its path, for messages.
+
+    Raises
+    ------
+    InputError
+        A comment begins as one and is none; with the line.
+    """
+    return [
+        CommentObject(found.start(1), found.end(1), _alone(text, found, place))
+        for found in _OBJECT.finditer(text)
+    ]
+
+
+def _alone(text: str, found: re.Match[str], place: str) -> JsonText:
+    """The object with so many ends of lines above it that its lines are those of the file."""
+    return parsed_json("\n" * text.count("\n", 0, found.start(1)) + found[1], place)
+
+
+def motor_name(found: list[CommentObject]) -> str | None:
+    """The name of the motor in these objects."""
+    for part in found:
+        name = part.json.value("motorName")
+        if isinstance(name, str):
+            return name
+    return None
+
+
+def with_inputs(found: list[CommentObject]) -> CommentObject | None:
+    """The object that holds the inputs."""
+    for part in found:
+        if isinstance(part.json.value("parameters"), dict):
+            return part
+    return None
+
+
+def json_inputs(json: JsonText) -> Iterator[tuple[str, float | bool, str, int | None]]:
+    """Inputs that are there: key, value, text and line.
+
+    Parameters
+    ----------
+    json:
+        The object of inputs.
+
+    Raises
+    ------
+    InputError
+        An input is neither a number nor empty; with its line.
+    """
+    spelled = {key: key for keys in INPUTS.values() for key in keys} | SPELLINGS
+    for section in INPUTS:
+        held = json.value(section)
+        if held is None:
+            continue
+        if not isinstance(held, dict):
+            json.refuse((section,), "is no section of inputs; copy the comment from MCAT again")
+        for key, value in held.items():
+            if key not in spelled or value == "":
+                continue
+            number: float | bool | None
+            if key in FLAGS and isinstance(value, bool):
+                number = value
+            else:
+                number = json.number(section, key)
+            if number is not None:
+                where = json.line(section, key)
+                yield spelled[key], number, json.written(section, key), where
+
+
+def line_inputs(text: str, place: str) -> Iterator[InputLine]:
+    """Inputs of the line comments of older headers.
+
+    Parameters
+    ----------
+    text:
+        The text of the header.
+    place:
+        Its path, for messages.
+
+    Raises
+    ------
+    InputError
+        A known input is followed by something that is no number; with the line.
+    """
+    loop: tuple[str, ...] = ()
+    for number, line in enumerate(text.split("\n"), 1):
+        found = _LINE.match(line)
+        if found is None:
+            loop = _loop_below(line, loop)
+            continue
+        what = " ".join(found[1].lower().split())
+        key = COMMENTED.get(what, "")
+        if what in LOOP_WORDS and loop:
+            key = loop[LOOP_WORDS.index(what)]
+        if key:
+            if plain_number(found[2]) is None:
+                message = f"{found[1].strip()} is {shown(found[2])}, not a number; write one"
+                raise InputError(message, source=place, line=number)
+            yield InputLine(key, found[2], number)
+
+
+def _loop_below(line: str, loop: tuple[str, ...]) -> tuple[str, ...]:
+    """The inputs that the comments below a line are about."""
+    heading = HEADING_LINE.match(line)
+    if heading is None:
+        return loop
+    words = " ".join(heading[1].lower().split())
+    for start, keys in COMMENTED_LOOPS.items():
+        if words.startswith(start):
+            return keys
+    return () if words.startswith("position & speed") else loop

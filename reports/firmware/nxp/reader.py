@@ -1,0 +1,157 @@
+"""Headers of MCAT read: inputs from their comments, constants from their macros."""
+
+from __future__ import annotations
+
+import re
+from pathlib import PurePath
+
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
+from dqforge.optimizer.firmware.nxp_mcat.mcat_file import McatFile
+from dqforge.reports.firmware.c_macros import Macros, read_macros
+from dqforge.reports.firmware.nxp.comments import (
+    json_inputs,
+    line_inputs,
+    motor_name,
+    objects,
+    with_inputs,
+)
+from dqforge.reports.firmware.nxp.names import KNOWN, motor_of
+from dqforge.reports.firmware.text_file import plain_number
+
+FRACTIONS = ("FRAC16", "FRAC32", "ACC32")
+
+MOST_DIGITS = 7
+
+"""Significant digits beyond which a header is one of the older age."""
+
+
+_PI = "\n#define FLOAT_PI 3.14159265358979\n"
+
+"""What the headers of the library define for all that include them."""
+
+
+_NUMBER = re.compile(r"\d*\.\d+")
+
+_KEPT = dict.fromkeys(FRACTIONS, float)
+
+
+def recognise(name: str, text: str) -> bool:
+    """Whether a file is a header of MCAT for one motor.
+
+    Parameters
+    ----------
+    name:
+        Its name.
+    text:
+        Its text.
+    """
+    if not name.lower().endswith((".h", ".hpp", ".txt", ".c")):
+        return False
+    return motor_of(text) is not None and "_D_KP_GAIN" in text
+
+
+def read(text: str, place: str) -> Configuration:
+    """The configuration in a header of MCAT.
+
+    Parameters
+    ----------
+    text:
+        The file's text.
+    place:
+        Its path, for messages.
+
+    Raises
+    ------
+    InputError
+        It is none, or a constant or an input is no number; with the line.
+    """
+    return read_file(text, place).configuration()
+
+
+def read_file(text: str, place: str) -> McatFile:
+    """A header with the age that it is of; as `read`."""
+    prefix = motor_of(text)
+    if prefix is None:
+        raise InputError(
+            "this file holds none of MCAT's macros (M1_MOTOR_PP, M1_I_MAX, M1_D_KP_GAIN); name "
+            "the m1_pmsm_appconfig.h of the project",
+            source=place,
+        )
+    macros = read_macros(text + _PI, place, functions=_KEPT)
+    own: dict[str, OwnValue] = {}
+    origins: dict[str, Origin] = {}
+    found = objects(text, place)
+    name = motor_name(found) or PurePath(place).stem
+    inputs = with_inputs(found)
+    if inputs is not None:
+        for key, value, written, line in json_inputs(inputs.json):
+            own[key], origins[key] = value, Origin(key, written, line)
+    commented = False
+    if inputs is None:
+        for part in line_inputs(text, place):
+            own[part.key] = plain_number(part.text) or 0.0
+            origins[part.key] = Origin(part.key, part.text, part.line)
+            commented = True
+    _constants(macros, prefix, own, origins)
+    fixed = _is_fixed(macros, prefix)
+    old = commented or (inputs is None and _has_many_digits(macros, prefix))
+    return McatFile.read(name, own, _by_field(origins), fixed=fixed, commented=old)
+
+
+def _constants(
+    macros: Macros, prefix: str, own: dict[str, OwnValue], origins: dict[str, Origin]
+) -> None:
+    """Constants by the macros of the first motor; MCAT leaves some empty."""
+    for macro in macros:
+        name = f"M1_{macro.removeprefix(prefix)}" if macro.startswith(prefix) else ""
+        text = macros.text(macro) or ""
+        if name not in KNOWN or not text or text.startswith("(uint16_t)"):
+            continue
+        value = macros.number(macro)
+        if value is not None:
+            own[name] = int(value) if name.endswith(("_SHIFT", "_PP")) else value
+            origins[name] = Origin(macro, text, macros.line(macro))
+
+
+def _is_fixed(macros: Macros, prefix: str) -> bool:
+    text = macros.text(f"{prefix}D_KP_GAIN") or macros.text(f"{prefix}CLOOP_LIMIT") or ""
+    return text.lstrip("( ").startswith(FRACTIONS)
+
+
+def _has_many_digits(macros: Macros, prefix: str) -> bool:
+    """Whether gains are printed with more digits than MCAT prints since 2021."""
+    for name in ("D_KP_GAIN", "Q_KP_GAIN", "BEMF_DQ_KP_GAIN"):
+        found = _NUMBER.search(macros.text(prefix + name) or "")
+        if found is not None and len(found[0].replace(".", "").lstrip("0")) > MOST_DIGITS:
+            return True
+    return False
+
+
+def _by_field(origins: dict[str, Origin]) -> dict[str, Origin]:
+    """Origins of the fields of a drive and of its gains, beside those of the file's own names."""
+    named = {field: origins[key] for field, key in _FIELDS.items() if key in origins}
+    if "psi_pm" not in named and "parametersKe" in origins:
+        named["psi_pm"] = origins["parametersKe"]
+    return {**origins, **named}
+
+
+_FIELDS = {
+    "pole_pairs": "M1_MOTOR_PP",
+    "r_s": "parametersRs",
+    "l_d": "parametersLd",
+    "l_q": "parametersLq",
+    "psi_pm": "parametersKt",
+    "inertia": "parametersJ",
+    "i_max": "M1_SPEED_LOOP_HIGH_LIMIT",
+    "omega_m_max": "M1_N_NOM",
+    "v_dc": "parametersUphNom",
+    "t_s": "currentLoopSampleTime",
+    "t_speed": "speedLoopSampleTime",
+    "current_d.kp": "M1_D_KP_GAIN",
+    "current_d.ki": "M1_D_KI_GAIN",
+    "current_q.kp": "M1_Q_KP_GAIN",
+    "current_q.ki": "M1_Q_KI_GAIN",
+    "speed.kp": "M1_SPEED_PI_PROP_GAIN",
+    "speed.ki": "M1_SPEED_PI_INTEG_GAIN",
+}

@@ -1,0 +1,177 @@
+"""NXP's motor control as a target: what is configured, what then runs, what it cannot hold."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import nxp_published as published
+import pytest
+from nxp_designs import asked_for, design_of
+
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.firmware.configuration import Configuration, PiGains
+from dqforge.optimizer.firmware.judge import judge
+from dqforge.optimizer.firmware.nxp_mcat.mcat_constants import constants
+from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import EDITIONS, FLOAT_2022
+from dqforge.optimizer.firmware.nxp_mcat.mcat_file import McatFile
+from dqforge.optimizer.firmware.targets.nxp import NXP, configured, profile
+
+
+def _published(data: published.Published) -> Configuration:
+    own = {f"M1_{name}": float(text) for name, text in data.constants.items()}
+    return McatFile("m", EDITIONS[data.version], {**data.inputs, **own}).configuration()
+
+
+def test_gains_of_a_design_are_held_to_six_digits(tmp_path: Path) -> None:
+    asked = asked_for(design_of(tmp_path))
+    found = NXP.configure(asked)
+    assert found.version == "2025"
+    for has, wished in (
+        (found.current_d, asked.current_d),
+        (found.current_q, asked.current_q),
+        (found.speed, asked.speed),
+    ):
+        assert has is not None
+        assert wished is not None
+        assert has.kp == pytest.approx(wished.kp, rel=5e-6)
+        assert has.ki == pytest.approx(wished.ki, rel=5e-6)
+    assert found.contradictions == ()
+    assert found.drive.psi_pm == pytest.approx(asked.drive.psi_pm)
+    assert found.drive.v_dc == pytest.approx(asked.design.inverter.v_dc)
+    assert found.drive.omega_m_max == pytest.approx(asked.drive.omega_m_max, rel=5e-6)
+
+
+def test_the_inputs_in_the_comment_make_the_same_constants(tmp_path: Path) -> None:
+    found = NXP.configure(asked_for(design_of(tmp_path)))
+    inputs = {key: value for key, value in found.own.items() if not key.startswith("M1_")}
+    for name, value in constants(EDITIONS["2025"], inputs).items():
+        assert found.own[name] == pytest.approx(value, rel=2e-6), name
+
+
+def test_two_inductances_keep_their_gains_and_the_inputs_say_so(tmp_path: Path) -> None:
+    asked = asked_for(design_of(tmp_path, inductance_q="260 uH"))
+    found = NXP.configure(asked)
+    assert found.current_d is not None
+    assert found.current_d.ki == pytest.approx(asked.current_d.ki, rel=5e-6)
+    assert any("M1_D_KI_GAIN" in words for words in found.contradictions)
+    held = [fall for fall in NXP.shortfalls(asked, found) if "one F0 and ksi" in fall.words]
+    assert len(held) == 1
+    assert {price.of for price in held[0].prices} >= {"M1_D_KI_GAIN"}
+
+
+def test_no_d_current_has_its_price_in_torque(tmp_path: Path) -> None:
+    asked = asked_for(design_of(tmp_path, inductance_q="400 uH"))
+    falls = NXP.shortfalls(asked, NXP.configure(asked))
+    price = {price.of: price.value for fall in falls for price in fall.prices}
+    assert price["torque"] > 0.005
+    assert price["copper loss"] > price["torque"]
+
+
+def test_the_scale_of_the_currents_is_that_of_their_measurement(tmp_path: Path) -> None:
+    sensing = "  current_sensing: {shunt: 1 mOhm, gain: 20, reference: 3.3 V}\n"
+    found = NXP.configure(asked_for(design_of(tmp_path, inverter=sensing)))
+    assert found.own["M1_I_MAX"] == pytest.approx(82.5)
+    narrow = "  current_sensing: {shunt: 5 mOhm, gain: 20, reference: 3.3 V}\n"
+    with pytest.raises(InputError, match="current_sensing: a full scale of 16.5 A"):
+        NXP.configure(asked_for(design_of(tmp_path, inverter=narrow)))
+
+
+def test_fixed_point_counts_gains_in_its_integers(tmp_path: Path) -> None:
+    asked = asked_for(design_of(tmp_path, loop="q_formats: auto"))
+    found = NXP.configure(asked)
+    assert found.version == "2022 fixed point"
+    assert found.current_q is not None
+    amperes, volts = found.own["M1_I_MAX"], found.own["M1_U_DCB_MAX"]
+    assert isinstance(amperes, float)
+    assert isinstance(volts, float)
+    steps = found.current_q.kp * amperes / (volts / math.sqrt(3.0)) * 32768.0
+    assert steps == pytest.approx(round(steps), abs=1e-6)
+    assert found.current_q.kp == pytest.approx(asked.current_q.kp, rel=1e-3)
+    runs = profile(found)
+    assert runs.current.q.rule == "trapezoid"
+    assert runs.current.voltage_share == pytest.approx(0.9, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"psi_pm": 0.0}, "machine.psi_pm"),
+        ({"omega_m_max": None}, "machine.max_speed"),
+        ({"l_d": None}, "machine.inductance_d"),
+        ({"r_s": None}, "machine.resistance"),
+    ],
+)
+def test_what_is_missing_is_named_by_its_key(
+    tmp_path: Path, changed: dict[str, float | None], words: str
+) -> None:
+    asked = asked_for(design_of(tmp_path))
+    without = replace(asked, drive=replace(asked.drive, **changed))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=words):
+        NXP.configure(without)
+
+
+def test_a_design_without_speed_loop_leaves_its_gains_at_zero(tmp_path: Path) -> None:
+    found = NXP.configure(replace(asked_for(design_of(tmp_path)), speed=None))
+    assert found.own["M1_SPEED_PI_PROP_GAIN"] == 0.0
+    assert profile(found).speed is None
+
+
+def test_the_loops_of_a_file_of_2025() -> None:
+    runs = profile(_published(published.FLOAT_2025))
+    rate = 2.0 * math.pi * 360.0
+    assert runs.current.d.rule == "trapezoid"
+    assert runs.current.order == "d-first"
+    assert runs.current.delay == 1.0
+    assert runs.current.voltage_share == pytest.approx(0.9, rel=1e-5)
+    assert runs.current.d.ki == pytest.approx(rate * rate * 0.000375, rel=1e-5)
+    assert runs.speed is not None
+    assert runs.speed.feedback.whole
+    assert runs.speed.feedback.kp == pytest.approx(4.0 * math.pi * 80.0, rel=1e-5)
+    assert runs.speed.feedback.ki == pytest.approx((2.0 * math.pi * 80.0) ** 2, rel=1e-5)
+    assert runs.speed.feedback.filter_time == pytest.approx(1.0 / (2 * math.pi * 400), rel=1e-4)
+    assert runs.speed.pi.filter_time == pytest.approx(1.0 / (2 * math.pi * 100), rel=1e-4)
+    assert runs.speed.ramp == pytest.approx(10_000 * 2 * math.pi / 60, rel=1e-5)
+    assert runs.observer is not None
+    assert runs.observer.rate == pytest.approx(2.0 * math.pi * 600.0, rel=0.02)
+
+
+def test_the_same_filter_runs_slower_in_the_older_age() -> None:
+    runs = profile(_published(published.FLOAT_2022))
+    assert runs.current.q.rule == "integral-first"
+    assert runs.speed is not None
+    assert runs.speed.pi.filter_time == pytest.approx(1.0 / (2 * math.pi * 6.25), rel=1e-4)
+
+
+def test_published_current_loops_have_the_margins_of_their_poles() -> None:
+    for data in (published.FLOAT_2025, published.FLOAT_2022, published.FIXED_2022):
+        found = _published(data)
+        judged = judge(profile(found), found.drive)
+        assert judged.current_d is not None
+        assert judged.current_d.stable
+        assert math.radians(45.0) < judged.current_d.phase_margin < math.radians(85.0)
+
+
+def test_the_tracking_observer_that_is_asked_for_is_held(tmp_path: Path) -> None:
+    asked = replace(asked_for(design_of(tmp_path)), pll=PiGains(800.0, 160_000.0))
+    runs = profile(NXP.configure(asked))
+    assert runs.speed is not None
+    assert runs.speed.feedback.kp == pytest.approx(800.0, rel=1e-5)
+    assert runs.speed.feedback.ki == pytest.approx(160_000.0, rel=1e-5)
+
+
+def test_an_older_age_is_configured_with_the_same_loops(tmp_path: Path) -> None:
+    asked = asked_for(design_of(tmp_path))
+    new, old = NXP.configure(asked), configured(asked, FLOAT_2022)
+    assert old.version == "2022"
+    assert new.current_q is not None
+    assert old.current_q is not None
+    assert old.current_q.ki == pytest.approx(new.current_q.ki, rel=1e-5)
+    assert old.own["M1_D_KI_GAIN"] == pytest.approx(2.0 * float(new.own["M1_D_KI_GAIN"]), rel=1e-5)
+
+
+def test_a_file_without_gains_is_refused_with_what_it_lacks() -> None:
+    found = replace(_published(published.FLOAT_2025), current_d=None)
+    with pytest.raises(InputError, match="gains of both axes"):
+        profile(found)
