@@ -17,14 +17,13 @@ METHODS: dict[Firmware, FirmwareMethod] = {
     method.name: method
     for method in (
         # A line per firmware.
-        INFINEON,
-        TI,
         VESC,
         SIMPLEFOC,
         MOTEUS,
         ODRIVE,
         NXP,
-        VESC,
         ST,
+        TI,
+        INFINEON,
     )
 }

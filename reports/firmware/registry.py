@@ -17,14 +17,13 @@ TARGETS: dict[Firmware, Target] = {
     target.method.name: target
     for target in (
         # A line per firmware.
-        INFINEON,
-        TI,
         VESC,
         SIMPLEFOC,
         MOTEUS,
         ODRIVE,
         NXP,
-        VESC,
         ST,
+        TI,
+        INFINEON,
     )
 }
