@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO_DESIGN ?= paper000-ipmsm-100kw
 
-.PHONY: demo test campaign coverage check lint types contracts format figures wheel lock clean
+.PHONY: demo test importers campaign coverage check lint types contracts format figures wheel lock clean
 
 demo: $(VENV)/runtime.stamp
 	@mkdir -p out
@@ -15,6 +15,10 @@ demo: $(VENV)/runtime.stamp
 # One thread per worker: the matrices are small, and threads of the linear algebra get in each other's way.
 test: $(VENV)/dev.stamp
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "not slow and not benchmark"
+
+# Importers of other firmware, which the tests of its files try them with where they are installed. Without
+# dependencies: those that they need stand in the lock.
+importers: $(VENV)/importers.stamp
 
 # Long sweeps, searches over many machines, benchmarks: what CI runs besides.
 campaign: $(VENV)/dev.stamp
@@ -56,6 +60,8 @@ lock:
 	    pyproject.toml --extra build -o requirements.lock
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q \
 	    pyproject.toml --extra build --extra test --extra dev -o requirements-dev.lock
+	uv pip compile --no-deps --generate-hashes --no-header --no-annotate -q \
+	    requirements-importers.in -o requirements-importers.lock
 
 clean:
 	rm -rf $(VENV) build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
@@ -80,4 +86,8 @@ $(VENV)/runtime.stamp: requirements.lock pyproject.toml | $(BIN)/pip
 
 $(VENV)/dev.stamp: requirements-dev.lock $(VENV)/runtime.stamp
 	$(BIN)/pip install -q --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	@touch $@
+
+$(VENV)/importers.stamp: requirements-importers.lock $(VENV)/dev.stamp
+	$(BIN)/pip install -q --disable-pip-version-check --no-deps --no-build-isolation --require-hashes -r requirements-importers.lock
 	@touch $@

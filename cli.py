@@ -53,9 +53,16 @@ def _root(context: typer.Context, _version: Annotated[bool, _Version] = False) -
 
 
 @app.command()
-def new(folder: given.Folder, machine: given.Template = None, json: given.Json = False) -> None:
-    """Write a commented design file to start from."""
-    respond("new", lambda: answers.library.answer_new(folder, machine), json, out=folder)
+def new(
+    folder: given.Folder,
+    machine: given.Template = None,
+    source: given.Source = None,
+    sets: given.SetOfNew = None,
+    json: given.Json = False,
+) -> None:
+    """Write a commented design file to start from, or one of another firmware's configuration."""
+    ask = partial(answers.library.answer_new, folder, machine, source, sets)
+    respond("new", ask, json, out=folder)
 
 
 @app.command()
@@ -80,14 +87,25 @@ def run(
 @app.command()
 def export(
     design: given.Design,
-    out: given.Out = _OUT,
+    out: given.OutOfExport = None,
     no_verify: given.NoVerify = False,
     sets: given.Set = None,
     json: given.Json = False,
+    firmware: given.For = None,
+    into: given.Into = None,
 ) -> None:
-    """Write the header and its test vectors, and verify them."""
-    ask = partial(answers.run.answer_export, verify=not no_verify)
-    respond("export", lambda: ask(load(design, sets)), json, out=out)
+    """Write the header and its test vectors, and verify them; or files of other firmware."""
+    place = out or (_OUT if into is None else into.parent)
+    ask = partial(answers.run.answer_export, verify=not no_verify, firmware=firmware, into=into)
+    respond("export", lambda: ask(load(design, sets)), json, out=place)
+
+
+@app.command()
+def explain(
+    files: given.Explained, machine: given.OnMachine = None, json: given.Json = False
+) -> None:
+    """Say what a configuration of other firmware amounts to in its loops, in engineering units."""
+    respond("explain", lambda: answers.explain.answer_explain(files, machine), json)
 
 
 @app.command()

@@ -12,6 +12,7 @@ import figures_box_proofs
 import figures_certificates
 import figures_current_feedback
 import figures_estimators
+import figures_firmware_loops
 import figures_fixed_control
 import figures_fixed_point
 import figures_fixed_reference
@@ -49,6 +50,7 @@ def main() -> None:
     figures_fixed_point.sixteen_bits(folder / "fixed-point.svg")
     figures_fixed_control.integers_of_a_loop(folder / "fixed-control.svg")
     figures_fixed_reference.reference_in_integers(folder / "fixed-reference.svg")
+    figures_firmware_loops.firmware_loops(folder / "firmware-loops.svg")
     figures_flux_maps.flux_map(folder / "flux-map.svg")
     figures_gains.current_loop_step(folder / "current-loop-step.svg")
     figures_gains.gain_schedule(folder / "gain-schedule.svg")

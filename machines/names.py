@@ -79,12 +79,30 @@ Core = Literal["cortex-m0plus", "cortex-m3", "cortex-m4", "cortex-m7", "cortex-m
 BreakpointMode = Literal["shared", "own"]
 
 
+VendorMethod = Literal["nxp-mcat", "st-mcsdk", "vesc", "ti", "infineon", "moteus"]
+
+"""Rules of vendors' own tools for the gains of current loops."""
+
+
+VendorSpeedMethod = Literal["nxp-mcat", "ti", "infineon"]
+
+"""The same for the speed loop; the others have none."""
+
+
 CurrentLoopMethod = Literal[
-    "bandwidth", "damping", "magnitude-optimum", "symmetrical-optimum", "optimised", "given"
+    "bandwidth",
+    "damping",
+    "magnitude-optimum",
+    "symmetrical-optimum",
+    "optimised",
+    "given",
+    VendorMethod,
 ]
 
 
-SpeedLoopMethod = Literal["bandwidth", "damping", "symmetrical-optimum", "optimised", "given"]
+SpeedLoopMethod = Literal[
+    "bandwidth", "damping", "symmetrical-optimum", "optimised", "given", VendorSpeedMethod
+]
 
 
 ObserverMethodName = Literal[

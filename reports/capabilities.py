@@ -12,6 +12,7 @@ from dqforge.reports.current_reference.capability import (
 )
 from dqforge.reports.dynamic_references.capability import DYNAMIC_REFERENCES
 from dqforge.reports.field_weakening.capability import WEAKENING
+from dqforge.reports.firmware_files.capability import FIRMWARE
 from dqforge.reports.fixed_observers.capability import FIXED_OBSERVER
 from dqforge.reports.fixed_reference.capability import FIXED_REFERENCE
 from dqforge.reports.frame_tables.capability import FRAME_TABLES
@@ -49,6 +50,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     POSITION_OBSERVER,
     FIXED_OBSERVER,
     SPEED_OBSERVER,
+    FIRMWARE,
     FORMATS_NOT_SIMULATED,
     SIMULATION,
 )

@@ -146,6 +146,9 @@ class Capability(Generic[R]):
         Kinds of headers that it emits.
     files:
         Files that a run writes beside headers, result and report.
+    emitted:
+        Files that a run and an export write beside the headers, and that verification computes
+        again.
     quantities:
         What ``compare`` sets side by side.
     """
@@ -164,6 +167,7 @@ class Capability(Generic[R]):
     headers: tuple[HeaderKind[R, Any], ...] = ()
     files: Callable[[Solution, R], dict[str, bytes]] = _no_files
     quantities: tuple[Quantity, ...] = ()
+    emitted: Callable[[Solution, R], dict[str, bytes]] = _no_files
 
 
 Capabilities = Sequence[Capability[Any]]

@@ -11,6 +11,8 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Outcome, asked_for
+from dqforge.reports.firmware.design_simulation import simulate_with_firmware
+from dqforge.reports.firmware_files.settled import require_settling
 from dqforge.reports.main_header.dialect import Dialect
 from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 from dqforge.reports.main_header.header import header_files
@@ -19,7 +21,6 @@ from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.report import render_report
 from dqforge.reports.result import plain_outcome, plain_solution
-from dqforge.reports.simulation.design_run import simulate_design
 from dqforge.reports.verification.host import Verification, verify_files
 from dqforge.reports.written_headers import programmes
 
@@ -41,12 +42,15 @@ class RunOutput:
 def emitted_files(
     solution: Solution, capabilities: Capabilities = CAPABILITIES, dialect: Dialect = NEUTRAL
 ) -> dict[str, bytes]:
-    """Names and bytes of all headers of a solution; arguments as of `export_design`."""
+    """Names and bytes of all headers of a solution, and of what is emitted beside them; arguments
+    as of `export_design`.
+    """
     files = header_files(solution, dialect)
     for capability, found in asked_for(capabilities, Outcome(solution)):
         for kind in capability.headers:
             if kind.plain(solution, found) is not None:
                 files |= kind.files(solution, found)
+        files |= capability.emitted(solution, found)
     return files
 
 
@@ -54,6 +58,9 @@ def _verified(
     solution: Solution, files: dict[str, bytes], plain: PlainData, capabilities: Capabilities
 ) -> Verification:
     """The headers against what the result says of them: what a later `dqforge verify` will read."""
+    for fit in solution.firmware:
+        stage(f"running the loops of {fit.name}")
+        require_settling(solution.design, fit)
     stage("compiling and comparing")
     export = solution.design.export
     _, further = programmes(plain, capabilities)
@@ -119,7 +126,7 @@ def run_design(
     simulation = None
     if verify and design.simulation is not None:
         stage("simulating")
-        simulation = simulate_design(design, solution=output.solution, progress=shares())
+        simulation = simulate_with_firmware(design, solution=output.solution, progress=shares())
     outcome = Outcome(output.solution, output.verification is not None, simulation)
     if simulation is not None:
         plain = output.plain | plain_outcome(outcome, capabilities)

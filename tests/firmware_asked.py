@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-
 from drives import make_design
+
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.optimizer.firmware.asked import drive_values

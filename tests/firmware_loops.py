@@ -40,10 +40,12 @@ def current_pi(t_s: float, bandwidth: float, **changes: object) -> PiController:
     return replace(PiController(bandwidth * 1e-4, bandwidth * 0.05, t_s), **changes)
 
 
-def speed_pi(t_s: float, crossover: float, **changes: object) -> PiController:
-    """A speed controller that crosses over at ``crossover`` rad/s, its zero 16 times lower."""
+def speed_pi(t_s: float, crossover: float, spread: float = 16.0, **changes: object) -> PiController:
+    """A speed controller that crosses over at ``crossover`` rad/s, its zero ``spread`` times
+    lower.
+    """
     kp = crossover * 1e-3 / CONSTANT
-    return replace(PiController(kp, kp * crossover / 16.0, t_s), **changes)
+    return replace(PiController(kp, kp * crossover / spread, t_s), **changes)
 
 
 FAST = 2.0 * math.pi * 1000.0

@@ -14,6 +14,7 @@ from dqforge.optimizer.control_design.loop_proofs import LoopProofs, prove_loops
 from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
 from dqforge.optimizer.control_design.turning_proof import turning_proof
 from dqforge.optimizer.dynamic_references.solve import DynamicReferences, dynamic_references
+from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops, firmware_loops
 from dqforge.optimizer.loops.gains import tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loops.inductances import inductance_range
 from dqforge.optimizer.loops.integer_gains import PerUnitGains, per_unit_gains
@@ -29,6 +30,7 @@ from dqforge.optimizer.loops.robustness import (
 )
 from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule, schedule_gains
 from dqforge.optimizer.loops.tolerance_box import Axis, drive_box
+from dqforge.optimizer.loops.vendor_methods import vendor_inductance
 from dqforge.optimizer.observers.reduced_order import (
     ReducedOrderObserver,
     SpeedErrorSlopes,
@@ -37,6 +39,8 @@ from dqforge.optimizer.observers.reduced_order import (
 from dqforge.optimizer.observers.solve import solve_observer
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.optimizer.phase_control.design import PhaseLoops, judged, phase_control
+
+AXES: tuple[Axis, Axis] = ("i_d", "i_q")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +56,8 @@ class GainSet:
     it asks for none. ``phases`` is the current control of a machine whose back-EMF is not
     sinusoidal, None for all others. ``references`` are slopes of the references and voltage
     feedback, None where the design asks for none.
-    ``proofs`` are those of single loops.
+    ``proofs`` are those of single loops. ``firmware`` is what `control.firmware` makes of the
+    loops, None where the design names none.
     """
 
     i_d: LoopGains
@@ -67,6 +72,7 @@ class GainSet:
     phases: PhaseLoops | None = None
     proofs: LoopProofs = field(default_factory=LoopProofs)
     references: DynamicReferences | None = None
+    firmware: FirmwareLoops | None = None
 
     @property
     def loops(self) -> tuple[LoopGains, ...]:
@@ -103,12 +109,18 @@ def solve_gains(design: Design) -> GainSet:
         points = box.speed_points()
         return box.speed_loop_plants(points, (i_q.kp, i_q.ki)).some(np.arange(points.corners))
 
-    l_d, l_q = nominal
-    i_d = tune_current_loop(
-        machine.r_s, l_d, control.t_s, control.current_loop, "i_d", axis_corners("i_d")
-    )
-    i_q = tune_current_loop(
-        machine.r_s, l_q, control.t_s, control.current_loop, "i_q", axis_corners("i_q")
+    settings = control.current_loop
+    i_d, i_q = (
+        tune_current_loop(
+            machine.r_s,
+            nominal[place],
+            control.t_s,
+            settings,
+            axis,
+            axis_corners(axis),
+            vendor_inductance(settings.method, nominal, place),
+        )
+        for place, axis in enumerate(AXES)
     )
     speed = (
         tune_speed_loop(machine, i_q, control, speed_corners())
@@ -141,6 +153,7 @@ def solve_gains(design: Design) -> GainSet:
         None if observer is None else speed_error_slopes(machine, observer, control.bases.speed)
     )
     references = dynamic_references(design, box, (i_d, i_q), speed)
+    firmware = firmware_loops(design, box, (i_d, i_q, speed))
     return GainSet(
         i_d,
         i_q,
@@ -154,6 +167,7 @@ def solve_gains(design: Design) -> GainSet:
         phases,
         proofs,
         references,
+        firmware,
     )
 
 

@@ -6,6 +6,7 @@ forward, as exactly cancelled. The speed loop runs at no d current.
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass
 
@@ -31,9 +32,13 @@ from dqforge.optimizer.sampled_systems import (
     loop_margins,
 )
 
-_FAR = 5.0
-"""How many times faster than the crossover what lies in the feedback must be to go unnoticed: a
-pole there takes atan(1/5) = 11 deg of the phase margin."""
+_DEAR, _DEAR_AT_BEST = math.radians(10.0), math.radians(30.0)
+"""Phase that a phase-locked loop may cost at the crossover without being remarked upon: where other
+gains would make it faster for nothing, and where its poles are as they should be."""
+
+
+_APART = 0.5
+"""Share of kp^2/4 below which ki leaves one of its poles far behind the other."""
 
 
 _BANDWIDTH_POINTS = 1200
@@ -270,14 +275,24 @@ def _of_pll(
         return ()
     feedback, slow = profile.speed.feedback, abs(poles[0])
     crossover = math.nan if speed is None else speed.crossover
-    if not (math.isfinite(crossover) and slow < _FAR * crossover):
+    cost = -cmath.phase(
+        complex(feedback.ki, feedback.kp * crossover if feedback.whole else 0.0)
+        / complex(feedback.ki - crossover**2, feedback.kp * crossover)
+    )
+    double = 0.25 * feedback.kp**2
+    apart = feedback.ki < _APART * double
+    if not (math.isfinite(crossover) and cost > (_DEAR if apart else _DEAR_AT_BEST)):
         return ()
-    relation = "below" if slow < crossover else "not far above"
+    relation = "below" if slow < crossover else "close to"
+    remedy = (
+        f"ki = kp^2/4 = {double:.6g} puts both poles at {0.5 * feedback.kp:.6g} rad/s"
+        if apart
+        else "a larger kp, with ki = kp^2/4, makes it faster"
+    )
     words = (
         f"the PLL of {profile.firmware} (kp {feedback.kp:.6g}, ki {feedback.ki:.6g}) has a pole at "
-        f"{slow:.3g} rad/s, {relation} the speed loop's crossover of {_rate(crossover)}: the speed "
-        f"that it controls lags; ki = kp^2/4 = {0.25 * feedback.kp**2:.6g} puts both poles at "
-        f"{0.5 * feedback.kp:.6g} rad/s"
+        f"{float(f'{slow:.3g}'):g} rad/s, {relation} the speed loop's crossover of "
+        f"{_rate(crossover)}, where it costs {math.degrees(cost):.0f} deg of the phase; {remedy}"
     )
     return (words,)
 

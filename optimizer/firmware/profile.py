@@ -132,8 +132,8 @@ class LoopProfile:
     ``reference`` says where the currents for a torque come from: no d current, the closed form of
     linear machines, or a table of the firmware. ``sources`` name where the structure is taken from.
     ``table`` holds the points of that table, (command, i_d, i_q) in A, commands ascending from 0:
-    joined by lines, held behind the last; for negative commands i_q changes its sign. The command is
-    the torque over 1.5 p psi_pm, or what the speed controller puts out.
+    joined by lines, held behind the last; for negative commands i_q changes its sign. The command
+    is the torque over 1.5 p psi_pm, or what the speed controller puts out.
     """
 
     firmware: Firmware

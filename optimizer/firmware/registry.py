@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
+from dqforge.optimizer.firmware.targets.infineon import INFINEON
+from dqforge.optimizer.firmware.targets.moteus import MOTEUS
 from dqforge.optimizer.firmware.targets.nxp import NXP
+from dqforge.optimizer.firmware.targets.odrive import ODRIVE
+from dqforge.optimizer.firmware.targets.simplefoc import SIMPLEFOC
+from dqforge.optimizer.firmware.targets.ti import TI
 from dqforge.optimizer.firmware.targets.vesc import VESC
 
 METHODS: dict[Firmware, FirmwareMethod] = {
@@ -12,6 +17,11 @@ METHODS: dict[Firmware, FirmwareMethod] = {
     for method in (
         # A line per firmware.
         NXP,
+        INFINEON,
+        TI,
         VESC,
+        SIMPLEFOC,
+        MOTEUS,
+        ODRIVE,
     )
 }

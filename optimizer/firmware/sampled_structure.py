@@ -10,7 +10,8 @@ sample. A first-order filter of the time constant T_f, sampled every T, runs as
 
     y[k] = y[k-1] + T/(T + T_f) (x[k] - y[k-1])          (backward Euler)
 
-and the phase-locked loop as e = theta - theta', omega' += ki T e, theta' += (omega' + kp e) T.
+and the phase-locked loop as e = theta - theta', omega' += ki T e, theta' += (omega' + kp e) T. A
+speed goes through its filter first and then through its average.
 
 References
 ----------
@@ -68,7 +69,18 @@ def equivalent_gains(pi: PiController) -> tuple[float, float]:
     pi:
         The controller; ki is per second.
     """
-    return pi.kp - (1.0 - _SHARE[pi.rule]) * pi.ki * pi.t_s, pi.ki
+    return pi.kp - added_gain(pi), pi.ki
+
+
+def added_gain(pi: PiController) -> float:
+    """What the proportional gain is above that of the backward-Euler PI with the same outputs.
+
+    Parameters
+    ----------
+    pi:
+        The controller; ki is per second.
+    """
+    return (1.0 - _SHARE[pi.rule]) * pi.ki * pi.t_s
 
 
 def filter_share(filter_time: float, t_s: float) -> float:
@@ -155,43 +167,78 @@ def estimate_ratio(speed: SpeedController, t_s: float) -> int:
     return min((n for n in range(1, most + 1) if most % n == 0), key=lambda n: abs(n - wanted))
 
 
-@dataclass(frozen=True, slots=True)
-class _Estimator:
-    """Linear map of (drive states, own states) at a step of the estimate; ``row`` reads the speed
-    after it.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Estimate:
+    """A step of the speed estimate on m states: the drive's, and its own behind them.
+
+    ``step`` (m, m) maps the states before it to those after, ``value`` (m,) reads the speed from
+    the states before it, ``place`` is the state that holds it afterwards (-1: none yet).
     """
 
-    states: int
     step: FloatArray
-    row: FloatArray
+    value: FloatArray
+    place: int = -1
+
+    def with_state(self, row: FloatArray, place: int = -1) -> _Estimate:
+        """One more state, whose new value is ``row`` times all states, itself included."""
+        m = len(self.step)
+        step = np.zeros((m + 1, m + 1))
+        step[:m, :m], step[m] = self.step, row
+        return _Estimate(step, np.append(self.value, 0.0), place)
+
+    def filtered(self, share: float) -> _Estimate:
+        """Behind a first-order filter that takes a share of each new value."""
+        if share >= 1.0:
+            return self
+        row = np.append(share * self.value, 1.0 - share)
+        return replace(self.with_state(row, len(self.step)), value=row)
+
+    def averaged(self, count: int) -> _Estimate:
+        """The mean of the last ``count`` values."""
+        found, total, last = self, self.value, self.value
+        for _ in range(count - 1):
+            found = found.with_state(np.append(last, 0.0))
+            last = np.zeros(len(found.step))
+            last[-1] = 1.0
+            total = np.append(total, 0.0) + last
+        return found if count <= 1 else _Estimate(found.step, total / count)
+
+    def held(self) -> _Estimate:
+        """With the speed as a state."""
+        if self.place >= 0:
+            return self
+        return self.with_state(np.append(self.value, 0.0), len(self.step))
 
 
-def _estimator(feedback: SpeedEstimate, n: int, speed: int, angle: int, t_e: float) -> _Estimator:
-    """The estimate behind ``n`` drive states, whose speed (rad/s) and angle since the last step
-    (rad, mechanical) lie at the places named.
+def _estimate(feedback: SpeedEstimate, n: int, speed: int, angle: int, t_e: float) -> _Estimate:
+    """The estimate behind ``n`` drive states, whose speed (rad/s) and angle (rad, mechanical) lie
+    at the places named.
+
+    The angle counts from the estimated one of a phase-locked loop, else from the last step.
     """
-    own = {"ideal": 0, "pll": 1, "low-pass": 1, "difference": max(feedback.samples, 1)}
-    count = own[feedback.kind]
-    step, row = np.eye(n + count), np.zeros((1, n + count))
-    if feedback.kind == "ideal":
-        row[0, speed] = 1.0
-        return _Estimator(count, step, row)
-    row[0, n] = 1.0
-    if feedback.kind == "pll":  # the angle is that between the rotor and the estimate
-        step[n, angle] = feedback.ki * t_e
+    made = _Estimate(np.eye(n), np.eye(n)[speed], speed)
+    if feedback.kind == "pll":
+        made = _tracked(feedback, n, angle, t_e)
+    elif feedback.kind != "ideal":
+        step = np.eye(n)
         step[angle] = 0.0
-        step[angle, angle] = 1.0 - (feedback.kp + feedback.ki * t_e) * t_e
-        step[angle, n] = -t_e
-        return _Estimator(count, step, row)
-    step[angle, angle] = 0.0
-    if feedback.kind == "low-pass":
-        share = filter_share(feedback.filter_time, t_e)
-        step[n, n], step[n, angle] = 1.0 - share, share / t_e
-        return _Estimator(count, step, row)
-    step[n:, n:] = np.eye(count, k=-1)
-    step[n, angle] = 1.0
-    row[0, n:] = 1.0 / (count * t_e)
-    return _Estimator(count, step, row)
+        made = _Estimate(step, np.eye(n)[angle] / t_e)
+    if feedback.kind in ("pll", "low-pass"):
+        made = made.filtered(filter_share(feedback.filter_time, t_e))
+    if feedback.kind == "difference":
+        made = made.averaged(feedback.samples)
+    return made.averaged(feedback.averaged).held()
+
+
+def _tracked(feedback: SpeedEstimate, n: int, angle: int, t_e: float) -> _Estimate:
+    """The phase-locked loop: its speed is the state behind those of the drive."""
+    unit = np.eye(n + 1)
+    omega = unit[n] + feedback.ki * t_e * unit[angle]
+    made = _Estimate(np.eye(n), np.zeros(n)).with_state(omega, n)
+    made.step[angle] = unit[angle] - t_e * (omega + feedback.kp * unit[angle])
+    if feedback.whole:
+        return _Estimate(made.step, omega + feedback.kp * unit[angle])
+    return replace(made, value=omega)
 
 
 def _turning(winding: Winding, mechanics: Mechanics) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -229,47 +276,24 @@ def speed_plant(
     drive = close_pi(plant, *equivalent_gains(current.q)).closed
     every = estimate_ratio(speed, t_c)
     # The controller's integral comes first: speed and angle are the third and the fourth state.
-    n, t_e = len(drive.a), every * t_c
-    estimator = _estimator(speed.feedback, n, 2, 3, t_e)
-    size = n + estimator.states
-    wide = SampledSystem(
-        a=np.block(
-            [
-                [drive.a, np.zeros((n, estimator.states))],
-                [np.zeros((estimator.states, n)), np.eye(estimator.states)],
-            ]
-        ),
-        b=np.vstack([drive.b, np.zeros((estimator.states, 2))]),
-        c=estimator.row,
-        d=np.zeros((1, 2)),
-        t_s=t_c,
-    )
+    n = len(drive.a)
+    estimate = _estimate(speed.feedback, n, 2, 3, every * t_c)
+    size = len(estimate.step)
+    a, b = np.eye(size), np.zeros((size, 2))
+    a[:n, :n], b[:n] = drive.a, drive.b
+    wide = SampledSystem(a, b, _first_row(size, estimate.place), np.zeros((1, 2)), t_c)
     steps = lift(wide, every)
-    stepped = replace(steps, a=estimator.step @ steps.a, b=estimator.step @ steps.b)
+    stepped = replace(steps, a=estimate.step @ steps.a, b=estimate.step @ steps.b)
     whole = lift(stepped, whole_ratio(speed.pi.t_s, t_c) // every)
     if speed.feedback.kind == "ideal":
         whole = _without(whole, 3)  # nothing sees the angle
-        size -= 1
-    return _filtered(_output_first(whole, size), speed.pi.filter_time)
+    return _filtered(whole, speed.pi.filter_time)
 
 
 def _without(system: SampledSystem, place: int) -> SampledSystem:
     """The system without a state that nothing else depends on."""
     kept = np.delete(np.arange(len(system.a)), place)
     return replace(system, a=system.a[np.ix_(kept, kept)], b=system.b[kept], c=system.c[:, kept])
-
-
-def _output_first(system: SampledSystem, size: int) -> SampledSystem:
-    """The same system with its output as a state of its own, in place of one of those it is made
-    of.
-    """
-    place = int(np.argmax(np.abs(system.c[0])))
-    change = np.eye(size)
-    change[place] = system.c[0]
-    back = np.linalg.inv(change)
-    return replace(
-        system, a=change @ system.a @ back, b=change @ system.b, c=_first_row(size, place)
-    )
 
 
 def speed_loop(

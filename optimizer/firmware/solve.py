@@ -15,6 +15,7 @@ from dqforge.machines.places import about
 from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.asked import asked
 from dqforge.optimizer.firmware.configuration import Configuration
+from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
 from dqforge.optimizer.firmware.judge import JudgedFirmware, judge
 from dqforge.optimizer.firmware.profile import LoopProfile
@@ -38,6 +39,10 @@ class Gains(Protocol):
     @property
     def speed(self) -> LoopGains | None:
         """Of the speed, None without such a controller."""
+
+    @property
+    def firmware(self) -> FirmwareLoops | None:
+        """What was chosen within the structure of ``control.firmware``, None without that key."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,6 +132,11 @@ def _fit(design: Design, gains: Gains | None, method: FirmwareMethod) -> Firmwar
         raise InputError(
             f"export.firmware: {method.name} needs gains, and the design has none; write control: "
             "with a current_loop that holds, and gains: true"
+        )
+    chosen = gains.firmware
+    if chosen is not None and chosen.name == method.name:
+        return FirmwareFit(
+            chosen.asked, chosen.configuration, chosen.profile, chosen.judged, chosen.shortfalls
         )
     wanted = asked(design, gains.i_d, gains.i_q, gains.speed)
     configuration = method.configure(wanted)

@@ -45,7 +45,7 @@ def speed_delay(current_gains: LoopGains, t_s: float, settings: SpeedLoopSetting
     measurement filter.
 
     The current loop counts as 1/crossover, the time constant of the first-order
-    system with its crossover.
+    system with its crossover. TI's rule knows it alone, by the bandwidth kp/L that it is meant for.
 
     Parameters
     ----------
@@ -56,6 +56,8 @@ def speed_delay(current_gains: LoopGains, t_s: float, settings: SpeedLoopSetting
     settings:
         Ratio of the sampling rates and time constant of the filter in s.
     """
+    if settings.method == "ti" and current_gains.inductance is not None:
+        return current_gains.inductance / current_gains.kp
     return 1.0 / current_gains.crossover + 0.5 * settings.ratio * t_s + settings.filter_time
 
 
@@ -66,6 +68,7 @@ def tune_current_loop(
     settings: CurrentLoopSettings,
     loop: LoopName = "i_q",
     plants: PlantBatch | None = None,
+    rule_inductance: float | None = None,
 ) -> LoopGains:
     """PI gains of one current loop by the method of the settings, checked on the sampled loop.
 
@@ -82,6 +85,8 @@ def tune_current_loop(
     plants:
         For the method ``optimised`` the plants whose M_s is bounded, such as the corners of a
         tolerance box; None for the winding alone.
+    rule_inductance:
+        Inductance in H that the rule of a vendor takes for this axis; None for the axis' own.
 
     Raises
     ------
@@ -98,7 +103,7 @@ def tune_current_loop(
                 bounded, trial.max_sensitivity, pi_scale(inductance, r_s, CURRENT_DELAY * t_s), key
             )
             if trial.method == "optimised"
-            else current_pi(r_s, inductance, t_s, trial)
+            else current_pi(r_s, rule_inductance or inductance, t_s, trial)
         )
         require_positive("control.current_loop", loop, trial, (kp, ki), r_s / (2.0 * inductance))
         return analyse_current_loop(

@@ -15,6 +15,7 @@ import numpy as np
 
 from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSettings
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.optimizer.loops.vendor_methods import is_vendor, vendor_current_pi, vendor_speed_pi
 
 Settings = TypeVar("Settings", CurrentLoopSettings, SpeedLoopSettings)
 
@@ -59,6 +60,8 @@ def current_pi(
         magnitude-optimum    kp = L/(2 T)         ki = kp R/L            T = 1.5 t_s
         symmetrical-optimum  kp = L/(a T)         ki = kp/(a^2 T)        T = 1.5 t_s, spread a
 
+    and the rules of vendors, `dqforge.optimizer.loops.vendor_methods`.
+
     ``r_s`` in Ohm, ``inductance`` in H, ``t_s`` in s.
 
     Parameters
@@ -87,6 +90,8 @@ def current_pi(
     omega = required_setting(settings.bandwidth, f"{key}.bandwidth", method)
     if method == "bandwidth":
         return omega * inductance, omega * r_s
+    if is_vendor(method):
+        return vendor_current_pi(method, r_s, inductance, omega, settings.damping)
     damping = required_setting(settings.damping, f"{key}.damping", method)
     return 2.0 * damping * omega * inductance - r_s, omega**2 * inductance
 
@@ -101,8 +106,10 @@ def speed_pi(
                              (poles of s^2 + 2 xi w s + w^2)
         symmetrical-optimum  kp = J/(a T)         ki = kp/(a^2 T)        T = t_sum, spread a
 
-    With ki = kp w/4 and B = 0 the loop without delays has the double pole s^2 + w s + w^2/4 = (s +
-    w/2)^2: the fastest integral action that leaves the poles real.
+    Rules of vendors are those of `dqforge.optimizer.loops.vendor_methods`; for ti ``t_sum`` is one
+    over the bandwidth of the current loop. With ki = kp w/4 and B = 0 the loop without delays has
+    the double pole s^2 + w s + w^2/4 = (s + w/2)^2: the fastest integral action that leaves the
+    poles real.
 
     Parameters
     ----------
@@ -122,7 +129,12 @@ def speed_pi(
         spread = required_setting(settings.spread, f"{key}.spread", method)
         kp = inertia / (spread * t_sum)
         return kp, kp / (spread**2 * t_sum)
+    if method == "ti":
+        spread = required_setting(settings.spread, f"{key}.spread", method)
+        return vendor_speed_pi(method, (inertia, friction), 1.0 / t_sum, 1.0, spread)
     omega = required_setting(settings.bandwidth, f"{key}.bandwidth", method)
+    if is_vendor(method):
+        return vendor_speed_pi(method, (inertia, friction), omega, settings.damping, 1.0)
     if method == "bandwidth":
         return omega * inertia, 0.25 * omega**2 * inertia
     damping = required_setting(settings.damping, f"{key}.damping", method)
@@ -157,7 +169,7 @@ def require_positive(
     reached = (
         f"{key}: method '{settings.method}' gives the {loop} loop kp = {kp:.4g} and ki = {ki:.4g}"
     )
-    if settings.method == "damping" and kp <= 0.0:
+    if settings.method in ("damping", "nxp-mcat") and kp <= 0.0:
         least = rate / settings.damping
         raise NoSolutionError(
             f"{reached}; kp is positive from {key}.bandwidth above {_rate_text(least, up=True)}"
@@ -165,6 +177,18 @@ def require_positive(
     raise NoSolutionError(
         f"{reached}; both must be positive and finite: use another method, or check the machine"
     )
+
+
+def by_spread(settings: CurrentLoopSettings | SpeedLoopSettings) -> bool:
+    """Whether a method's number is its spread: the symmetrical optimum, and TI's speed loop.
+
+    Parameters
+    ----------
+    settings:
+        Method and its settings.
+    """
+    of_ti = settings.method == "ti" and isinstance(settings, SpeedLoopSettings)
+    return settings.method == "symmetrical-optimum" or of_ti
 
 
 def calmer(settings: Settings, factor: float) -> Settings:
@@ -175,7 +199,7 @@ def calmer(settings: Settings, factor: float) -> Settings:
             required_setting(settings.ki, "ki", "given"),
         )
         return replace(settings, kp=kp * factor, ki=ki * factor)
-    if settings.method == "symmetrical-optimum":
+    if by_spread(settings):
         return replace(settings, spread=settings.spread / factor)
     if settings.method == "optimised":
         return replace(settings, max_sensitivity=1.0 + (settings.max_sensitivity - 1.0) * factor)
@@ -228,7 +252,7 @@ def loop_advice(key: str, settings: CurrentLoopSettings | SpeedLoopSettings, fac
     """
     if settings.method == "given":
         return f"multiply {key}.kp and {key}.ki by {_three_digits(factor, up=False):.6g} or less"
-    if settings.method == "symmetrical-optimum":
+    if by_spread(settings):
         return (
             f"it holds from {key}.spread = {_three_digits(settings.spread / factor, up=True):.6g} "
             "upwards"

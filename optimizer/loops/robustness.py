@@ -28,6 +28,7 @@ from dqforge.optimizer.loops.pi_methods import (
     speed_pi,
 )
 from dqforge.optimizer.loops.tolerance_box import Axis, BoxPoints, DriveBox
+from dqforge.optimizer.loops.vendor_methods import vendor_inductance
 
 FloatArray = NDArray[np.float64]
 
@@ -125,8 +126,18 @@ def summarise(margins: BatchMargins, points: BoxPoints) -> LoopRobustness:
     )
 
 
-def _first_fault(margins: BatchMargins, points: BoxPoints, required: float) -> str | None:
-    """What the worst point does not keep, in words, or None."""
+def first_fault(margins: BatchMargins, points: BoxPoints, required: float) -> str | None:
+    """What the worst point does not keep, in words, or None.
+
+    Parameters
+    ----------
+    margins:
+        Margins of the loop at N points of the box.
+    points:
+        The points.
+    required:
+        Phase margin in rad that the loop must have.
+    """
     unstable = margins.radius >= 1.0
     if unstable.any():
         row = int(np.argmax(margins.radius))
@@ -161,10 +172,10 @@ def _kept(
             return False
         if not min(pair) > 0.0 or np.max(close_loops(plants, *pair).radius) >= 1.0:
             return False  # without the margins, which take far longer
-        return _first_fault(evaluate(pair), points, required) is None
+        return first_fault(evaluate(pair), points, required) is None
 
     margins = evaluate((gains.kp, gains.ki))
-    fault = _first_fault(margins, points, required)
+    fault = first_fault(margins, points, required)
     if fault is None:
         return summarise(margins, points)
     factor = largest_factor(holds)
@@ -234,7 +245,8 @@ def current_robustness(box: DriveBox, gains: LoopGains, axis: Axis) -> LoopRobus
     def formula(trial: CurrentLoopSettings) -> tuple[float, float]:
         if trial.method == "optimised":
             return optimised_current(r_s, inductance, control.t_s, trial.max_sensitivity, corners)
-        return current_pi(r_s, inductance, control.t_s, trial)
+        rule = vendor_inductance(trial.method, box.nominal, 0 if axis == "i_d" else 1)
+        return current_pi(r_s, rule, control.t_s, trial)
 
     return _kept("control.current_loop", gains, settings, plants, points, formula)
 

@@ -9,6 +9,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.overrides import OPTION
 from dqforge.machines.errors import InputError
 from dqforge.reports.command_line.designs import load
+from dqforge.reports.comparison.firmware_side import firmware_side
 from dqforge.reports.comparison.sides_compared import compare_sides
 from dqforge.reports.comparison.sources import is_written, read_side
 from dqforge.reports.comparison.tables import comparison_tables, plain_comparison
@@ -22,7 +23,7 @@ def answer_compare(first: str, second: str, settings: Sequence[str] | None = Non
     Parameters
     ----------
     first, second:
-        Designs, or what an earlier run wrote.
+        Designs, what an earlier run wrote, or the configuration of another firmware.
     settings:
         Keys of the second, as those of `load`: what changes with them if both are the same.
 
@@ -36,12 +37,15 @@ def answer_compare(first: str, second: str, settings: Sequence[str] | None = Non
         return load(name, settings)
 
     stage("solving")
-    if settings and is_written(second):
+    theirs = firmware_side(second)
+    if settings and (theirs is not None or is_written(second)):
         raise InputError(
             f"{OPTION} changes a design, and {second!r} is what a run wrote; give its design as B"
         )
-    b = read_side(second, load_second)
+    ours = firmware_side(first)
+    b = read_side(second, load_second) if theirs is None else theirs
     said = " ".join([second, *(f"{OPTION} {setting}" for setting in settings or ())])
-    found = compare_sides(read_side(first, load), replace(b, source=said))
+    a = read_side(first, load) if ours is None else ours
+    found = compare_sides(a, replace(b, source=said))
     names = f"{found.a.name} | {found.b.name}"
     return Answer(names, comparison_tables(found), {"comparison": plain_comparison(found)})

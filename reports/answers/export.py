@@ -11,11 +11,11 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.firmware.solve import FirmwareFit, method_of, solve_firmware
+from dqforge.reports.firmware.text_file import read_text_file
 from dqforge.reports.firmware_files.exported import firmware_files, read_files, target_named
 from dqforge.reports.firmware_files.plain import plain_fit
 from dqforge.reports.firmware_files.settled import require_settling
 from dqforge.reports.firmware_files.tables import fit_tables
-from dqforge.reports.firmware.text_file import read_text_file
 from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import stage
 from dqforge.reports.pages.table import Table

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 from dqforge.machines.design.design import Design
+from dqforge.machines.errors import InputError
+from dqforge.reports.answers.export import answer_export_for
 from dqforge.reports.answers.verify import plain_verification
 from dqforge.reports.output.folder import RUN
 from dqforge.reports.pages.answer import Answer, Files
@@ -19,8 +24,21 @@ def answer_run(design: Design, *, verify: bool) -> Answer:
     return Answer(design.name, tables, plain, files=Files(output.files, RUN, design))
 
 
-def answer_export(design: Design, *, verify: bool) -> Answer:
-    """Write and verify the headers; raises as `export_design`."""
+def answer_export(
+    design: Design,
+    *,
+    verify: bool,
+    firmware: Sequence[str] | None = None,
+    into: Path | None = None,
+) -> Answer:
+    """Write and verify the headers, or the files of other firmware.
+
+    Raises as `export_design` and `answer_export_for`.
+    """
+    if firmware:
+        return answer_export_for(design, firmware, into, verify=verify)
+    if into is not None:
+        raise InputError("--into: say whose file it is; write --for NAME with it")
     output = export_design(design, verify=verify)
     plain = {"verification": plain_verification(output.verification)}
     files = Files(output.files, RUN, design)

@@ -8,14 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
+from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.output.folder import SIMULATION, refuse_other_design
 from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import shares, stage
-from dqforge.reports.simulation.design_run import (
-    require_scenario,
-    simulate_design,
-    simulation_files,
-)
+from dqforge.reports.simulation.design_run import require_scenario, simulation_files
 from dqforge.reports.simulation.tables import plain_simulation, simulation_tables
 
 if TYPE_CHECKING:
@@ -25,12 +22,12 @@ if TYPE_CHECKING:
 def answer_simulate(design: Design, out: Path, *, switched: bool) -> Answer:
     """Simulate a design.
 
-    Raises as `simulate_design`, and where ``out`` holds another design's headers.
+    Raises as `simulate_with_firmware`, and where ``out`` holds another design's headers.
     """
     require_scenario(design, switched=switched)
     refuse_other_design(out, design.digest, design.export.prefix)
     stage("simulating")
-    found = simulate_design(design, switched=switched, progress=shares())
+    found = simulate_with_firmware(design, switched=switched, progress=shares())
 
     def figure() -> Figure:
         from dqforge.reports.simulation.figures import plot_simulation

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
+from dqforge.reports.firmware_files.folder_files import read_back_text, written_firmware
 from dqforge.reports.output.recomputation import Recomputation, recompute
 from dqforge.reports.output.recomputation_text import recomputation_text
 from dqforge.reports.output.stored_proof import check_stored_proof, stored_proof_text
@@ -38,13 +39,17 @@ def answer_verify(folder: Path, target: str | None) -> Answer:
     stage("compiling and comparing")
     verified = verify_written(found)
     proof = check_stored_proof(folder, recomputed.solution)
+    theirs = written_firmware(folder, recomputed.solution)
     notes = [recomputation_text(recomputed), verification_text(verified)]
+    notes += [read_back_text(name, files) for name, files in theirs.items()]
     notes += [] if proof is None else [stored_proof_text(proof)]
     plain: PlainData = {
         "recomputation": _plain_recomputation(recomputed),
         "verification": plain_verification(verified),
         "headers": _plain_headers(found, verified),
     }
+    if theirs:
+        plain["firmware"] = {name: list(files) for name, files in theirs.items()}
     if proof is not None:
         plain["stability"] = asdict(proof) | {"proven": proof.proven}
     if target is not None:

@@ -74,6 +74,45 @@ Out = Annotated[Path, Option("-o", "--out", metavar="OUT", help="Folder to write
 NoVerify = Annotated[bool, Option("--no-verify", help="Skip compiling and running the header.")]
 
 
+Source = Annotated[
+    list[Path] | None,
+    _text("--from", "FILE", "Configuration file of other firmware to start from; repeatable."),
+]
+
+
+SetOfNew = Annotated[list[str] | None, _text("--set", "KEY=VALUE", f"{_SET}; with --from.")]
+
+
+For = Annotated[
+    list[str] | None,
+    _text("--for", "NAME", "Files of other firmware instead: vesc, simplefoc, ...; repeatable."),
+]
+
+
+Into = Annotated[
+    Path | None, _text("--into", "FILE", "With --for: keep what else this file holds.")
+]
+
+
+OutOfExport = Annotated[
+    Path | None,
+    Option(
+        "-o", "--out", metavar="OUT", help="Folder to write into; default out, or that of --into."
+    ),
+]
+
+
+Explained = Annotated[
+    list[Path],
+    _argument("FILE...", "Configuration of other firmware, or header or result of ours."),
+]
+
+
+OnMachine = Annotated[
+    str | None, _text("--machine", "DESIGN", "Judge it on the machine of this design.")
+]
+
+
 Template = Annotated[str | None, _text("--machine", "NAME", "Start from a library drive.")]
 
 

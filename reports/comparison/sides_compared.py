@@ -203,6 +203,20 @@ def _macro_rows(sides: tuple[Side, Side]) -> tuple[tuple[MacroRow, ...], int | N
     return rows, len(names), []
 
 
+def _of_both(rows: tuple[Row, ...]) -> tuple[Row, ...]:
+    """Rows of the sections in which both sides have something."""
+    common = {row.section for row in rows if row.a is not None and row.b is not None}
+    return tuple(row for row in rows if row.section in common)
+
+
+def _foreign_note(names: list[str]) -> str:
+    plural = "are configurations" if len(names) > 1 else "is a configuration"
+    return (
+        f"{' and '.join(names)} {plural} of other firmware: machine, limits and loops are "
+        "compared, margins as that firmware runs them"
+    )
+
+
 def compare_sides(a: Side, b: Side, capabilities: Capabilities = CAPABILITIES) -> Comparison:
     """Everything that two sides can be compared by.
 
@@ -228,7 +242,10 @@ def compare_sides(a: Side, b: Side, capabilities: Capabilities = CAPABILITIES) -
     macros, compared, notes = _macro_rows(sides)
     headers = [name for name, side in (("A", a), ("B", b)) if side.header_only]
     rows: tuple[Row, ...] = () if headers else quantity_rows(sides, capabilities)
-    losses, alone = ((), []) if headers else _loss_rows(sides)
+    foreign = [name for name, side in (("A", a), ("B", b)) if side.foreign]
+    losses, alone = ((), []) if headers or foreign else _loss_rows(sides)
+    if foreign:
+        rows, notes = _of_both(rows), [_foreign_note(foreign)]
     if headers:
         plural = "are headers" if len(headers) > 1 else "is a header"
         notes.append(

@@ -60,6 +60,8 @@ class Side:
         The header without comments and prefixes; None where there is none.
     header_only:
         True where ``result`` holds nothing but the name of the design and the digest of its file.
+    foreign:
+        True for the configuration of another firmware: machine, limits and loops are all it has.
     """
 
     source: str
@@ -67,6 +69,7 @@ class Side:
     macros: dict[str, str] | None
     code: str | None = None
     header_only: bool = False
+    foreign: bool = False
 
     @property
     def name(self) -> str:

@@ -97,8 +97,11 @@ def _short(value: Any) -> str:
     return json.dumps(value)[:60] if not isinstance(value, dict | list) else type(value).__name__
 
 
-def parsed_json(text: str, source: str) -> JsonText:
+def parsed_json(text: str, source: str, *, constants: bool = False) -> JsonText:
     """A JSON text with the places of its values.
+
+    With ``constants`` Infinity, -Infinity and NaN are taken, as Python writes them; `JsonText`
+    refuses them where a number is asked for.
 
     Raises
     ------
@@ -115,13 +118,15 @@ def parsed_json(text: str, source: str) -> JsonText:
             twice.append(next(key for k, (key, _) in enumerate(pairs) if key in dict(pairs[:k])))
         return found
 
-    def refuse_constant(name: str) -> NoReturn:
+    def constant(name: str) -> float:
+        if constants:
+            return float(name)
         line = _line(text, max(text.find(name), 0))
         message = f"{name} is no number of JSON; write a finite one"
         raise InputError(message, source=source, line=line)
 
     try:
-        root = json.loads(text, object_pairs_hook=unique, parse_constant=refuse_constant)
+        root = json.loads(text, object_pairs_hook=unique, parse_constant=constant)
     except json.JSONDecodeError as error:
         message = f"not JSON: {error.msg}; {_AGAIN}"
         raise InputError(message, source=source, line=error.lineno, column=error.colno) from None
@@ -180,22 +185,24 @@ def _spans(text: str) -> Iterator[tuple[Path, tuple[int, int]]]:
             yield path, token.span()
 
 
-def with_json_values(text: str, source: str, values: Mapping[tuple[str, ...], Any]) -> str:
+def with_json_values(
+    text: str, source: str, values: Mapping[tuple[str, ...], Any], *, constants: bool = False
+) -> str:
     """The text with other values at these paths of keys; what is missing is put in front of its
-    neighbours, everything else stays as it stands.
+    neighbours, everything else stays as it stands; ``constants`` as in `parsed_json`.
 
     Raises
     ------
     InputError
         As `parsed_json`; or a value stands where an object must.
     """
-    found = parsed_json(text, source)
+    found = parsed_json(text, source, constants=constants)
     present = {path: value for path, value in values.items() if path in found.spans}
     edits = [(*found.spans[path], json.dumps(value)) for path, value in present.items()]
     for start, end, new in sorted(edits, reverse=True):
         text = text[:start] + new + text[end:]
     for path in reversed([path for path in values if path not in present]):
-        text = _with_key(parsed_json(text, source), path, values[path])
+        text = _with_key(parsed_json(text, source, constants=constants), path, values[path])
     return text
 
 

@@ -38,9 +38,9 @@ PREFIX = "firmware"
 """Prefix of names in the C code: ``firmware_current_control`` and the like."""
 
 
-SAMPLES = 64
+SAMPLES = 256
 
-"""Most periods over which the difference of angles is taken."""
+"""Most periods over which the difference of angles, and the mean of speeds, is taken."""
 
 
 POINTS = 64
@@ -108,7 +108,9 @@ def loop_numbers(profile: LoopProfile, values: DriveValues) -> LoopNumbers:
         ("reference", _REFERENCES.index(profile.reference)),
         ("estimate", get_args(SpeedKind).index(estimate.kind)),
         ("estimate_ratio", every),
-        ("estimate_samples", _samples(estimate)),
+        ("estimate_samples", _within(estimate.samples if estimate.kind == "difference" else 1)),
+        ("estimate_whole", int(estimate.whole)),
+        ("averaged", _within(estimate.averaged)),
         ("ratio", 0 if speed is None else ratio),
         ("points", _table_size(profile)),
     )
@@ -213,11 +215,12 @@ def _pi_numbers(pi: PiController, t_s: float) -> tuple[Member, ...]:
 
 
 def _estimate_numbers(estimate: SpeedEstimate, period: float) -> tuple[Member, ...]:
+    filter_time = estimate.filter_time if estimate.kind in ("pll", "low-pass") else 0.0
     return (
         ("estimate_s", period),
         ("estimate_kp", estimate.kp),
         ("estimate_ki_ts", estimate.ki * period),
-        ("estimate_share", filter_share(estimate.filter_time, period)),
+        ("estimate_share", filter_share(filter_time, period)),
     )
 
 
@@ -230,12 +233,11 @@ def _ramp_step(profile: LoopProfile) -> float:
     )
 
 
-def _samples(estimate: SpeedEstimate) -> int:
-    count = estimate.samples if estimate.kind == "difference" else 1
+def _within(count: int) -> int:
+    """The number of periods, where the program has room for it."""
     if not 1 <= count <= SAMPLES:
         raise InputError(
-            f"the speed as the difference of angles over {count} periods cannot be simulated; "
-            f"from 1 to {SAMPLES} can"
+            f"a speed made of {count} periods cannot be simulated; from 1 to {SAMPLES} can"
         )
     return count
 

@@ -13,7 +13,6 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.names import Firmware
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.firmware.asked import drive_values
 from dqforge.optimizer.firmware.configuration import DriveValues
 from dqforge.optimizer.firmware.profile import LoopProfile
 from dqforge.reports.firmware.loop_run import (
@@ -99,7 +98,7 @@ class Verdict:
 def settles(
     profile: LoopProfile,
     design: Design,
-    values: DriveValues | None = None,
+    values: DriveValues,
     *,
     program: Simulator | None = None,
 ) -> Verdict:
@@ -116,7 +115,7 @@ def settles(
     design:
         Machine and inverter that they drive.
     values:
-        What the firmware is told; None for the constants of the design.
+        What the firmware is told, such as `Configuration.drive`.
     program:
         That of `firmware_simulator`, where it is there already.
 
@@ -127,9 +126,8 @@ def settles(
     VerificationError
         There is no C compiler.
     """
-    told = drive_values(design) if values is None else values
-    i_max = min(design.i_max, told.i_max or design.i_max)
-    told = replace(told, i_max=i_max, pole_pairs=told.pole_pairs or design.machine.pole_pairs)
+    i_max = min(design.i_max, values.i_max or design.i_max)
+    told = replace(values, i_max=i_max, pole_pairs=values.pole_pairs or design.machine.pole_pairs)
     steps, left_out = standard_steps(profile, told, design.machine, i_max, design.inverter.v_dc)
     drive = firmware_drive(profile, design)
     tried: list[TriedStep] = []

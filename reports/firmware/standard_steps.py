@@ -121,7 +121,7 @@ def _slow_current(profile: LoopProfile, machine: Machine) -> float:
     for pi, inductance in ((profile.current.d, machine.l_d), (profile.current.q, machine.l_q)):
         if pi.ki > 0.0:
             found.append((machine.r_s + pi.kp) / pi.ki)
-        found += [inductance / max(machine.r_s + pi.kp, 1e-12), pi.filter_time, 10.0 * pi.t_s]
+        found += [inductance / (machine.r_s + abs(pi.kp)), pi.filter_time, 10.0 * pi.t_s]
     return max(found)
 
 

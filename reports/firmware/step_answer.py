@@ -18,7 +18,10 @@ BAND = 0.05
 """Share of a step within which an answer must lie over the last quarter of its time."""
 
 
-_KEPT = 0.6  # of the swing from the last quarter but one to the last: what keeps more swings on
+_KEPT = 0.9  # of the swing from the last quarter but one to the last: what keeps more swings on
+
+
+_DRIFT = 0.1  # of the band, from quarter to quarter: what moves more has not come to rest
 
 
 _TURNS = 4  # through its mean in the last half: fewer are no oscillation
@@ -80,7 +83,7 @@ def step_answer(
     outcome: Outcome
     if math.isfinite(period) and swing > band and swing > _KEPT * swing_before:
         outcome = "limit cycle"
-    elif swing > 0.5 * band:
+    elif swing > 0.5 * band or abs(float(np.mean(last) - np.mean(earlier))) > _DRIFT * band:
         outcome = "never reaches"
     else:
         outcome = "steady error"

@@ -11,10 +11,10 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.solve import FirmwareFit
-from dqforge.reports.firmware_files.recognised import Targets
 from dqforge.reports.firmware.registry import TARGETS
 from dqforge.reports.firmware.target import FileTitle, Target
 from dqforge.reports.firmware.text_file import TextFile, decoded_file
+from dqforge.reports.firmware_files.recognised import Targets
 
 
 def file_title(design: Design, fit: FirmwareFit) -> FileTitle:

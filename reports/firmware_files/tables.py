@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
-from dqforge.optimizer.firmware.explained import Explained
+from dqforge.optimizer.firmware.explained import Explained, OwnGains
 from dqforge.optimizer.firmware.firmware_method import Shortfall
 from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop
 from dqforge.optimizer.firmware.profile import LoopProfile
@@ -57,7 +57,7 @@ _COLUMNS = (
 )
 
 
-Row = tuple[str, float, str]
+_SHOWN = {"rad": "deg"}
 
 
 def value_rows(drive: DriveValues) -> list[tuple[str, str, str]]:
@@ -89,14 +89,18 @@ def configuration_table(found: Configuration, title: str) -> Table:
             line = "" if origin.line is None else str(origin.line)
             written = f"{origin.key} {origin.text}".strip()
             rows.append((label, text, written, line, origin.conversion))
-    own = [(key, "", f"{key} {value}", "", "") for key, value in found.own.items()]
-    shown = [row for row in own if not any(row[2] == other[2] for other in rows)]
+    shown = tuple(origin.key for origin in found.origins.values())
+    rows += [
+        (key, "", f"{value:.9g}" if isinstance(value, float) else str(value), "", "")
+        for key, value in found.own.items()
+        if not any(other == key or other.endswith(f".{key}") for other in shown)
+    ]
     columns = ("", "value", "in the file", "line", "conversion")
     notes = (
         *(f"convention: {sentence}" for sentence in found.conventions),
         *(f"contradiction: {sentence}" for sentence in found.contradictions),
     )
-    return Table(title, columns, (*rows, *shown), notes)
+    return Table(title, columns, tuple(rows), notes)
 
 
 def loops_table(found: JudgedFirmware, title: str, profile: LoopProfile | None = None) -> Table:
@@ -160,7 +164,8 @@ def price_text(shortfall: Shortfall) -> str:
     texts = []
     for price in shortfall.prices:
         if price.unit:
-            texts.append(f"{price.of} {format_quantity(price.value, price.unit)}")
+            unit = _SHOWN.get(price.unit, price.unit)
+            texts.append(f"{price.of} {format_quantity(price.value, unit)}")
         else:
             texts.append(f"{price.of} {100.0 * price.value:.3g} %")
     return ", ".join(texts)
@@ -172,6 +177,21 @@ def explained_tables(found: Explained, source: str, title: str) -> list[Table]:
     return [
         configuration_table(found.configuration, f"{source}: {title}"),
         loops_table(found.judged, runs, found.profile),
+    ]
+
+
+def own_tables(found: OwnGains, judged: JudgedFirmware, source: str) -> list[Table]:
+    """Gains that dqforge wrote, on a machine, and their loops."""
+    rows = [(label, text) for _, label, text in value_rows(found.drive)]
+    units = (("V/A", "V/(A s)"), ("V/A", "V/(A s)"), ("N m s/rad", "N m/rad"))
+    for (name, label), (unit_p, unit_i) in zip(_LOOPS, units, strict=True):
+        gains: PiGains | None = getattr(found, name)
+        if gains is not None:
+            rows.append((f"{label} kp", format_quantity(gains.kp, unit_p)))
+            rows.append((f"{label} ki", format_quantity(gains.ki, unit_i)))
+    return [
+        Table(f"{source}: gains of dqforge", ("", "value"), tuple(rows)),
+        loops_table(judged, "loops as the emitted control runs them"),
     ]
 
 

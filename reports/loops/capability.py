@@ -12,13 +12,20 @@ from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind
 from dqforge.reports.capability import Capability, Draw, Outcome, Quantity, ReportPart, Rows, Tile
+from dqforge.reports.loops.firmware_text import firmware_name, firmware_words
 from dqforge.reports.loops.header import (
     evaluator_from,
     gains_files,
     gains_programme,
     plain_evaluator,
 )
-from dqforge.reports.loops.html import LOOP_TEXT, judged_tables, loop_table, tolerance_tables
+from dqforge.reports.loops.html import (
+    LOOP_TEXT,
+    firmware_tables,
+    judged_tables,
+    loop_table,
+    tolerance_tables,
+)
 from dqforge.reports.loops.judged_text import judged_sentence, judged_words
 from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.loops.stability_text import CERTIFICATE, certificate_bytes, proof_summary
@@ -33,6 +40,8 @@ def _summary(_: Solution, gains: GainSet) -> Rows:
     rows = [(f"{loop.loop} loop", loop_words(loop)) for loop in gains.loops]
     if gains.phases is not None and gains.phases.judged is not None:
         rows.append(("currents together", judged_words(gains.phases.judged)))
+    if gains.firmware is not None:
+        rows.append((f"as {gains.firmware.name} runs them", firmware_words(gains.firmware)))
     return rows
 
 
@@ -51,6 +60,9 @@ def _sentences(_: Solution, gains: GainSet) -> list[str]:
         )
     if gains.phases is not None and gains.phases.judged is not None:
         sentences.append(judged_sentence(gains.phases.judged))
+    if gains.firmware is not None:
+        margins = firmware_words(gains.firmware)
+        sentences.append(f"As {firmware_name(gains.firmware)} runs them they are {margins}.")
     return sentences
 
 
@@ -74,7 +86,12 @@ def _plain(solution: Solution, gains: GainSet) -> PlainData:
 
 def _parts(solution: Solution, gains: GainSet) -> list[ReportPart]:
     pole_pairs = solution.design.machine.pole_pairs
-    tables = [loop_table(gains), *judged_tables(gains), *tolerance_tables(gains, pole_pairs)]
+    tables = [
+        loop_table(gains),
+        *firmware_tables(gains),
+        *judged_tables(gains),
+        *tolerance_tables(gains, pole_pairs),
+    ]
     return [ReportPart(CHAPTER, "loops/report.html.j2", {"tables": tables})]
 
 

@@ -8,6 +8,12 @@ from typing import TYPE_CHECKING
 from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.loops.integer_gains import PerUnitGains
 from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.reports.loops.firmware_text import (
+    FIRMWARE_COLUMNS,
+    firmware_notes,
+    firmware_rows,
+    firmware_title,
+)
 from dqforge.reports.loops.judged_text import (
     JUDGED_TITLE,
     judged_columns,
@@ -131,6 +137,14 @@ def _table(
     return HtmlTable(
         symbols(caption), tuple(symbols(column) for column in columns), cells, text_columns
     )
+
+
+def firmware_tables(gains: GainSet) -> list[HtmlTable]:
+    """The loops as the firmware that the design names runs them; none without one."""
+    if gains.firmware is None:
+        return []
+    caption = "; ".join((firmware_title(gains.firmware), *firmware_notes(gains.firmware)))
+    return [_table(caption, FIRMWARE_COLUMNS, firmware_rows(gains.firmware), 2)]
 
 
 def judged_tables(gains: GainSet) -> list[HtmlTable]:

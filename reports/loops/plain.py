@@ -9,6 +9,7 @@ from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.loops.integer_gains import PerUnitGains
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
+from dqforge.reports.loops.firmware_text import plain_firmware
 from dqforge.reports.loops.judged_text import plain_judged
 from dqforge.reports.loops.proven_text import plain_box_proofs, plain_changing
 from dqforge.reports.loops.robustness_text import plain_robustness
@@ -83,4 +84,5 @@ def plain_gains(
         **plain_schedule(gains.schedule),
         **plain_changing(gains),
         **({} if gains.phases is None else plain_judged(gains.phases)),
+        **plain_firmware(gains),
     }

@@ -9,6 +9,12 @@ from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.loops.integer_gains import PerUnitGains
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.observers.proof import ObserverProof
+from dqforge.reports.loops.firmware_text import (
+    FIRMWARE_COLUMNS,
+    firmware_notes,
+    firmware_rows,
+    firmware_title,
+)
 from dqforge.reports.loops.judged_text import (
     JUDGED_TITLE,
     judged_columns,
@@ -88,6 +94,9 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
         notes = (*notes, *changing_notes(gains))
     tables = [Table(title, columns, tuple(rows), notes)]
     tables.append(Table("Parallel, series and velocity form", FORM_COLUMNS, form_rows(gains)))
+    if gains.firmware is not None:
+        title, found = firmware_title(gains.firmware), firmware_rows(gains.firmware)
+        tables.append(Table(title, FIRMWARE_COLUMNS, found, firmware_notes(gains.firmware)))
     if gains.phases is not None and gains.phases.judged is not None:
         judged, notes = gains.phases.judged, judged_notes(gains.phases)
         heads, found = judged_columns(judged), judged_rows(judged)

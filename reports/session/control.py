@@ -12,11 +12,12 @@ from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
 from dqforge.optimizer.observers.proof import ObserverProof, prove
 from dqforge.reports.dynamic_references.tables import plain_references
+from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.phase_control.emitted_integers import plain_integer_evidence
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.session.result import DrawnResult, dataset
-from dqforge.reports.simulation.design_run import DriveSimulation, StepFigures, simulate_design
+from dqforge.reports.simulation.design_run import DriveSimulation, StepFigures
 from dqforge.reports.simulation.tables import plain_simulation
 
 if TYPE_CHECKING:
@@ -167,4 +168,4 @@ def simulate(
     VerificationError
         There is no C compiler.
     """
-    return SimulatedDrive(simulate_design(design, switched=switched, progress=progress))
+    return SimulatedDrive(simulate_with_firmware(design, switched=switched, progress=progress))

@@ -23,7 +23,7 @@ def _figures(_: Solution, found: DriveSimulation) -> Mapping[str, Draw]:
     from dqforge.reports.simulation.figures import plot_simulation
 
     return {
-        figure_name(each.format, number): partial(plot_simulation, each)
+        figure_name(each.label, number): partial(plot_simulation, each)
         for number, each in enumerate(found.every)
     }
 

@@ -15,7 +15,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import NumberFormat, Topology
+from dqforge.machines.names import Firmware, NumberFormat, Topology
 from dqforge.machines.plants.scenario import Profile, Scenario
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.fit import fit_reference
@@ -113,6 +113,8 @@ class DriveSimulation:
     observers did, None where none ran; ``phases`` are the figures of a phase machine, None for
     others. ``format`` is that of the control functions that ran, ``others`` are the same run with
     those in further formats; ``not_simulated`` are formats that the design emits and nothing ran.
+    ``firmware`` names that of others whose loops ran in place of the emitted code, None for the
+    latter; ``remarks`` say what is otherwise in a run, one sentence each.
     """
 
     design: Design
@@ -128,6 +130,8 @@ class DriveSimulation:
     phases: PhaseFigures | None = None
     format: NumberFormat = "float32"
     others: tuple[DriveSimulation, ...] = ()
+    firmware: Firmware | None = None
+    remarks: tuple[str, ...] = ()
 
     @property
     def every(self) -> tuple[DriveSimulation, ...]:
@@ -136,8 +140,13 @@ class DriveSimulation:
 
     @property
     def formats(self) -> tuple[NumberFormat, ...]:
-        """Formats of the control functions that ran."""
-        return tuple(found.format for found in self.every)
+        """Formats of the control functions that ran, without the loops of firmware of others."""
+        return tuple(found.format for found in self.every if found.firmware is None)
+
+    @property
+    def label(self) -> str:
+        """What ran: a format, or the firmware of others."""
+        return self.format if self.firmware is None else self.firmware
 
     @property
     def angle_error(self) -> FloatArray:
@@ -313,7 +322,7 @@ def _simulated_in(
     progress: Callable[[float], None] | None,
 ) -> DriveSimulation:
     """The run of the control functions in one format."""
-    stride = 1 + int(scenario.duration / design.control.t_s) // _MOST_ROWS
+    stride = recorded_stride(scenario, design.control.t_s)
     with simulator(
         emitted_files(solution, number_format),
         design.export.prefix,
@@ -323,6 +332,11 @@ def _simulated_in(
     ) as program:
         run = simulate(program, drive_of(design), scenario, stride=stride, progress=progress)
     return replace(evaluate(design, run), format=number_format)
+
+
+def recorded_stride(scenario: Scenario, t_s: float) -> int:
+    """Samples of ``t_s`` in s per recorded row."""
+    return 1 + int(scenario.duration / t_s) // _MOST_ROWS
 
 
 def _part(
@@ -473,9 +487,11 @@ def npz_bytes(run: Simulation) -> bytes:
 
 
 def simulation_files(found: DriveSimulation) -> dict[str, bytes]:
-    """Names and bytes of the files of samples: one per format, the first without its name."""
+    """Names and bytes of the files of samples: one per format and for the firmware of others, the
+    first without its name.
+    """
     prefix = found.design.export.prefix
     first = {f"{prefix}_simulation.npz": npz_bytes(found.run)}
     return first | {
-        f"{prefix}_simulation_{other.format}.npz": npz_bytes(other.run) for other in found.others
+        f"{prefix}_simulation_{other.label}.npz": npz_bytes(other.run) for other in found.others
     }

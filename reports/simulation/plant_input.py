@@ -76,7 +76,7 @@ class Drive:
         Machine with another back-EMF than a sine, None for others.
     delay:
         Sampling periods from a sample until the duty cycles made of it begin to act, 0 to
-        `LONGEST_DELAY`; with a switched inverter a whole number.
+        `LONGEST_DELAY`; with a switched inverter a whole number of half carrier periods.
     """
 
     machine: Machine
@@ -166,36 +166,44 @@ def _observer_parameters(scenario: Scenario) -> dict[str, float]:
     }
 
 
+def fits_carrier(drive: Drive) -> bool:
+    """Whether sampling and delay are those of a switched inverter: the peaks of its carrier."""
+    exact = 2.0 * drive.inverter.f_sw * drive.t_s
+    halves = max(1, round(exact))
+    late = drive.delay * halves
+    return abs(exact - halves) <= 1e-6 and abs(late - round(late)) <= 1e-9
+
+
 def carrier_halves(drive: Drive, scenario: Scenario) -> int:
     """Half carrier periods per control period.
 
     Raises
     ------
     InputError
-        The sampling and the carrier of a switched inverter do not fit.
+        The sampling and the carrier of a switched inverter do not fit, or the delay does not.
     """
     exact = 2.0 * drive.inverter.f_sw * drive.t_s
     halves = max(1, round(exact))
-    if scenario.inverter == "switched" and abs(exact - halves) > 1e-6:
+    if scenario.inverter == "averaged" or fits_carrier(drive):
+        return halves
+    if abs(exact - halves) > 1e-6:
         raise InputError(
             "simulation.inverter: switched needs a sampling frequency of one or two times the "
             f"switching frequency, or a whole part of it; they are {1.0 / drive.t_s:g} Hz and "
             f"{drive.inverter.f_sw:g} Hz"
         )
-    return halves
+    raise InputError(
+        "simulation.inverter: a switched inverter takes duty cycles at the peaks of its carrier, "
+        f"not {drive.delay:g} periods after the sample; write inverter: averaged"
+    )
 
 
-def _delay(drive: Drive, scenario: Scenario) -> float:
+def _delay(drive: Drive) -> float:
     """Periods from sampling to loading."""
     if not 0.0 <= drive.delay <= LONGEST_DELAY:
         raise InputError(
             f"duty cycles cannot act {drive.delay:g} periods after the sample; from 0 to "
             f"{LONGEST_DELAY:g} can be simulated"
-        )
-    if scenario.inverter == "switched" and drive.delay != int(drive.delay):
-        raise InputError(
-            "simulation.inverter: a switched inverter takes duty cycles at the start of a period, "
-            f"not {drive.delay:g} periods after the sample; write inverter: averaged"
         )
     return drive.delay
 
@@ -325,7 +333,7 @@ def run_input(
             "adc_bits": float(sensor.bits),
             "adc_full_scale": sensor.full_scale,
             "noise": sensor.noise,
-            "delay": _delay(drive, scenario),
+            "delay": _delay(drive),
             "v_bits": 0.0,
             "v_full_scale": 1.0,
         }

@@ -103,8 +103,9 @@ def _notes(found: DriveSimulation) -> tuple[str, ...]:
     if found.run.figures.bounded[0]:
         return (
             ("rise from 10 to 90 % of the step; settled within 2 % of it",) if found.steps else ()
-        )
+        ) + found.remarks
     return (
+        *found.remarks,
         (
             f"the currents left all bounds at {_value(float(found.run.figures.t[0]), 's')}: the "
             "drive is unstable"
@@ -113,23 +114,24 @@ def _notes(found: DriveSimulation) -> tuple[str, ...]:
 
 
 def _lines(found: DriveSimulation) -> list[tuple[str, ...]]:
-    """Label and a value per format."""
+    """Label and a value per run; a dash where only the first run has one."""
     text = format_text(found.formats, found.not_simulated)
     blank = ("",) * len(found.others)
     columns = [
-        (*_figure_rows(each), *_phase_rows(each), *_observer_rows(each)) for each in found.every
+        dict((*_figure_rows(each), *_phase_rows(each), *_observer_rows(each)))
+        for each in found.every
     ]
-    lines = [(rows[0][0], *(value for _, value in rows)) for rows in zip(*columns, strict=True)]
+    lines = [(name, *(column.get(name, "-") for column in columns)) for name in columns[0]]
     return [lines[0], *([("arithmetic", text, *blank)] if text else []), *lines[1:]]
 
 
 def _heads(found: DriveSimulation, single: str) -> tuple[str, ...]:
-    return ("", *found.formats) if found.others else ("", single)
+    return ("", *(each.label for each in found.every)) if found.others else ("", single)
 
 
 def _step_title(found: DriveSimulation, each: DriveSimulation) -> str:
     title = f"Steps of the {found.run.scenario.mode}"
-    return f"{title}, {each.format}" if found.others else title
+    return f"{title}, {each.label}" if found.others else title
 
 
 def simulation_tables(found: DriveSimulation) -> list[Table]:
@@ -165,8 +167,10 @@ def simulation_part(found: DriveSimulation) -> PlainData:
     return {
         "tables": simulation_html(found),
         "files": list(found.files()),
-        "controllers": [control_header_name(prefix, each.format) for each in found.every],
-        "figures": [figure_name(each.format, number) for number, each in enumerate(found.every)],
+        "controllers": [control_header_name(prefix, name) for name in found.formats],
+        "firmware": [each.firmware for each in found.every if each.firmware is not None],
+        "remarks": [remark for each in found.every for remark in each.remarks],
+        "figures": [figure_name(each.label, number) for number, each in enumerate(found.every)],
     }
 
 
@@ -175,9 +179,9 @@ def control_header_name(prefix: str, number_format: NumberFormat) -> str:
     return f"{prefix}_control{'' if number_format == 'float32' else '_' + number_format}.h"
 
 
-def figure_name(number_format: NumberFormat, number: int) -> str:
-    """Name of the figure of a run; those after the first bear their format."""
-    return "simulation" if number == 0 else f"simulation_{number_format}"
+def figure_name(label: str, number: int) -> str:
+    """Name of the figure of a run; those after the first bear what ran."""
+    return "simulation" if number == 0 else f"simulation_{label}"
 
 
 def _plain_phases(found: DriveSimulation) -> PlainData:
@@ -198,6 +202,13 @@ def _plain_phases(found: DriveSimulation) -> PlainData:
     }
 
 
+def _plain_firmware(found: DriveSimulation) -> PlainData:
+    """The keys of loops of other firmware; nothing for the emitted code."""
+    if found.firmware is None:
+        return {}
+    return {"firmware": found.firmware, "remarks": list(found.remarks)}
+
+
 def plain_simulation(found: DriveSimulation) -> PlainData:
     """Figures as plain data, in SI units; the samples are in the archives."""
     others = [_plain_run(other) for other in found.others]
@@ -206,37 +217,41 @@ def plain_simulation(found: DriveSimulation) -> PlainData:
 
 def _plain_run(found: DriveSimulation) -> PlainData:
     run, figures, seen = found.run, found.run.figures, found.observed
-    return _plain_phases(found) | {
-        "mode": run.scenario.mode,
-        "inverter": run.scenario.inverter,
-        "format": found.format,
-        "unit": found.unit,
-        "duration_s": float(figures.t[0]),
-        "bounded": bool(figures.bounded[0]),
-        "deviation_largest": found.tracking[0],
-        "deviation_rms": found.tracking[1],
-        "omega_m_largest_rad_per_s": found.speed_largest,
-        "torque_largest_Nm": found.torque_largest,
-        "peak_current_A": float(figures.peak_current[0]),
-        "rms_current_A": float(figures.rms_current[0]),
-        "copper_W": found.copper,
-        "energy_J": {
-            name: float(getattr(figures, f"e_{name}")[0])
-            for name in ("in", "copper", "shaft", "load", "friction")
-        },
-        "end": {
-            "omega_m_rad_per_s": float(figures.omega_m[0]),
-            "torque_Nm": float(figures.torque[0]),
-            "i_d_A": float(figures.i_d[0]),
-            "i_q_A": float(figures.i_q[0]),
-        },
-        "steps": [asdict(step) for step in found.steps],
-        "observer": None
-        if seen is None
-        else {
-            "angle_error_rms_rad": seen.angle_rms,
-            "angle_error_largest_rad": seen.angle_largest,
-            "speed_error_largest_rad_per_s": seen.speed_largest,
-            "sensorless_share": seen.sensorless_share,
-        },
-    }
+    return (
+        _plain_phases(found)
+        | _plain_firmware(found)
+        | {
+            "mode": run.scenario.mode,
+            "inverter": run.scenario.inverter,
+            "format": found.format,
+            "unit": found.unit,
+            "duration_s": float(figures.t[0]),
+            "bounded": bool(figures.bounded[0]),
+            "deviation_largest": found.tracking[0],
+            "deviation_rms": found.tracking[1],
+            "omega_m_largest_rad_per_s": found.speed_largest,
+            "torque_largest_Nm": found.torque_largest,
+            "peak_current_A": float(figures.peak_current[0]),
+            "rms_current_A": float(figures.rms_current[0]),
+            "copper_W": found.copper,
+            "energy_J": {
+                name: float(getattr(figures, f"e_{name}")[0])
+                for name in ("in", "copper", "shaft", "load", "friction")
+            },
+            "end": {
+                "omega_m_rad_per_s": float(figures.omega_m[0]),
+                "torque_Nm": float(figures.torque[0]),
+                "i_d_A": float(figures.i_d[0]),
+                "i_q_A": float(figures.i_q[0]),
+            },
+            "steps": [asdict(step) for step in found.steps],
+            "observer": None
+            if seen is None
+            else {
+                "angle_error_rms_rad": seen.angle_rms,
+                "angle_error_largest_rad": seen.angle_largest,
+                "speed_error_largest_rad_per_s": seen.speed_largest,
+                "sensorless_share": seen.sensorless_share,
+            },
+        }
+    )

@@ -21,7 +21,10 @@ ROOMS_THAT_ASK = {
 """Rooms whose modules ask the optimizer, and what for."""
 
 ORCHESTRATORS = {
+    "comparison.firmware_side": "judges the loops of a firmware's file that is to be compared",
     "comparison.sources": "solves a design that is to be compared",
+    "firmware_files.design_made": "finds the phase-locked loop of a file that becomes a design",
+    "firmware.design_simulation": "solves a design, and runs the loops of its firmware beside it",
     "flashing_choice.row_files": "solves the currents of a salient machine on the row's topology",
     "flashing_choice.question": "answers a question: what to flash, with all that can be run here",
     "losses.question": "answers a question: losses over a map or a mission",
@@ -35,11 +38,14 @@ ORCHESTRATORS = {
 MODELS = {
     "control.fixed_model": "the control functions in integers, step by step",
     "control.fixed_reading": "proves again what is read back",
+    "firmware.loop_code": "the loops of other firmware in C, by the rules they are judged by",
     "fixed_observers.fixed_observer_model": "the observers in integers, step by step",
     "fixed_observers.fixed_observer_reading": "proves again what is read back",
     "fixed_reference.mesh_reading": "proves again what is read back",
     "modulation_choice.rule_model": "the choice of modulator in single precision",
     "phase_control.fixed_phase_model": "the control of phases in integers, step by step",
+    "firmware.simplefoc.reader": "what a file amounts to, by the function that serves a design",
+    "firmware.vesc.reader": "what a file amounts to, by the function that serves a design",
     "output.stored_proof": "proves again what is read back",
     "phase_control.fixed_phase_reading": "proves again what is read back",
     "observers.float32_model": "position observers in single precision",
@@ -47,7 +53,7 @@ MODELS = {
     "waveforms.float32_model": "phase currents in single precision",
 }
 """Modules that evaluate emitted C in its own arithmetic, for test vectors and to compare with the
-compiled C."""
+compiled C; and those that work out what a file of other firmware amounts to."""
 
 
 def functions_of_the_optimizer(source: str) -> list[str]:

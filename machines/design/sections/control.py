@@ -5,7 +5,7 @@ what is checked across it.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
 
@@ -48,6 +48,7 @@ from dqforge.machines.names import (
     ObserverMethodName,
     ObserverTuningName,
     SpeedLoopMethod,
+    VendorMethod,
 )
 from dqforge.machines.places import KeyPath, about
 from dqforge.machines.units.quantities import format_quantity
@@ -309,12 +310,23 @@ def _check_observer(observer: ObserverSection, document: YamlDocument) -> None:
             )
 
 
+def _needed(loop: CurrentLoopSection | SpeedLoopSection) -> tuple[str, ...]:
+    """The keys that a method cannot do without.
+
+    TI makes the gains of the speed loop of the bandwidth of the current loop.
+    """
+    if loop.method == "given":
+        return ("kp", "ki")
+    if loop.method == "ti" and isinstance(loop, SpeedLoopSection):
+        return ()
+    named = ("bandwidth", "damping", *get_args(VendorMethod))
+    return ("bandwidth",) if loop.method in named else ()
+
+
 def _check_method(
     loop: CurrentLoopSection | SpeedLoopSection, path: KeyPath, document: YamlDocument
 ) -> None:
-    needed = {"bandwidth": ("bandwidth",), "damping": ("bandwidth",), "given": ("kp", "ki")}.get(
-        loop.method, ()
-    )
+    needed = _needed(loop)
     where = ".".join(map(str, path))
     for key in needed:
         if getattr(loop, key) is None:
@@ -350,6 +362,12 @@ def _check_schedule(loop: CurrentLoopSection, machine: Machine, document: YamlDo
         message = (
             "control.current_loop.schedule: the machine's inductances are constant, so are the "
             "gains; remove it"
+        )
+        raise document.error(message, path)
+    if loop.method in get_args(VendorMethod):
+        message = (
+            f"control.current_loop.schedule: the gains by '{loop.method}' are constant in that "
+            "firmware; write another method, or schedule: false"
         )
         raise document.error(message, path)
     if loop.method == "given":

@@ -106,6 +106,8 @@ def configure(asked: Asked) -> Configuration:
     own |= _structure(asked)
     if asked.speed is not None:
         own |= _speed(drive, asked.speed)
+    if asked.pll is not None:
+        own |= _tracking(asked.pll)
     own["si_motor_poles"] = kept(
         "si_motor_poles", 2 * _known(drive.pole_pairs), "machine.pole_pairs"
     )
@@ -238,6 +240,14 @@ def _speed(drive: DriveValues, asked: PiGains) -> dict[str, Number]:
         "s_pid_ki": kept("s_pid_ki", asked.ki / scale, key),
         "s_pid_kd": kept("s_pid_kd", 0.0, key),
         "s_pid_speed_source": kept("s_pid_speed_source", 0, key),
+    }
+
+
+def _tracking(pll: PiGains) -> dict[str, Number]:
+    """Gains of the tracking loop as they are asked for."""
+    return {
+        "foc_pll_kp": kept("foc_pll_kp", pll.kp, "control.firmware.pll_kp"),
+        "foc_pll_ki": kept("foc_pll_ki", pll.ki, "control.firmware.pll_ki"),
     }
 
 

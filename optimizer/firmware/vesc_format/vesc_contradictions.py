@@ -53,7 +53,8 @@ def _gains(own: Mapping[str, OwnValue]) -> Iterator[str]:
         yield (
             f"foc_current_kp {kp:g} is {fast:.4g} rad/s times L, foc_current_ki {ki:g} is "
             f"{slow:.4g} rad/s times R: by VESC's rule (kp = L/tc, ki = R/tc) ki would be "
-            f"{kp * r_s / inductance:.4g}; edited by hand, or R or L was measured again"
+            f"{kp * r_s / inductance:.4g}; edited by hand, tuned by another rule, or R or L was "
+            f"measured again"
         )
 
 

@@ -70,6 +70,7 @@ class Speed:
     def __init__(self, feedback: SpeedEstimate) -> None:
         self.own, self.angle, self.value = feedback, 0.0, 0.0
         self.past = [0.0] * (feedback.samples + 1)
+        self.shown, self.shown_before = 0.0, [0.0] * feedback.averaged
 
     def step(self, angle: float, omega: float) -> float:
         own = self.own
@@ -79,6 +80,8 @@ class Speed:
             error = angle - self.angle
             self.value += own.ki * error * own.t_s
             self.angle += (self.value + own.kp * error) * own.t_s
+            made = self.value + own.kp * error if own.whole else self.value
+            self.shown += own.t_s / (own.t_s + own.filter_time) * (made - self.shown)
         else:
             self.past = [angle, *self.past[:-1]]
             if own.kind == "difference":
@@ -86,7 +89,9 @@ class Speed:
             else:
                 change = (angle - self.past[1]) / own.t_s
                 self.value += own.t_s / (own.t_s + own.filter_time) * (change - self.value)
-        return self.value
+        shown = self.shown if own.kind == "pll" else self.value
+        self.shown_before = [shown, *self.shown_before[:-1]]
+        return sum(self.shown_before) / own.averaged
 
 
 def free_response(made: LoopProfile, steps: int) -> np.ndarray:
@@ -101,13 +106,14 @@ def free_response(made: LoopProfile, steps: int) -> np.ndarray:
     whole = int(delay)
     early, late = expm(flow * (delay - whole) * t_c), expm(flow * (1.0 - delay + whole) * t_c)
     ratio, every = round(made.speed.pi.t_s / t_c), round(made.speed.feedback.t_s / t_c)
+    measured = 0.0
     inner, outer, estimate = Pi(made.current.q), Pi(made.speed.pi), Speed(made.speed.feedback)
     x, waiting, found, wanted = np.array([1.0, 1.0, 0.0]), [0.0] * (whole + 1), [], 0.0
     for k in range(steps * ratio):
         if k % every == 0:
-            estimate.step(x[2], x[1])
+            measured = estimate.step(x[2], x[1])
         if k % ratio == 0:
-            wanted = outer.step(0.0, estimate.value)
+            wanted = outer.step(0.0, measured)
             found.append(x[1])
         waiting = [inner.step(wanted, x[0]), *waiting]
         x = (early @ np.append(x, waiting[whole + 1]))[:3]
@@ -129,6 +135,11 @@ STRUCTURES = {
     "slow pll": profile(SpeedEstimate("pll", T_C, 2000.0, 30000.0)),
     "pll at the speed's rate": profile(SpeedEstimate("pll", T_N, 900.0, 90000.0), 60.0),
     "ideal": profile(SpeedEstimate("ideal", T_C)),
+    "averaged": profile(SpeedEstimate("ideal", 2.0 * T_C, averaged=30)),
+    "whole pll": profile(SpeedEstimate("pll", T_C, 2000.0, 30000.0, whole=True)),
+    "everything": profile(
+        SpeedEstimate("pll", 4.0 * T_C, 900.0, 2e5, filter_time=1e-3, averaged=6, whole=True)
+    ),
     "difference": profile(SpeedEstimate("difference", 5.0 * T_C, samples=7)),
     "low-pass": profile(SpeedEstimate("low-pass", T_C, filter_time=2e-3), delay=0.0),
     "half a period": profile(SpeedEstimate("low-pass", T_N, filter_time=1e-3), delay=0.5),

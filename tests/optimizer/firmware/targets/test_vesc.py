@@ -191,7 +191,8 @@ def test_one_pair_for_two_inductances_is_the_mean_and_is_priced() -> None:
     assert held.current_d == held.current_q
     assert held.current_q is not None
     assert held.current_q.kp == pytest.approx(2e3 * math.pi * 2e-4, rel=1e-5)
-    assert (held.drive.l_d, held.drive.l_q) == (pytest.approx(1e-4), pytest.approx(3e-4))
+    assert held.drive.l_d == pytest.approx(1e-4)
+    assert held.drive.l_q == pytest.approx(3e-4)
     priced = next(one for one in shortfalls(asked, held) if "two inductances" in one.words)
     prices = {price.of: price.value for price in priced.prices}
     assert prices["phase margin of the d axis"] > math.radians(5.0)

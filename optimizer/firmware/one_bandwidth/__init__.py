@@ -1,0 +1,1 @@
+"""Firmware that works out its current gains from one bandwidth: keys, choice, prices."""

@@ -1,0 +1,1 @@
+"""What the members of SimpleFOC's motor mean, and what they cannot hold."""

@@ -1,0 +1,443 @@
+"""Gains chosen within the structure of a firmware: what the design asks for where that holds, else
+the fastest that does.
+
+Every candidate goes through the firmware's own `configure`, so that what is judged are the numbers
+that its file holds, and its own loops over the corners of the tolerances. Deterministic.
+
+Gains by a formula with a number that the design names (a bandwidth, given gains) are judged as they
+are, and refused with what would hold. Of a formula without such a number the structure may take
+slower gains of the same shape; the method ``optimised`` looks for the largest integral gain within
+the bound of M_s in this structure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import get_args
+
+import numpy as np
+
+from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSettings
+from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.names import VendorMethod
+from dqforge.optimizer.firmware.configuration import Configuration, PiGains
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
+from dqforge.optimizer.firmware.profile import LoopProfile, PiController
+from dqforge.optimizer.firmware.sampled_structure import added_gain
+from dqforge.optimizer.firmware.structure_box import (
+    Bounds,
+    BoxedPlants,
+    axis_plants,
+    speed_plants_over,
+)
+from dqforge.optimizer.loops.gains import speed_delay
+from dqforge.optimizer.loops.loop_batch import PlantBatch
+from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.loops.optimised_pi import optimised_pi, pi_scale
+from dqforge.optimizer.loops.pi_methods import (
+    Settings,
+    calmer,
+    current_pi,
+    largest_factor,
+    loop_advice,
+    speed_pi,
+)
+from dqforge.optimizer.loops.tolerance_box import DriveBox
+from dqforge.optimizer.loops.vendor_methods import vendor_inductance
+
+_SHRUNK = (1.0, 0.999, 0.99, 0.95, 0.9, 0.8, 0.6)
+"""Shares of M_s - 1 that are tried until the rounded gains keep the bound."""
+
+
+_NAMED = ("bandwidth", "damping", "given", *get_args(VendorMethod))
+"""Methods whose numbers the design names."""
+
+
+_PLL_STEPS = 7
+_LARGEST_PLL_STEP = 0.5  # kp of the phase-locked loop times its period: it is slow beside its own
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """What was asked in the end, what the firmware makes of it, and in words what was changed."""
+
+    asked: Asked
+    configuration: Configuration
+    profile: LoopProfile
+    words: tuple[str, ...] = ()
+
+
+def configured(method: FirmwareMethod, asked: Asked, *words: str) -> Chosen:
+    """What a firmware makes of what is asked; raises as its ``configure``.
+
+    Parameters
+    ----------
+    method:
+        The firmware.
+    asked:
+        What its configuration is to hold.
+    words:
+        What was changed of what the design asks for.
+    """
+    configuration = method.configure(asked)
+    return Chosen(asked, configuration, method.profile(configuration), words)
+
+
+def _possible(method: FirmwareMethod, asked: Asked) -> Chosen | None:
+    """The same, None where the format cannot hold it."""
+    try:
+        return configured(method, asked)
+    except InputError:
+        return None
+
+
+def _bounds(settings: Settings) -> Bounds:
+    if settings.method == "optimised":
+        return Bounds(settings.phase_margin_min, settings.max_sensitivity)
+    return Bounds(settings.phase_margin_min)
+
+
+def _firmware(method: FirmwareMethod) -> str:
+    return f"{method.name} {method.version}".strip()
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentSearch:
+    """Search for the gains of both current loops of a drive within one structure."""
+
+    method: FirmwareMethod
+    box: DriveBox
+    asked: Asked
+    settings: CurrentLoopSettings
+
+    @property
+    def bounds(self) -> Bounds:
+        """What the loops must keep."""
+        return _bounds(self.settings)
+
+    def with_gains(self, d: tuple[float, float], q: tuple[float, float]) -> Asked:
+        """What is asked with other current gains, and without a speed loop."""
+        return replace(self.asked, current_d=PiGains(*d), current_q=PiGains(*q), speed=None)
+
+    def by(self, trial: CurrentLoopSettings) -> Asked:
+        """What is asked by a formula for both axes."""
+        design = self.box.design
+        d, q = (
+            current_pi(
+                design.machine.r_s,
+                vendor_inductance(trial.method, self.box.nominal, place),
+                design.control.t_s,
+                trial,
+            )
+            for place in (0, 1)
+        )
+        return self.with_gains(d, q)
+
+    def fault(self, chosen: Chosen) -> str | None:
+        """What one of both loops does not keep, in words."""
+        loops = chosen.profile.current
+        for axis, pi in (("i_d", loops.d), ("i_q", loops.q)):
+            found = axis_plants(self.box, axis, loops).fault(pi, self.bounds)
+            if found is not None:
+                return f"the {axis} loop {found}"
+        return None
+
+    def holds(self, asked: Asked) -> bool:
+        """Whether gains can be held and keep the bounds."""
+        if not min(asked.current_d.kp, asked.current_d.ki, asked.current_q.kp) > 0.0:
+            return False
+        chosen = _possible(self.method, asked)
+        return chosen is not None and self.fault(chosen) is None
+
+    def family(self) -> CurrentLoopSettings:
+        """Settings with a number that can be lowered."""
+        settings = self.settings
+        if settings.method in ("magnitude-optimum", "optimised"):
+            bandwidth = self.asked.current_q.kp / self.box.nominal[1]
+            return replace(settings, method="bandwidth", bandwidth=bandwidth)
+        return settings
+
+    def solve(self) -> Chosen:
+        """Gains that keep the bounds; raises `NoSolutionError` where there are none."""
+        first = configured(self.method, replace(self.asked, speed=None))
+        if self.settings.method == "optimised":
+            found = self._optimised(first)
+            if found is not None:
+                return found
+        fault = self.fault(first)
+        if fault is None:
+            return first
+        family = self.family()
+        factor = largest_factor(lambda share: self.holds(self.by(calmer(family, share))))
+        advice = "no slower gains of this method hold" if factor is None else ""
+        if factor is not None and self.settings.method not in _NAMED:
+            slower = self.by(calmer(family, factor))
+            return configured(
+                self.method, slower, _lowered("the current loops", fault, factor, self.method)
+            )
+        advice = advice or loop_advice("control.current_loop", family, factor or 1.0)
+        raise NoSolutionError(
+            f"control.current_loop: as {_firmware(self.method)} runs it, by method "
+            f"'{self.settings.method}' {fault}; {advice}"
+        )
+
+    def _optimised(self, first: Chosen) -> Chosen | None:
+        """Largest integral gain within M_s in the firmware's structure, after rounding."""
+        for share in _SHRUNK:
+            bound = 1.0 + share * (self.settings.max_sensitivity - 1.0)
+            asked = self._free(first.profile, bound)
+            if asked is not None and self.holds(asked):
+                return configured(self.method, asked)
+        return None
+
+    def _free(self, profile: LoopProfile, bound: float) -> Asked | None:
+        loops, r_s = profile.current, self.box.design.machine.r_s
+        if self.method.free == "bandwidth":
+            tight = replace(self, settings=replace(self.settings, max_sensitivity=bound))
+            start = replace(self.family(), bandwidth=1.0 / ((loops.delay + 0.5) * loops.q.t_s))
+            factor = largest_factor(lambda share: tight.holds(self.by(calmer(start, share))))
+            return None if factor is None else self.by(calmer(start, factor))
+        both = [axis_plants(self.box, axis, loops).plants for axis in ("i_d", "i_q")]
+        sets = [_together(both)] * 2 if self.method.free == "one-pair" else both
+        found = []
+        for plants, inductance, pi in zip(sets, self.box.nominal, (loops.d, loops.q), strict=True):
+            scale = pi_scale(inductance, r_s, (loops.delay + 0.5) * pi.t_s)
+            kp, ki = optimised_pi(plants, bound, scale, "control.current_loop")
+            found.append((kp + added_gain(replace(pi, ki=ki)), ki))
+        return self.with_gains(found[0], found[1])
+
+
+def _together(batches: list[PlantBatch]) -> PlantBatch:
+    """Plants of both axes as one set."""
+    return replace(
+        batches[0],
+        a=np.concatenate([batch.a for batch in batches]),
+        b=np.concatenate([batch.b for batch in batches]),
+    )
+
+
+def _lowered(what: str, fault: str, factor: float, method: FirmwareMethod) -> str:
+    return (
+        f"slowed down: {what}, to {factor:.3g} times what the method gives; with that, as "
+        f"{_firmware(method)} runs it, {fault}"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedSearch:
+    """Search for the gains of the speed loop and its phase-locked loop, current loops fixed."""
+
+    method: FirmwareMethod
+    box: DriveBox
+    current: Chosen
+    settings: SpeedLoopSettings
+    asked: Asked
+    torque_per_ampere: float
+    t_sum: float
+
+    @property
+    def bounds(self) -> Bounds:
+        """What the loop must keep."""
+        return _bounds(self.settings)
+
+    def by(self, trial: SpeedLoopSettings) -> PiGains:
+        """Gains per ampere by a formula."""
+        machine = self.box.design.machine
+        assert machine.inertia is not None
+        kp, ki = speed_pi(machine.inertia, machine.friction, self.t_sum, trial)
+        return PiGains(kp / self.torque_per_ampere, ki / self.torque_per_ampere)
+
+    def family(self) -> SpeedLoopSettings:
+        """Settings with a number that can be lowered."""
+        assert self.asked.speed is not None
+        if self.settings.method != "optimised":
+            return self.settings
+        inertia = self.box.design.machine.inertia
+        assert inertia is not None
+        bandwidth = self.asked.speed.kp * self.torque_per_ampere / inertia
+        return replace(self.settings, method="bandwidth", bandwidth=bandwidth)
+
+    def plls(self) -> list[PiGains | None]:
+        """Gains of the phase-locked loop that may be tried: as given, or the firmware's own and
+        then faster ones with a double pole.
+        """
+        if self.asked.pll is not None:
+            return [self.asked.pll]
+        own = self._made(None, self.asked.speed)
+        if own is None or own.profile.speed is None or own.profile.speed.feedback.kind != "pll":
+            return [None]
+        feedback = own.profile.speed.feedback
+        rates = [feedback.kp * 2.0 ** (0.5 * step) for step in range(_PLL_STEPS)]
+        fast = [kp for kp in rates if kp * feedback.t_s <= _LARGEST_PLL_STEP]
+        return [None, *(PiGains(kp, 0.25 * kp * kp) for kp in fast)]
+
+    def _made(self, pll: PiGains | None, speed: PiGains | None) -> Chosen | None:
+        return _possible(self.method, replace(self.asked, pll=pll, speed=speed))
+
+    def plants(self, chosen: Chosen) -> BoxedPlants:
+        """Plants over the box with what a configuration makes of the phase-locked loop."""
+        speed = chosen.profile.speed
+        assert speed is not None
+        return speed_plants_over(self.box, chosen.profile.current, speed)
+
+    def solve(self) -> Chosen:
+        """Gains that keep the bounds; raises `NoSolutionError` where there are none."""
+        first = configured(self.method, self.asked, *self.current.words)
+        if first.profile.speed is None:
+            return replace(
+                first,
+                words=(
+                    *first.words,
+                    f"{_firmware(self.method)} has no such speed controller: none is judged",
+                ),
+            )
+        fault = self.plants(first).fault(first.profile.speed.pi, self.bounds)
+        if fault is None and self.settings.method != "optimised":
+            return first
+        if self.settings.method == "optimised":
+            return self._best(fault)
+        for pll in self.plls()[1:]:
+            found = self._made(pll, self.asked.speed)
+            if found is not None and self._keeps(found):
+                return replace(found, words=(*self.current.words, _of_pll(pll, fault)))
+        assert fault is not None
+        return self._slower(fault)
+
+    def _keeps(self, chosen: Chosen) -> bool:
+        speed = chosen.profile.speed
+        return speed is not None and self.plants(chosen).fault(speed.pi, self.bounds) is None
+
+    def _slower(self, fault: str) -> Chosen:
+        """The fastest loop of the same shape over all phase-locked loops, or a refusal."""
+        family, best = self.family(), (0.0, None)
+        for pll in self.plls():
+            start = self._made(pll, self.asked.speed)
+            factor = None if start is None else self._largest(start, pll, family)
+            if factor is not None and factor > best[0]:
+                best = (factor, pll)
+        factor, pll = best
+        if factor > 0.0 and self.settings.method not in _NAMED:
+            found = self._made(pll, self.by(calmer(family, factor)))
+            assert found is not None
+            words = _lowered("the speed loop", f"it {fault}", factor, self.method)
+            return replace(found, words=(*self.current.words, words))
+        raise NoSolutionError(self._refusal(fault, family, factor))
+
+    def _largest(
+        self, start: Chosen, pll: PiGains | None, family: SpeedLoopSettings
+    ) -> float | None:
+        plants = self.plants(start)
+
+        def holds(share: float) -> bool:
+            gains = self.by(calmer(family, share))
+            if not min(gains.kp, gains.ki) > 0.0:
+                return False
+            found = self._made(pll, gains)
+            if found is None or found.profile.speed is None:
+                return False
+            return plants.fault(found.profile.speed.pi, self.bounds) is None
+
+        return largest_factor(holds)
+
+    def _refusal(self, fault: str, family: SpeedLoopSettings, factor: float) -> str:
+        advice = (
+            loop_advice("control.speed_loop", family, factor)
+            if factor > 0.0
+            else "no slower gains of this method hold"
+        )
+        given = self.asked.pll
+        with_pll = "" if given is None else f" with a PLL of {given.kp:.6g}/{given.ki:.6g}"
+        freed = ""
+        if given is not None:
+            freed = (
+                "leave control.firmware.pll_kp and pll_ki out, or write pll_ki: "
+                f"{0.25 * given.kp**2:.6g} (kp^2/4), or slow the loop down: "
+            )
+        return (
+            f"control.speed_loop: as {_firmware(self.method)} runs it{with_pll}, the speed loop by "
+            f"method '{self.settings.method}' {fault}; {freed}{advice}"
+        )
+
+    def _best(self, fault: str | None) -> Chosen:
+        """Largest integral gain within M_s over all phase-locked loops, after rounding."""
+        best: Chosen | None = None
+        for pll in self.plls():
+            start = self._made(pll, self.asked.speed)
+            found = None if start is None else self._optimised(start, pll)
+            if found is not None and (best is None or _ki(found) > _ki(best) * 1.02):
+                best = found
+        if best is not None:
+            return replace(best, words=self.current.words)
+        return self._slower(fault or "keeps its bounds by no gains of this search")
+
+    def _optimised(self, start: Chosen, pll: PiGains | None) -> Chosen | None:
+        speed, boxed = start.profile.speed, self.plants(start)
+        machine = self.box.design.machine
+        assert speed is not None
+        assert machine.inertia is not None
+        per_ampere = self.torque_per_ampere
+        scale = pi_scale(machine.inertia / per_ampere, machine.friction / per_ampere, self.t_sum)
+        for share in _SHRUNK:
+            bound = 1.0 + share * (self.settings.max_sensitivity - 1.0)
+            try:
+                kp, ki = optimised_pi(boxed.plants, bound, scale, "control.speed_loop")
+            except NoSolutionError:
+                return None
+            gains = PiGains(kp + added_gain(_period(replace(speed.pi, ki=ki), boxed)), ki)
+            found = self._made(pll, gains)
+            if found is not None and self._keeps(found):
+                return found
+        return None
+
+
+def _period(pi: PiController, boxed: BoxedPlants) -> PiController:
+    return replace(pi, t_s=boxed.plants.t_s)
+
+
+def _ki(chosen: Chosen) -> float:
+    assert chosen.profile.speed is not None
+    return chosen.profile.speed.pi.ki
+
+
+def _of_pll(pll: PiGains | None, fault: str | None) -> str:
+    assert pll is not None
+    return (
+        f"the PLL gets kp {pll.kp:.6g} and ki {pll.ki:.6g}: with its own gains the speed loop "
+        f"{fault}"
+    )
+
+
+def speed_search(
+    method: FirmwareMethod,
+    box: DriveBox,
+    current: Chosen,
+    asked: Asked,
+    i_q: LoopGains,
+) -> SpeedSearch | None:
+    """The search for a design's speed loop; None where it asks for none, or has no magnets.
+
+    Parameters
+    ----------
+    method:
+        The firmware.
+    box:
+        The drive with its tolerances.
+    current:
+        What was chosen for the current loops.
+    asked:
+        What the design asks for, the speed loop included.
+    i_q:
+        The q axis as the design's own structure has it.
+    """
+    control, machine = box.design.control, box.design.machine
+    if control.speed_loop is None or asked.speed is None:
+        return None
+    return SpeedSearch(
+        method,
+        box,
+        current,
+        control.speed_loop,
+        replace(asked, current_d=current.asked.current_d, current_q=current.asked.current_q),
+        1.5 * machine.pole_pairs * machine.psi_pm,
+        speed_delay(i_q, control.t_s, control.speed_loop),
+    )

@@ -1,0 +1,364 @@
+"""ST's MCSDK: its configuration for a design, in integers, and the loops that it then runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.firmware.configuration import (
+    Configuration,
+    DriveValues,
+    OwnValue,
+    PiGains,
+)
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
+from dqforge.optimizer.firmware.profile import (
+    CurrentLoops,
+    FluxObserver,
+    LimitOrder,
+    LoopProfile,
+    PiController,
+    SpeedController,
+    SpeedEstimate,
+)
+from dqforge.optimizer.firmware.st_format.st_configuration import (
+    amperes,
+    integers,
+    st_configuration,
+)
+from dqforge.optimizer.firmware.st_format.st_gains import current_integers, speed_integers
+from dqforge.optimizer.firmware.st_format.st_keys import VERSION
+from dqforge.optimizer.firmware.st_format.st_mtpa import SEGMENTS, MtpaTable, table_currents
+from dqforge.optimizer.firmware.st_format.st_observer import (
+    LOW_SHARE,
+    ObservedMachine,
+    emf_of,
+    low_speed,
+    observed_machine,
+    observer_integers,
+    placed_poles,
+    tracking,
+    tracking_integers,
+)
+from dqforge.optimizer.firmware.st_format.st_scales import (
+    FULL,
+    LARGEST,
+    current_scale,
+    number,
+    printed,
+    scales,
+)
+from dqforge.optimizer.firmware.st_format.st_shortfalls import shortfalls
+from dqforge.optimizer.firmware.st_format.st_table import table_for
+
+SOURCES = (
+    "MCSDK 5.4.3 and 6.4 mc_tasks: PI of q, of d, circle limitation, inverse Park",
+    "MCSDK pwm_curr_fdbk drivers: sampled round the crest, loaded with the next update",
+    "MCSDK pid_regulator: the integral first, held to 32767 counts; its discharge is 1/divider",
+    "MCSDK circle_limitation: version 5 along the direction, version 6 q after d, d up to 95 %",
+    "MCSDK pwm_curr_fdbk: 32768 counts of voltage are v_dc/sqrt(3)",
+    "MCSDK sto_pll_speed_pos_fdbk: observer, PI as phase-locked loop, its output averaged",
+    "MCSDK speed_torq_ctrl: PI on tenths of a hertz, held to IQMAX",
+    "MCSDK parameters_conversion.h: C1 to C5, scales of current, voltage and back-EMF",
+)
+
+
+_TICKS = 2000
+
+"""Hz of the timer that the speed controller is counted from."""
+
+
+_BUS_ROOM = 1.5
+
+"""Voltage up to which the dc link is taken to be measured, over its nominal one: a header of the
+power stage says it, a design does not."""
+
+
+_FASTER = 8.0
+
+"""Gain of the phase-locked loop at its lowest speed over the crossover of the speed loop."""
+
+
+def configure(asked: Asked) -> Configuration:
+    """The configuration for a design.
+
+    Raises
+    ------
+    InputError
+        The design says nothing of `inverter.current_sensing`, or a value does not fit 16 bits; with
+        the key.
+    """
+    drive = asked.drive
+    own = _machine(asked) | _stage(asked) | _rates(drive)
+    full, scale = current_scale(own), scales(own)
+    assert full is not None
+    assert scale is not None
+    _require_current(drive, full)
+    own |= _fitting(
+        "control.current_loop", lambda: current_integers(asked.current_d, asked.current_q, scale)
+    )
+    own["IQMAX_A"] = own["NOMINAL_CURRENT_A"]
+    table = table_for(asked, full)
+    if table is not None:
+        own |= _table_macros(table)
+        own["IQMAX_A"] = printed(table.largest * full / FULL)
+    if asked.speed is not None:
+        rate = _speed_rate(drive)
+        own["SPEED_LOOP_FREQUENCY_HZ"] = rate
+        own |= _speed_macros(asked.speed, full, rate)
+    if drive.psi_pm and drive.omega_m_max:
+        own |= _observer(asked, own)
+    return st_configuration(asked.design.name, own)
+
+
+def profile(found: Configuration) -> LoopProfile:
+    """The loops that the MCSDK runs with a configuration.
+
+    Raises
+    ------
+    InputError
+        It says too little of the current controllers.
+    """
+    own, drive = found.own, found.drive
+    if found.current_q is None or drive.t_s is None or drive.v_dc is None:
+        raise InputError(
+            "the configuration of the MCSDK says too little of its current loops: they need "
+            "drive_parameters.h, and of power_stage_parameters.h RSHUNT, AMPLIFICATION_GAIN and "
+            "NOMINAL_BUS_VOLTAGE_V"
+        )
+    table = _table_points(own)
+    return LoopProfile(
+        firmware="st",
+        version=found.version,
+        current=_current(found, found.current_q, drive.t_s, drive.v_dc),
+        speed=_speed(found),
+        observer=_flux_observer(own),
+        reference="id-zero" if not table else "table",
+        sources=SOURCES,
+        table=table,
+    )
+
+
+def _known(value: float | None, key: str) -> float:
+    if value is None or value <= 0.0:
+        raise InputError(f"{key}: the MCSDK needs it; give it")
+    return value
+
+
+def _machine(asked: Asked) -> dict[str, OwnValue]:
+    """Macros of the machine, and what only the motor file says."""
+    drive = asked.drive
+    pairs = int(_known(drive.pole_pairs, "machine.pole_pairs"))
+    l_q = printed(_known(drive.l_q, "machine.inductance_q"))
+    i_max = printed(_known(drive.i_max, "machine.max_current"))
+    own: dict[str, OwnValue] = {
+        "POLE_PAIR_NUM": pairs,
+        "RS": printed(_known(drive.r_s, "machine.resistance")),
+        "LS": l_q,
+        "ld_lq_ratio": printed(_known(drive.l_d, "machine.inductance_d") / l_q),
+        "MOTOR_VOLTAGE_CONSTANT": printed(emf_of(drive.psi_pm or 0.0, pairs)),
+        "NOMINAL_CURRENT_A": i_max,
+        "ID_DEMAG_A": -i_max,
+    }
+    if drive.omega_m_max:
+        rpm = round(drive.omega_m_max * 30.0 / math.pi)
+        own |= {"MOTOR_MAX_SPEED_RPM": rpm, "MAX_APPLICATION_SPEED_RPM": rpm}
+    if drive.inertia:
+        own["inertia"] = printed(drive.inertia * 1e6)
+    if drive.viscous:
+        own["friction"] = printed(drive.viscous * 1e6)
+    return own
+
+
+def _stage(asked: Asked) -> dict[str, float]:
+    sensing = asked.design.inverter.current_sensing
+    if sensing is None:
+        raise InputError(
+            "inverter.current_sensing: the MCSDK counts currents in integers; write "
+            "current_sensing: {shunt: 10 mOhm, gain: 5.18, reference: 3.3 V}"
+        )
+    return {
+        "NOMINAL_BUS_VOLTAGE_V": printed(_known(asked.drive.v_dc, "inverter.v_dc")),
+        "RSHUNT": printed(sensing.shunt),
+        "AMPLIFICATION_GAIN": printed(sensing.gain),
+        "ADC_REFERENCE_VOLTAGE": printed(sensing.reference),
+    }
+
+
+def _rates(drive: DriveValues) -> dict[str, float]:
+    f_sw, t_s = _known(drive.f_sw, "inverter.switching_frequency"), _known(drive.t_s, "control")
+    every = f_sw * t_s
+    if abs(every - round(every)) > 1e-6 or round(every) < 1:
+        raise InputError(
+            f"control.sampling_frequency: the MCSDK samples once in a whole number of carrier "
+            f"periods, not in {every:.4g}; write {f_sw:g} Hz or a whole part of it"
+        )
+    if f_sw >= 65536.0:
+        raise InputError(
+            f"inverter.switching_frequency {f_sw:g} Hz: the MCSDK counts it in 16 bits; write at "
+            "most 65535 Hz"
+        )
+    return {
+        "PWM_FREQUENCY": round(f_sw),
+        "REGULATION_EXECUTION_RATE": round(every),
+        "SW_DEADTIME_NS": round((drive.dead_time or 0.0) * 1e9),
+    }
+
+
+def _require_current(drive: DriveValues, full: float) -> None:
+    i_max = _known(drive.i_max, "machine.max_current")
+    if i_max * FULL / full > LARGEST:
+        raise InputError(
+            f"inverter.current_sensing: its full scale of {full:.4g} A is below the current limit "
+            f"of {i_max:.4g} A, which the MCSDK then cannot count; lower the gain or max_current"
+        )
+
+
+def _fitting(key: str, work: Callable[[], dict[str, int]]) -> dict[str, int]:
+    try:
+        return work()
+    except InputError as error:
+        raise InputError(f"{key}: {error.message}; choose a slower loop") from None
+
+
+def _speed_macros(speed: PiGains, full: float, rate: int) -> dict[str, int]:
+    return _fitting("control.speed_loop", lambda: speed_integers(speed, full, rate))
+
+
+def _speed_rate(drive: DriveValues) -> int:
+    """Rate in Hz of the speed controller: the part of its timer next to what is asked."""
+    wanted = 1.0 / drive.t_speed if drive.t_speed else 1000.0
+    parts = [_TICKS // k for k in range(1, _TICKS + 1) if _TICKS % k == 0]
+    return min(parts, key=lambda part: abs(math.log(part / wanted)))
+
+
+def _observer(asked: Asked, own: Mapping[str, OwnValue]) -> dict[str, OwnValue]:
+    voltage = _BUS_ROOM * (number(own, "NOMINAL_BUS_VOLTAGE_V") or 0.0) / math.sqrt(3.0)
+    machine = observed_machine(own, voltage)
+    assert machine is not None
+    found: dict[str, OwnValue] = dict(_observer_gains(machine))
+    rpm, pairs = machine.speed, int(number(own, "POLE_PAIR_NUM") or 1)
+    base = tracking_integers(pairs, rpm, machine.rate)
+    low = LOW_SHARE * rpm * math.pi / 30.0
+    slow = tracking({**own, **base}, low)
+    assert slow is not None
+    crossover = _speed_crossover(asked)
+    faster = max(1.0, _FASTER * crossover / slow.kp)
+    found |= tracking_integers(pairs, rpm, machine.rate, faster)
+    found |= {"STO_FIFO_DEPTH_UNIT": 64, "OBS_MINIMUM_SPEED_RPM": round(LOW_SHARE * rpm)}
+    return found
+
+
+def _observer_gains(machine: ObservedMachine) -> dict[str, int]:
+    found = observer_integers(machine)
+    if not found["F1"]:
+        raise InputError(
+            f"machine.inductance_q {machine.inductance:.4g} H: at {machine.rate:g} Hz and "
+            f"{machine.current:.4g} A no scale F1 makes the constants of the MCSDK's observer fit "
+            "16 bits; sample faster, or measure more current"
+        )
+    return found
+
+
+def _speed_crossover(asked: Asked) -> float:
+    """Crossover in rad/s of the speed loop that is asked for, 0 without one."""
+    drive, speed = asked.drive, asked.speed
+    if speed is None or not drive.inertia or not drive.psi_pm or not drive.pole_pairs:
+        return 0.0
+    return 1.5 * drive.pole_pairs * drive.psi_pm * speed.kp / drive.inertia
+
+
+def _table_macros(table: MtpaTable) -> dict[str, OwnValue]:
+    return {
+        "SEGDIV": table.width,
+        "ANGC": _listed(table.slopes),
+        "OFST": _listed(table.offsets),
+    }
+
+
+def _listed(values: tuple[int, ...]) -> str:
+    return "{" + ",".join(str(value) for value in values) + "}"
+
+
+def _table_points(own: Mapping[str, OwnValue]) -> tuple[tuple[float, float, float], ...]:
+    """Ends of the segments as (command, i_d, i_q) in A."""
+    full, top = current_scale(own), amperes(own, "IQMAX_A")
+    width, slopes, offsets = (
+        number(own, "SEGDIV"),
+        integers(own.get("ANGC")),
+        integers(own.get("OFST")),
+    )
+    if full is None or not top or not width or slopes is None or offsets is None:
+        return ()
+    if len(slopes) != SEGMENTS or len(offsets) != SEGMENTS:
+        return ()
+    edges = np.arange(1, SEGMENTS) * int(width)
+    last = max(1, round(top * FULL / full))
+    counts = np.unique([0, *edges[edges < last], last])
+    i_d = table_currents(int(width), slopes, offsets, counts) * full / FULL
+    i_q = counts * full / FULL
+    return tuple(zip(i_q.tolist(), i_d.tolist(), i_q.tolist(), strict=True))
+
+
+def _current(found: Configuration, q: PiGains, t_s: float, v_dc: float) -> CurrentLoops:
+    d, limit = found.current_d or q, v_dc / math.sqrt(3.0)
+    forward = number(found.own, "CONSTANT2_QD") is not None
+    order: LimitOrder = "vector" if found.version == "5" else "d-first"
+    return CurrentLoops(
+        PiController(d.kp, d.ki, t_s, "integral-first", "clamp", limit),
+        PiController(q.kp, q.ki, t_s, "integral-first", "clamp", limit),
+        delay=1.0,
+        cross=forward,
+        back_emf=forward,
+        order=order,
+        angle_advance=number(found.own, "REV_PARK_ANGLE_COMPENSATION_FACTOR") or 0.0,
+    )
+
+
+def _speed(found: Configuration) -> SpeedController | None:
+    gains, period = found.speed, found.drive.t_speed
+    if gains is None or period is None:
+        return None
+    limit = amperes(found.own, "IQMAX_A") or found.drive.i_max
+    controller = PiController(gains.kp, gains.ki, period, "integral-first", "clamp", limit)
+    return SpeedController(controller, _estimate(found, period))
+
+
+def _estimate(found: Configuration, period: float) -> SpeedEstimate:
+    own, t_s, low = found.own, found.drive.t_s or period, low_speed(found.own)
+    loop = None if low is None else tracking(own, low)
+    if loop is not None:
+        averaged = int(number(own, "STO_FIFO_DEPTH_UNIT") or 64)
+        return SpeedEstimate("pll", t_s, loop.kp, loop.ki, averaged=averaged, whole=True)
+    depth = number(own, "ENC_AVERAGING_FIFO_DEPTH")
+    if depth:
+        return SpeedEstimate("difference", period, samples=int(depth))
+    return SpeedEstimate("ideal", t_s)
+
+
+def _flux_observer(own: Mapping[str, OwnValue]) -> FluxObserver | None:
+    machine, f1 = observed_machine(own) or observed_machine(own, 1.0), number(own, "F1")
+    if machine is None or not f1:
+        return None
+    slow = max(abs(pole) for pole in placed_poles(own, machine))
+    warnings = []
+    if slow >= 1.0:
+        warnings.append(f"the observer is unstable: a pole at {slow:.4g} per period")
+    low = low_speed(own)
+    loop = None if low is None else tracking(own, low)
+    if loop is not None:
+        pole = loop.poles[0]
+        warnings.append(
+            f"at {loop.speed * 30.0 / math.pi:.4g} rpm the phase-locked loop has poles at "
+            f"{pole.real:.4g} {'+-' if pole.imag else 'and'} "
+            f"{abs(pole.imag) if pole.imag else loop.poles[1].real:.4g}"
+            f"{' j' if pole.imag else ''} rad/s; they are faster at higher speed"
+        )
+    rate = -math.log(min(max(slow, 1e-12), 1.0)) * machine.rate
+    return FluxObserver("state observer with phase-locked loop", rate, tuple(warnings))
+
+
+ST = FirmwareMethod("st", VERSION, "axes", configure, profile, shortfalls)

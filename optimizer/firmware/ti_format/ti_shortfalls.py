@@ -1,0 +1,143 @@
+"""What a motor block of TI's lab cannot hold of a design, and what that costs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from dqforge.optimizer.firmware.configuration import Configuration, PiGains
+from dqforge.optimizer.firmware.current_prices import linear_rule, price_of
+from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall
+from dqforge.optimizer.firmware.ti_format.ti_configuration import (
+    BANDWIDTHS,
+    current_rule,
+    speed_rule,
+)
+from dqforge.optimizer.firmware.ti_format.ti_keys import number
+
+_NOTICED = 1e-3
+
+
+_ADVISED = (0.1, 10.0)
+
+"""Factors that TI's comments give; of the proportional gain of the speed up to 100."""
+
+
+_MOST_OF_SPEED = 100.0
+
+
+def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
+    """What the block does not hold of what was asked, each with its price.
+
+    Parameters
+    ----------
+    asked:
+        What was asked.
+    held:
+        What was made of it.
+    """
+    return (
+        *_fixed_bandwidth(asked, held),
+        *_factors(held),
+        *_currents(asked, held),
+        *_periods(asked, held),
+        *_field_weakening(held),
+    )
+
+
+def _fixed_bandwidth(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
+    """What runs where the factors are not compiled in: the firmware's own rule."""
+    drive, own = held.drive, BANDWIDTHS.get(held.version)
+    gains = held.current_q
+    if own is None or gains is None or drive.r_s is None or drive.l_q is None:
+        return
+    rule = current_rule(drive.r_s, drive.l_q, own.current)
+    if _alike(gains, rule):
+        return
+    prices = [
+        Price("q gain of the firmware's own rule", rule.kp / gains.kp - 1.0, ""),
+        Price("q integral gain of the firmware's own rule", rule.ki / gains.ki - 1.0, ""),
+    ]
+    words = (
+        f"TI's lab fixes its bandwidth at {own.current / (2.0 * math.pi):.4g} Hz and its integral "
+        f"gain at R/(4 L) in code; the factors KP_..._SF and KI_..._SF make {gains.kp:.4g} V/A and "
+        f"{gains.ki:.4g} V/(A s) of it only where the project defines MOTOR1_PI_TUNE and sets "
+        f"flagEnableTuneController; without them the q axis runs {rule.kp:.4g} V/A and "
+        f"{rule.ki:.4g} V/(A s)"
+    )
+    if asked.speed is not None and drive.pole_pairs and drive.psi_pm and drive.inertia:
+        speed = speed_rule(drive.pole_pairs, drive.psi_pm, drive.inertia, own)
+        prices.append(Price("speed gain of the firmware's own rule", _off(speed, asked.speed), ""))
+        words += (
+            f", the speed controller {speed.kp:.4g} A s/rad instead of {asked.speed.kp:.4g} A s/rad"
+        )
+    yield Shortfall(words, tuple(prices))
+
+
+def _off(rule: PiGains, wished: PiGains) -> float:
+    return rule.kp / wished.kp - 1.0
+
+
+def _factors(held: Configuration) -> Iterator[Shortfall]:
+    least, most = _ADVISED
+    for name, value in held.own.items():
+        if not name.endswith("_SF") or "_LOW_" in name or "_START_" in name:
+            continue
+        largest = _MOST_OF_SPEED if "KP_SPD" in name else most
+        if isinstance(value, float) and not least <= value <= largest:
+            yield Shortfall(
+                f"{name} {value:.4g} is outside the {least:g} to {largest:g} that TI's file advises"
+            )
+
+
+def _currents(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
+    """The closed form of linear machines against what the machine needs."""
+    drive = held.drive
+    if asked.design.strategy != "mtpa" or drive.psi_pm is None or drive.i_max is None:
+        return
+    saliency = (drive.l_q or 0.0) - (drive.l_d or 0.0)
+    i_max = min(drive.i_max, asked.design.i_max)
+    price = price_of(asked.design.machine, i_max, linear_rule(drive.psi_pm, saliency))
+    if price.torque < _NOTICED:
+        return
+    form = "the closed form of a linear machine" if saliency else "no d current"
+    yield Shortfall(
+        f"TI's currents of most torque per ampere (MOTOR1_MTPA) are {form}: at {i_max:.4g} A they "
+        f"make {100.0 * price.torque:.2g} % less torque than this machine can, or lose "
+        f"{100.0 * price.copper_loss:.2g} % more in copper for the same torque",
+        (Price("torque", price.torque, ""), Price("copper loss", price.copper_loss, "")),
+    )
+
+
+def _periods(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
+    for what, wanted, has in (
+        ("control step", asked.drive.t_s, held.drive.t_s),
+        ("speed controller", asked.drive.t_speed, held.drive.t_speed),
+    ):
+        if wanted and has and not math.isclose(wanted, has, rel_tol=1e-4):
+            yield Shortfall(
+                f"TI's lab runs the {what} every {1e6 * has:.4g} us, the design every "
+                f"{1e6 * wanted:.4g} us",
+                (Price(f"period of the {what}", has - wanted, "s"),),
+            )
+
+
+def _field_weakening(held: Configuration) -> Iterator[Shortfall]:
+    """Its field weakening turns the current by at most 15 deg as delivered."""
+    flux, most = number(held.own, "RATED_FLUX_VpHz"), number(held.own, "FREQ_MAX_Hz")
+    v_dc = held.drive.v_dc
+    if not flux or not most or not v_dc:
+        return
+    reached = v_dc / math.sqrt(3.0) / flux
+    if reached < most:
+        yield Shortfall(
+            f"the back-EMF at FREQ_MAX_Hz {most:.4g} Hz is above the voltage: without MOTOR1_FWC "
+            f"the speed ends at {reached:.4g} Hz, with it the current turns by at most 15 deg "
+            f"(USER_M1_FWC_MAX_ANGLE), which the block does not hold",
+            (Price("speed", 1.0 - reached / most, ""),),
+        )
+
+
+def _alike(one: PiGains, other: PiGains) -> bool:
+    kp, ki = (one.kp, other.kp), (one.ki, other.ki)
+    return all(math.isclose(*pair, rel_tol=1e-4) for pair in (kp, ki))

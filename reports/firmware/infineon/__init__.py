@@ -1,0 +1,1 @@
+"""Parameters of Infineon's motor-ctrl-lib: assignments to its structure params."""

@@ -1,0 +1,165 @@
+"""Parameters of motor-ctrl-lib read: assignments to ``params``, in files as Infineon's
+ParamsDefault.c and in those that dqforge writes.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import PurePath
+
+from dqforge.machines.errors import InputError
+from dqforge.machines.wording import shown
+from dqforge.optimizer.firmware.configuration import Configuration, Number, Origin, OwnValue
+from dqforge.optimizer.firmware.infineon_format.infineon_configuration import configuration
+from dqforge.optimizer.firmware.infineon_format.infineon_keys import TABLE, TABLE_KEYS, TABLE_POINTS
+from dqforge.reports.firmware.c_arithmetic import NotArithmeticError, Unknown, evaluated, tokens_of
+from dqforge.reports.firmware.c_macros import Definition, Macros, read_assignments
+from dqforge.reports.firmware.infineon.branches import kept_by_build
+from dqforge.reports.firmware.infineon.names import CONSTANTS, FUNCTIONS, KINDS, member
+from dqforge.reports.firmware.text_file import plain_number
+
+ROTOR_FRAME = ("CTRL_METHOD_RFO",)
+
+STATOR_FRAME = ("CTRL_METHOD_SFO",)
+
+"""Symbols of the two builds: the first is read, of the second its table alone."""
+
+
+_MARKS = re.compile(r"\bparams(?:_ptr)?(?:->|\.)(?:motor|ctrl)\.", re.ASCII)
+
+
+_PATH = re.compile(r"[A-Za-z_]\w*(?:(?:->|\.)[A-Za-z_]\w*|\[\d{1,6}\])*", re.ASCII)
+
+
+_POINTS = re.compile(r"_mtpa_flux_Wb\[\s*\d+U?\s*\]\s*=\s*\{([^{}]{0,20000})\}", re.ASCII)
+
+
+_LONGEST = 500
+
+
+def recognise(name: str, text: str) -> bool:
+    """Whether a file assigns parameters of motor-ctrl-lib.
+
+    Parameters
+    ----------
+    name:
+        Its name.
+    text:
+        Its text.
+    """
+    return name.lower().endswith((".c", ".h", ".hpp", ".txt")) and _MARKS.search(text) is not None
+
+
+def read(text: str, place: str) -> Configuration:
+    """The parameters in a file, as the build with rotor frame orientation takes them.
+
+    Parameters
+    ----------
+    text:
+        The file's text.
+    place:
+        Its path, for messages.
+
+    Raises
+    ------
+    InputError
+        It assigns none of them, or something that is no number; with the line.
+    """
+    own, origins = _members(assignments(text, place))
+    points = _table(text, place)
+    if points is not None:
+        of_table, where = _members(assignments(text, place, STATOR_FRAME))
+        own |= {name: of_table[name] for name in TABLE_KEYS if name in of_table}
+        origins |= {name: where[name] for name in TABLE_KEYS if name in where}
+        own[TABLE] = points
+    if not any(name.startswith("params.motor.") for name in own):
+        raise InputError(
+            "this file assigns no members of params.motor; name ParamsDefault.c or what stands "
+            "for it",
+            source=place,
+        )
+    return configuration(PurePath(place).stem, own, origins)
+
+
+def assignments(text: str, place: str, build: tuple[str, ...] = ROTOR_FRAME) -> Macros:
+    """What a build assigns, that with rotor frame orientation where none is named."""
+    return read_assignments(kept_by_build(text, place, build), place)
+
+
+def _members(found: Macros) -> tuple[dict[str, OwnValue], dict[str, Origin]]:
+    """Values of the members that are read, and where they stand."""
+    own: dict[str, OwnValue] = {}
+    origins: dict[str, Origin] = {}
+    values: dict[str, Number] = {}
+    for definition in found.every:
+        name = member(definition.name)
+        value = _value(definition.text, values)
+        if isinstance(value, (int, float)):
+            values[name or definition.name] = value
+        if name in KINDS and value is not None:
+            own[name] = _as_kind(found, definition, name, value)
+            origins[name] = Origin(definition.name, definition.text, definition.line)
+        elif name in KINDS:
+            _refuse_unless_open(found, definition)
+    return own, origins
+
+
+def _value(text: str, values: dict[str, Number]) -> Number | str | None:
+    """Value of an expression of numbers, conversions and members assigned before; a word where it
+    is one; None of anything else.
+    """
+    if len(text) > _LONGEST:
+        return None
+
+    def written(found: re.Match[str]) -> str:
+        name = member(found[0]) or found[0]
+        value = values.get(name, CONSTANTS.get(name))
+        return found[0] if value is None else f"({value!r})"
+
+    try:
+        value = evaluated(tokens_of(_PATH.sub(written, text)), FUNCTIONS)
+    except NotArithmeticError:
+        return None
+    return value.name if isinstance(value, Unknown) else value
+
+
+def _as_kind(found: Macros, definition: Definition, name: str, value: Number | str) -> OwnValue:
+    kind = KINDS[name]
+    if (kind == "word") != isinstance(value, str):
+        wanted = "an enumerator such as En" if kind == "word" else "a number"
+        _refuse(found, definition, f"is {shown(definition.text)}; write {wanted}")
+    if isinstance(value, str) or kind == "real":
+        return value if isinstance(value, str) else float(value)
+    whole = float(value)
+    if not whole.is_integer() or not 0 <= whole <= 2**31:
+        _refuse(found, definition, f"is {value:g}; write a whole number")
+    return int(whole)
+
+
+def _refuse_unless_open(found: Macros, definition: Definition) -> None:
+    """Refuse what is no arithmetic; what builds on members that are not assigned is left out."""
+    names = [match[0] for match in _PATH.finditer(definition.text)]
+    if not any(member(name) for name in names):
+        _refuse(found, definition, f"is {shown(definition.text)}, not a number; write one")
+
+
+def _refuse(found: Macros, definition: Definition, complaint: str) -> None:
+    raise InputError(f"{definition.name} {complaint}", source=found.source, line=definition.line)
+
+
+def _table(text: str, place: str) -> str | None:
+    """Points of the flux linkage over torque; None without a table."""
+    found = _POINTS.search(text)
+    if found is None:
+        return None
+    line = text.count("\n", 0, found.start()) + 1
+    parts = [part.strip() for part in found[1].split(",") if part.strip()]
+    numbers = [plain_number(part.rstrip("fF")) for part in parts]
+    if len(numbers) != TABLE_POINTS:
+        message = f"the table has {len(numbers)} points; write {TABLE_POINTS}"
+        raise InputError(message, source=place, line=line)
+    for part, value in zip(parts, numbers, strict=True):
+        if value is None:
+            message = f"the table has {shown(part)}, not a number; write one"
+            raise InputError(message, source=place, line=line)
+    return ", ".join(f"{value:.7g}" for value in numbers if value is not None)

@@ -1,0 +1,1 @@
+"""Configurations of moteus: lines of its own console."""

@@ -1,0 +1,1 @@
+"""Configurations of ODrive 0.5: the JSON of odrivetool."""

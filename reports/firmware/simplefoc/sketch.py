@@ -1,0 +1,227 @@
+"""Members of SimpleFOC's motor in C++: in a sketch of a user, or in the header that is written."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NoReturn
+
+from dqforge.machines.errors import InputError
+from dqforge.machines.wording import shown
+from dqforge.optimizer.firmware.configuration import Number, Origin
+from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import LOOP_PERIOD, MEMBERS, V_DC
+from dqforge.reports.firmware.c_arithmetic import (
+    NotArithmeticError,
+    Unknown,
+    evaluated,
+    tokens_of,
+)
+from dqforge.reports.firmware.c_macros import (
+    Definition,
+    Macros,
+    read_assignments,
+    read_macros,
+    without_comments,
+)
+from dqforge.reports.firmware.simplefoc.names import (
+    CONSTRUCTOR,
+    ENUMERATORS,
+    FORMER,
+    LIMIT_CALLS,
+    LINK,
+    PERIOD,
+    READ,
+    VOLTAGES,
+)
+
+Found = tuple[dict[str, Number], dict[str, Origin]]
+
+_CONSTRUCTED = re.compile(
+    r"\bBLDCMotor[ \t]+(\w+)[ \t]*(?:=[ \t]*BLDCMotor[ \t]*)?"
+    r"\(([^;(){}]*+(?:\([^();]*+\)[^;(){}]*+)*+)\)[ \t]*;",
+    re.ASCII,
+)
+
+
+_CALLED = re.compile(
+    r"\b(\w+)(?:\.|->)(" + "|".join(LIMIT_CALLS) + r")[ \t]*\(([^;(){}]*+)\)[ \t]*;", re.ASCII
+)
+
+
+_SUPPLY = "voltage_power_supply"
+
+
+@dataclass(frozen=True, slots=True)
+class Sketch:
+    """A text of C++ with one motor.
+
+    ``motor`` is the motor's name in it, ``arguments`` the texts given to its constructor with their
+    line, ``others`` further motors.
+    """
+
+    text: str
+    place: str
+    motor: str
+    macros: Macros
+    assignments: Macros
+    arguments: tuple[str, ...] = ()
+    line: int | None = None
+    others: tuple[str, ...] = ()
+
+    def member(self, definition: Definition) -> str | None:
+        """Member of the motor that an assignment sets; None where it sets something else."""
+        name = definition.name.replace("->", ".")
+        if not name.startswith(f"{self.motor}."):
+            return None
+        member = name[len(self.motor) + 1 :]
+        member = FORMER.get(member, member)
+        return member if member in READ else None
+
+
+def sketch_of(text: str, place: str) -> Sketch:
+    """What a text of C++ says of its motor.
+
+    Raises
+    ------
+    InputError
+        It has no motor of SimpleFOC, or is damaged.
+    """
+    plain = without_comments(text, place)
+    constructed = list(_CONSTRUCTED.finditer(plain))
+    assignments = read_assignments(text, place)
+    if constructed:
+        first = constructed[0]
+        return Sketch(
+            text,
+            place,
+            first[1],
+            read_macros(text, place),
+            assignments,
+            tuple(part.strip() for part in _arguments(first[2])),
+            plain.count("\n", 0, first.start()) + 1,
+            tuple(one[1] for one in constructed[1:]),
+        )
+    for definition in assignments.every:
+        motor, _, member = definition.name.replace("->", ".").partition(".")
+        if FORMER.get(member, member) in MEMBERS:
+            return Sketch(text, place, motor, read_macros(text, place), assignments)
+    raise InputError(
+        "this is no sketch of SimpleFOC with a BLDCMotor; name the file that constructs it",
+        source=place,
+    )
+
+
+FROM_LINK = math.nan
+
+"""Value of a voltage that the text works out from the link."""
+
+
+def members_of(sketch: Sketch) -> Found:
+    """Values and origins of the members, the constructor's before what is assigned; voltages that
+    are no numbers are `FROM_LINK`.
+    """
+    own: dict[str, Number] = {}
+    origins: dict[str, Origin] = {}
+    for name, argument in zip(CONSTRUCTOR, sketch.arguments, strict=False):
+        value = _value(argument, sketch)
+        if value is None and argument not in ("NOT_SET", ""):
+            _refuse(f"BLDCMotor's {name}", argument, sketch.place, sketch.line)
+        if value is not None:
+            own[name] = _whole(name, value, f"BLDCMotor's {name}", sketch.place, sketch.line)
+            origins[name] = Origin(f"BLDCMotor's {name}", argument, sketch.line)
+    if "axis_inductance.q" in own and "axis_inductance.d" not in own:
+        own["phase_inductance"] = own.pop("axis_inductance.q")
+        origins["phase_inductance"] = origins.pop("axis_inductance.q")
+    for name, value, origin in (*_constants(sketch), *_called(sketch), *_assigned(sketch)):
+        own[name] = value
+        origins[name] = origin
+    if "axis_inductance.q" in own and "axis_inductance.d" in own:
+        own.pop("phase_inductance", None)
+        origins.pop("phase_inductance", None)
+    return own, origins
+
+
+def _constants(sketch: Sketch) -> Iterator[tuple[str, Number, Origin]]:
+    """The link and the period of the loop: macros of the header, the supply of a driver."""
+    for end, name in ((LINK, V_DC), (PERIOD, LOOP_PERIOD)):
+        for macro in sketch.macros:
+            if macro.endswith(f"_{end}"):
+                value = sketch.macros.number(macro)
+                if value is not None:
+                    said = sketch.macros.text(macro) or ""
+                    yield name, value, Origin(macro, said, sketch.macros.line(macro))
+    for definition in sketch.assignments.every:
+        if definition.name.replace("->", ".").endswith(f".{_SUPPLY}"):
+            value = _value(definition.text, sketch)
+            if value is not None:
+                yield V_DC, value, Origin(definition.name, definition.text, definition.line)
+
+
+def _called(sketch: Sketch) -> Iterator[tuple[str, Number, Origin]]:
+    """Limits that are set by a function."""
+    plain = without_comments(sketch.text, sketch.place)
+    for found in _CALLED.finditer(plain):
+        value = _value(found[3], sketch) if found[1] == sketch.motor else None
+        if value is not None:
+            line = plain.count("\n", 0, found.start()) + 1
+            call = f"{found[1]}.{found[2]}"
+            yield LIMIT_CALLS[found[2]], float(value), Origin(call, found[3].strip(), line)
+
+
+def _assigned(sketch: Sketch) -> Iterator[tuple[str, Number, Origin]]:
+    for definition in sketch.assignments.every:
+        name = sketch.member(definition)
+        if name is None:
+            continue
+        text, origin = definition.text, Origin(definition.name, definition.text, definition.line)
+        enumerators = ENUMERATORS.get(name, ())
+        value = _value(text, sketch)
+        if text in enumerators:
+            yield name, enumerators.index(text), origin
+        elif value is None and name in VOLTAGES:
+            yield name, FROM_LINK, origin
+        elif value is None:
+            _refuse(definition.name, text, sketch.place, definition.line)
+        else:
+            kept = _whole(name, value, definition.name, sketch.place, definition.line)
+            yield name, kept, origin
+
+
+def _value(text: str, sketch: Sketch) -> Number | None:
+    """Value of an expression, or of the name of a macro or a variable; None where it has none."""
+    try:
+        value = evaluated(tokens_of(text), {})
+    except NotArithmeticError:
+        return None
+    if not isinstance(value, Unknown):
+        return value
+    defined = sketch.macros.value(value.name)
+    return sketch.assignments.value(value.name) if defined is None else defined
+
+
+def _whole(name: str, value: Number, said: str, place: str, line: int | None) -> Number:
+    """The value, as a whole number for a member that is one."""
+    if name not in MEMBERS or not MEMBERS[name].whole:
+        return float(value)
+    if not float(value).is_integer():
+        message = f"{said} is {value:g}; write a whole number"
+        raise InputError(message, source=place, line=line)
+    return int(value)
+
+
+def _refuse(said: str, text: str, place: str, line: int | None) -> NoReturn:
+    raise InputError(f"{said} is {shown(text)}, not a number; write one", source=place, line=line)
+
+
+def _arguments(text: str) -> list[str]:
+    """Arguments of a call, at commas outside parentheses."""
+    found, depth = [""], 0
+    for character in text:
+        depth += (character == "(") - (character == ")")
+        if character == "," and depth == 0:
+            found.append("")
+        else:
+            found[-1] += character
+    return found

@@ -1,0 +1,171 @@
+"""Motor blocks of TI's lab read: a block alone, a file with many of them, or an older user.h."""
+
+from __future__ import annotations
+
+from pathlib import PurePath
+
+from dqforge.machines.errors import InputError
+from dqforge.machines.wording import shown
+from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
+from dqforge.optimizer.firmware.ti_format.ti_configuration import configuration
+from dqforge.optimizer.firmware.ti_format.ti_keys import (
+    INSTASPIN,
+    KEYS,
+    OLDER_LAB,
+    READ_ONLY,
+    VERSION,
+)
+from dqforge.reports.firmware.c_macros import Macros, read_macros
+from dqforge.reports.firmware.ti.names import CHOICE, READ, candidates, prefixes_of
+
+KNOWN = {
+    "MOTOR1_ESMO": "1",
+    "MOTOR1_PI_TUNE": "1",
+    "MATH_TWO_PI": "6.283185307179586",
+    "MATH_PI": "3.141592653589793",
+}
+
+"""What a project defines outside of the file, so that all that its loops need is looked at."""
+
+
+_LISTED = 12
+
+
+_ABSENT = ("NULL", "(NULL)", "( NULL )")
+
+
+_PERMANENT_MAGNETS = "MOTOR_TYPE_PM"
+
+
+def recognise(name: str, text: str) -> bool:
+    """Whether a file holds a motor block of TI's lab.
+
+    Parameters
+    ----------
+    name:
+        Its name.
+    text:
+        Its text.
+    """
+    header = name.lower().endswith((".h", ".hpp", ".txt", ".c"))
+    return header and prefixes_of(text) is not None and "POLE_PAIRS" in text
+
+
+def read(text: str, place: str) -> Configuration:
+    """The motor that a file chooses.
+
+    Parameters
+    ----------
+    text:
+        The file's text.
+    place:
+        Its path, for messages.
+
+    Raises
+    ------
+    InputError
+        It holds none, several and chooses none, or a value of it is no number; with the line.
+    """
+    macros, name = chosen_motor(text, place)
+    prefixes = prefixes_of(text)
+    assert prefixes is not None
+    own, origins = _values(macros, prefixes, place)
+    return configuration(name or PurePath(place).stem, own, origins, _version(macros, prefixes[0]))
+
+
+def chosen_motor(text: str, place: str) -> tuple[Macros, str]:
+    """The macros of a file with those of one motor, and that motor's name ("" for a block alone).
+
+    Raises
+    ------
+    InputError
+        As `read`.
+    """
+    prefixes = prefixes_of(text)
+    if prefixes is None:
+        raise InputError(
+            "this file holds no USER_MOTOR1_... of TI's lab; name its user_mtr1.h or user.h",
+            source=place,
+        )
+    macros = read_macros(text, place, known=KNOWN)
+    blocks = list(CHOICE.finditer(text))
+    if not blocks:
+        return macros, ""
+    chooser = blocks[0][1]
+    names = list(dict.fromkeys(block[2] for block in blocks if block[1] == chooser))
+    name = macros.text(chooser)
+    if name is None:
+        offered = {macro.text for macro in macros.every if macro.name == chooser}
+        if len(offered) == 1:
+            name = offered.pop()
+            macros = read_macros(text, place, known=KNOWN | {chooser: name})
+    if name is None or name not in names:
+        line = text.count("\n", 0, blocks[0].start()) + 1
+        raise InputError(_which(chooser, name, names), source=place, line=line)
+    return macros, name
+
+
+def _which(chooser: str, name: str | None, names: list[str]) -> str:
+    """How to choose one of several motors."""
+    listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
+    why = (
+        f"this file holds {len(names)} motors and chooses none that does not depend on the board"
+        if name is None
+        else f"{chooser} is {shown(name)}, which this file does not hold"
+    )
+    return f"{why}; write '#define {chooser} NAME' above them with one of {listed}"
+
+
+def _version(macros: Macros, prefix: str) -> str:
+    if prefix == "USER_MOTOR_":
+        return INSTASPIN
+    return OLDER_LAB if f"{prefix}FREQ_MAX_HZ" in macros else VERSION
+
+
+def found_as(macros: Macros, name: str, prefixes: tuple[str, str]) -> str | None:
+    """What a macro of today is called in a file, None where it is not there."""
+    return next((macro for macro in candidates(name, prefixes) if macro in macros), None)
+
+
+def _values(
+    macros: Macros, prefixes: tuple[str, str], place: str
+) -> tuple[dict[str, OwnValue], dict[str, Origin]]:
+    own: dict[str, OwnValue] = {}
+    origins: dict[str, Origin] = {}
+    for name in READ:
+        macro = found_as(macros, name, prefixes)
+        text = None if macro is None else macros.text(macro)
+        if macro is None or text is None or text in _ABSENT:
+            continue
+        kind = (KEYS.get(name) or READ_ONLY[name]).kind
+        own[name] = _value(macros, macro, kind)
+        origins[name] = Origin(macro, text, macros.line(macro))
+    if not own:
+        raise InputError(
+            "this file has no values of the motor that it chooses; name a whole user_mtr1.h",
+            source=place,
+        )
+    kind = own.get("USER_MOTOR1_TYPE")
+    if kind is not None and str(kind).upper() != _PERMANENT_MAGNETS:
+        origin = origins["USER_MOTOR1_TYPE"]
+        raise InputError(
+            f"{origin.key} is {shown(kind)}: only machines with permanent magnets "
+            f"({_PERMANENT_MAGNETS}) are read; choose one",
+            source=place,
+            line=origin.line,
+        )
+    if kind is not None:
+        own["USER_MOTOR1_TYPE"] = _PERMANENT_MAGNETS
+    return own, origins
+
+
+def _value(macros: Macros, macro: str, kind: str) -> OwnValue:
+    if kind == "word":
+        return (macros.text(macro) or "").strip("() ")
+    if kind == "whole":
+        value = macros.whole(macro)
+        assert value is not None
+        if not 0 <= value <= 65535:
+            macros.refuse(macro, f"is {value}; write a whole number of 0 to 65535")
+        return value
+    return macros.needed(macro)

@@ -1,0 +1,90 @@
+"""A design from files of a firmware: read, written as a design file, and checked as any other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.overrides import overridden, read_override
+from dqforge.machines.errors import InputError
+from dqforge.machines.files.positioned_yaml import parse_yaml
+from dqforge.machines.places import leading_path
+from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
+from dqforge.optimizer.firmware.explained import explain
+from dqforge.reports.firmware_files.design_text import MadeDesign, design_of
+from dqforge.reports.firmware_files.recognised import read_configuration
+
+_SOURCE = "design.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class DesignFromFiles:
+    """A design file's text, what it was made of, and keys that are missing in it, each with an
+    example: those that a design needs, and those without which a part of the file is left out.
+    """
+
+    text: str
+    configuration: Configuration
+    missing: tuple[tuple[str, str], ...]
+    wanted: tuple[tuple[str, str], ...]
+
+
+def design_from_files(files: Sequence[Path], settings: Sequence[str] = ()) -> DesignFromFiles:
+    """A design file from files of a firmware.
+
+    Where it lacks nothing that a design needs, it has passed the checks of every design.
+
+    Parameters
+    ----------
+    files:
+        Of one firmware.
+    settings:
+        Keys that are set, such as ``inverter.v_dc=48 V``.
+
+    Raises
+    ------
+    InputError
+        A file is of no known firmware, or a value in it is none that a design can have.
+    """
+    configuration, read = read_configuration(files)
+    names = [Path(file.source).name for file in read]
+    given = {".".join(read_override(setting).parts) for setting in settings}
+    made = design_of(configuration, names, pll=_pll(configuration), given=given)
+    text = made.text
+    if settings and made.missing:
+        also = " ".join(f"--set {key}='{example}'" for key, example in made.missing)
+        raise InputError(
+            f"the file does not say all that a design needs; give {also} as well",
+            source=str(files[0]),
+        )
+    if settings:
+        _, text = overridden(parse_yaml(text.encode("utf-8"), _SOURCE), text, settings)
+    if not made.missing:
+        _check(text, made, configuration, str(files[0]))
+    return DesignFromFiles(text, configuration, made.missing, made.wanted)
+
+
+def _pll(configuration: Configuration) -> PiGains | None:
+    """The phase-locked loop that makes the speed of a firmware."""
+    known = DriveValues(t_s=configuration.drive.t_s)
+    profile = explain(configuration, known).profile
+    if profile is None or profile.speed is None or profile.speed.feedback.kind != "pll":
+        return None
+    return PiGains(profile.speed.feedback.kp, profile.speed.feedback.ki)
+
+
+def _check(text: str, made: MadeDesign, configuration: Configuration, file: str) -> None:
+    """Refuse what is no design, in the place of the file that says it."""
+    try:
+        load_text(text.encode("utf-8"), _SOURCE)
+    except InputError as error:
+        if error.source != _SOURCE:
+            raise
+        path = ".".join(str(part) for part in leading_path(error.message))
+        origin = configuration.origins.get(made.origins.get(path, ""))
+        if origin is None:
+            raise InputError(error.message, source=file) from None
+        message = f"{origin.key} {origin.text}: {error.message}"
+        raise InputError(message, source=file, line=origin.line) from None
