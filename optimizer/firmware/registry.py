@@ -9,6 +9,7 @@ from dqforge.optimizer.firmware.targets.moteus import MOTEUS
 from dqforge.optimizer.firmware.targets.nxp import NXP
 from dqforge.optimizer.firmware.targets.odrive import ODRIVE
 from dqforge.optimizer.firmware.targets.simplefoc import SIMPLEFOC
+from dqforge.optimizer.firmware.targets.st import ST
 from dqforge.optimizer.firmware.targets.ti import TI
 from dqforge.optimizer.firmware.targets.vesc import VESC
 
@@ -16,12 +17,19 @@ METHODS: dict[Firmware, FirmwareMethod] = {
     method.name: method
     for method in (
         # A line per firmware.
+<<<<<<< HEAD
         NXP,
         INFINEON,
         TI,
+=======
+>>>>>>> main
         VESC,
         SIMPLEFOC,
         MOTEUS,
         ODRIVE,
+        NXP,
+        ST,
+        TI,
+        INFINEON,
     )
 }

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
+from dqforge.optimizer.firmware.current_prices import linear_rule, price_of
 from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall
 from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop, judge
-from dqforge.optimizer.firmware.one_bandwidth.id_zero_cost import id_zero_cost
 from dqforge.optimizer.firmware.profile import LoopProfile
 
 _SAME = 1e-3
@@ -134,18 +134,20 @@ def d_current_missing(asked: Asked) -> tuple[Shortfall, ...]:
     design, i_max = asked.design, asked.drive.i_max
     if design.strategy == "id0" or i_max is None:
         return ()
-    cost = id_zero_cost(design.machine, i_max)
-    if cost is None or cost.lost_torque < _SAME:
+    machine = design.machine
+    price = price_of(machine, i_max, linear_rule(machine.psi_pm, 0.0))
+    torque = float(machine.torque(np.zeros(1), np.full(1, i_max))[0])
+    if price.torque < _SAME or not torque > 0.0:
         return ()
+    best = torque / (1.0 - price.torque)
+    loss = 1.5 * machine.r_s * i_max * i_max
+    least = loss / (1.0 + price.copper_loss)
     words = (
-        f"no d current below the voltage limit: {cost.torque:.4g} N m at {i_max:.4g} A instead of "
-        f"{cost.best_torque:.4g} N m ({cost.lost_torque:.1%} less); for the same "
-        f"{cost.torque:.4g} N m {cost.loss:.4g} W of copper loss instead of {cost.best_loss:.4g} W"
+        f"no d current below the voltage limit: {torque:.4g} N m at {i_max:.4g} A instead of "
+        f"{best:.4g} N m ({price.torque:.1%} less); for the same {torque:.4g} N m {loss:.4g} W of "
+        f"copper loss instead of {least:.4g} W"
     )
-    prices = (
-        Price("torque", cost.best_torque - cost.torque, "N m"),
-        Price("copper loss", cost.loss - cost.best_loss, "W"),
-    )
+    prices = (Price("torque", best - torque, "N m"), Price("copper loss", loss - least, "W"))
     return (Shortfall(words, prices),)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 from dqforge.optimizer.firmware.configuration import OwnValue
 from dqforge.optimizer.firmware.st_format.st_gains import shift
@@ -42,6 +43,8 @@ def _gains(own: Mapping[str, OwnValue], axis: str) -> Iterator[str]:
     kp, ki = number(own, f"PID_{axis}_KP_DEFAULT"), number(own, f"PID_{axis}_KI_DEFAULT")
     kp_divider, ki_divider = number(own, "TF_KPDIV"), number(own, "TF_KIDIV")
     r_s, inductance, rate = number(own, "RS"), number(own, "LS"), control_rate(own)
+    if axis == "FLUX" and inductance is not None:
+        inductance *= number(own, "ld_lq_ratio") or 1.0
     if not kp or ki is None or not kp_divider or not ki_divider:
         return
     if r_s is None or not inductance or rate is None:
@@ -51,7 +54,8 @@ def _gains(own: Mapping[str, OwnValue], axis: str) -> Iterator[str]:
     if abs(ki - wanted) > room:
         yield (
             f"PID_{axis}_KI_DEFAULT {ki:g} is not R/(L f) of PID_{axis}_KP_DEFAULT {kp:g} = "
-            f"{wanted:.1f} counts: edited by hand, or R or L were measured again"
+            f"{wanted:.1f} counts, Workbench's rule: chosen by another one, edited by hand, or R "
+            "or L measured again"
         )
 
 
@@ -93,16 +97,17 @@ def _observer(own: Mapping[str, OwnValue]) -> Iterator[str]:
     if not wanted["F1"]:
         yield "no F1 of the observer makes its constants fit 16 bits: L f is too small"
         return
-    for name in ("GAIN1", "GAIN2"):
-        value, factor = number(own, name), number(own, "F1" if name == "GAIN1" else "F2")
+    former = observer_integers(replace(machine, room=1.0))
+    for name, scale in (("GAIN1", "F1"), ("GAIN2", "F2")):
+        value, factor = number(own, name), number(own, scale)
         if value is None or not factor:
             continue
-        own_factor = wanted["F1" if name == "GAIN1" else "F2"]
-        expected = wanted[name] * factor / max(own_factor, 1)
-        if abs(value - expected) > 1.0 + factor / max(own_factor, 1) + _ROUNDED * abs(expected):
+        expected = [found[name] * factor / max(found[scale], 1) for found in (wanted, former)]
+        room = 1.0 + factor / max(wanted[scale], 1)
+        if all(abs(value - one) > room + _ROUNDED * abs(one) for one in expected):
             slow = max(abs(pole) for pole in placed_poles(own, machine))
             yield (
-                f"{name} {value:g} is not Workbench's {expected:.0f} for these R, L and rates: the "
-                f"slower pole of the observer is {slow:.3g} per period"
+                f"{name} {value:g} is not Workbench's {expected[0]:.0f} for these R, L and rates: "
+                f"the slower pole of the observer is {slow:.3g} per period"
                 + (", unstable" if slow >= 1.0 else "")
             )

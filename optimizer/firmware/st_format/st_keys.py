@@ -34,6 +34,7 @@ STAGE = {
 DRIVE = {
     "MAX_APPLICATION_SPEED_RPM": "largest speed of the drive, rpm",
     "PWM_FREQUENCY": "carrier, Hz",
+    "PWM_FREQ_SCALING": "by which the carrier frequency is divided to fit 16 bits",
     "REGULATION_EXECUTION_RATE": "carrier periods per control period",
     "SW_DEADTIME_NS": "dead time, ns",
     "F1": "scale of the observed current",
@@ -44,6 +45,7 @@ DRIVE = {
     "PLL_KI_GAIN": "loop behind the observer, integral",
     "PLL_KPDIV": "",
     "PLL_KIDIV": "",
+    "STO_FIFO_DEPTH_DPP": "periods over which the observer averages the speed",
     "STO_FIFO_DEPTH_UNIT": "periods over which the speed is averaged",
     "OBS_MINIMUM_SPEED_RPM": "least speed at which the observer is relied on, rpm",
     "PID_TORQUE_KP_DEFAULT": "q current, proportional",
@@ -68,7 +70,17 @@ TABLE = {
 }
 
 
-LOGARITHMS = ("PLL_KPDIV", "PLL_KIDIV", "TF_KPDIV", "TF_KIDIV", "SP_KPDIV", "SP_KIDIV", "F1", "F2")
+LOGARITHMS = (
+    "PLL_KPDIV",
+    "PLL_KIDIV",
+    "TF_KPDIV",
+    "TF_KIDIV",
+    "SP_KPDIV",
+    "SP_KIDIV",
+    "F1",
+    "F2",
+    "STO_FIFO_DEPTH_DPP",
+)
 
 """Dividers whose logarithm stands in a macro of its own."""
 
@@ -96,7 +108,6 @@ SPEED_GAINS = ("PID_SPEED_KP_DEFAULT", "PID_SPEED_KI_DEFAULT")
 
 
 READ_ONLY = (
-    "SPEED_UNIT",
     "VBUS_PARTITIONING_FACTOR",
     "REV_PARK_ANGLE_COMPENSATION_FACTOR",
     "ENC_AVERAGING_FIFO_DEPTH",

@@ -171,7 +171,7 @@ def _best_real(i_q: Counts, wanted: FloatArray) -> tuple[float, float]:
     """
     steps = np.diff(wanted) / np.diff(i_q)
     low, high = float(np.min(steps)), float(np.max(steps))
-    for _ in range(60):
+    for _ in range(40):
         first, second = low + (high - low) / 3.0, high - (high - low) / 3.0
         if _spread(i_q, wanted, first) <= _spread(i_q, wanted, second):
             high = second

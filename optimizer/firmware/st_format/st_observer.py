@@ -54,7 +54,8 @@ class ObservedMachine:
 
     Resistance in Ohm, inductance in H, ``emf`` the back-EMF constant in V r.m.s. line-to-line per
     1000 rpm, ``speed`` the largest in rpm, ``current`` and ``voltage`` the full scales in A and V
-    (peak of phase), ``rate`` in Hz.
+    (peak of phase), ``rate`` in Hz. ``room`` is what Workbench takes for the full scale of the
+    back-EMF over that at the largest speed: version 5 took 1 where its firmware has 1.2.
     """
 
     r_s: float
@@ -64,6 +65,7 @@ class ObservedMachine:
     current: float
     voltage: float
     rate: float
+    room: float = _ROOM
 
     @property
     def decay(self) -> float:
@@ -105,7 +107,7 @@ def observer_integers(machine: ObservedMachine) -> dict[str, int]:
     """
     first, second = observer_poles(machine.decay)
     for_current = first + second - 2.0 + machine.decay
-    volts = max(1.0, round(machine.emf_scale))
+    volts = max(1.0, round(machine.emf_scale * machine.room / _ROOM))
     for_emf = (1.0 - first) * (1.0 - second) * machine.volt_seconds / volts
     f1 = _LARGEST_FACTOR
     while f1 and not _fits(machine, f1, for_current):
@@ -135,13 +137,18 @@ def tracking_integers(
     rate:
         Hz of the current controllers.
     faster:
-        Factor on the natural frequency.
+        Factor on the proportional gain; above one the integral gain is that of a damping of
+        1/sqrt(2) at the least speed (`LOW_SHARE`).
     """
     gain = _TRACKING * pole_pairs * speed / (60.0 * rate)
     integral = gain * _TRACKING_RATIO / rate
+    if faster > 1.0:
+        gain *= faster
+        counts = LARGEST / _ROOM * LOW_SHARE * 2.0 * math.pi / 65536.0
+        integral = 4.0 * gain * (0.5 * gain / 16384.0 * counts)
     return {
-        "PLL_KP_GAIN": min(LARGEST, round(gain * faster)),
-        "PLL_KI_GAIN": min(LARGEST, round(integral * faster * faster)),
+        "PLL_KP_GAIN": min(LARGEST, round(gain)),
+        "PLL_KI_GAIN": min(LARGEST, round(integral)),
         "PLL_KPDIV": 16384,
         "PLL_KIDIV": 65535,
     }

@@ -50,7 +50,7 @@ SOURCES = (
     "odriverobotics/ODrive bddae0e MotorControl/motor.cpp update: no d current, feedforward",
     "odriverobotics/ODrive 1f78154 MotorControl/foc.cpp get_alpha_beta_output: PI, limit 0.8",
     "odriverobotics/ODrive 1f78154 MotorControl/foc.cpp get_alpha_beta_output: angle of the output",
-    "odriverobotics/ODrive fw-v0.5 Board/v3/board.cpp ControlLoop_IRQHandler: loaded a period later",
+    "odriverobotics/ODrive fw-v0.5 Board/v3/board.cpp ControlLoop_IRQHandler: a period later",
     "odriverobotics/ODrive b968a67 MotorControl/controller.cpp update: speed controller",
     "odriverobotics/ODrive 09790b0 MotorControl/encoder.cpp:121: kp = 2 bandwidth, ki = kp^2/4",
     "odriverobotics/ODrive 09790b0 MotorControl/encoder.cpp update: PLL",

@@ -77,6 +77,14 @@ _BUS_ROOM = 1.5
 power stage says it, a design does not."""
 
 
+_USUAL_DEPTH, _LEAST_DEPTH = 64, 8
+
+
+_AVERAGING_LAG = 0.1
+
+"""Phase in rad that the average of the speed may cost at the crossover of the speed loop."""
+
+
 _FASTER = 8.0
 
 """Gain of the phase-locked loop at its lowest speed over the crossover of the speed loop."""
@@ -196,13 +204,14 @@ def _rates(drive: DriveValues) -> dict[str, float]:
             f"control.sampling_frequency: the MCSDK samples once in a whole number of carrier "
             f"periods, not in {every:.4g}; write {f_sw:g} Hz or a whole part of it"
         )
-    if f_sw >= 65536.0:
+    scaling = next((2**k for k in range(5) if f_sw < 65536.0 * 2**k), 0)
+    if not scaling:
         raise InputError(
-            f"inverter.switching_frequency {f_sw:g} Hz: the MCSDK counts it in 16 bits; write at "
-            "most 65535 Hz"
+            f"inverter.switching_frequency {f_sw:g} Hz: the MCSDK counts at most 1048575 Hz"
         )
     return {
         "PWM_FREQUENCY": round(f_sw),
+        "PWM_FREQ_SCALING": scaling,
         "REGULATION_EXECUTION_RATE": round(every),
         "SW_DEADTIME_NS": round((drive.dead_time or 0.0) * 1e9),
     }
@@ -248,8 +257,19 @@ def _observer(asked: Asked, own: Mapping[str, OwnValue]) -> dict[str, OwnValue]:
     crossover = _speed_crossover(asked)
     faster = max(1.0, _FASTER * crossover / slow.kp)
     found |= tracking_integers(pairs, rpm, machine.rate, faster)
-    found |= {"STO_FIFO_DEPTH_UNIT": 64, "OBS_MINIMUM_SPEED_RPM": round(LOW_SHARE * rpm)}
-    return found
+    depth = _averaged(crossover, machine.rate)
+    found |= {"STO_FIFO_DEPTH_DPP": depth, "STO_FIFO_DEPTH_UNIT": depth}
+    return found | {"OBS_MINIMUM_SPEED_RPM": round(LOW_SHARE * rpm)}
+
+
+def _averaged(crossover: float, rate: float) -> int:
+    """Periods over which the speed is averaged: as many as usual, or as few as leave the speed loop
+    its phase.
+    """
+    depth = _USUAL_DEPTH
+    while depth > _LEAST_DEPTH and 0.5 * depth / rate * crossover > _AVERAGING_LAG:
+        depth //= 2
+    return depth
 
 
 def _observer_gains(machine: ObservedMachine) -> dict[str, int]:

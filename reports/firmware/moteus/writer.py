@@ -1,4 +1,4 @@
-"""Configurations of moteus written: a line per value, as ``moteus_tool --write-config`` sends it."""
+"""Configurations of moteus written: a line per value, as moteus_tool --write-config sends it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     GEAR,
     KNOWN,
     OF_OUTPUT,
-    as_printed,
 )
 from dqforge.reports.firmware.moteus.config_lines import ConfigLine, config_lines
 from dqforge.reports.firmware.moteus.reader import ENDING
@@ -80,7 +79,7 @@ def _of_output(lines: list[ConfigLine], numbers: dict[str, OwnValue]) -> dict[st
         )
     return {
         key: printed(
-            as_printed(key, float(value) * ratio**power)
+            float(value) * ratio**power
             if (power := OF_OUTPUT.get(key, 0)) and ratio != 1.0
             else value
         )

@@ -1,0 +1,162 @@
+"""moteus: what a design becomes, and the loops that run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import RELUCTANCE
+from firmware_asked import SCOOTER, TWO_PI, asked_of, scooter
+from saturated import ArctanMachine
+
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.firmware.configuration import PiGains
+from dqforge.optimizer.firmware.judge import judge
+from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import configuration, pwm_rate
+from dqforge.optimizer.firmware.targets.moteus import MOTEUS
+
+configure, profile, shortfalls = MOTEUS.configure, MOTEUS.profile, MOTEUS.shortfalls
+
+
+def test_the_scooter() -> None:
+    held = configure(scooter())
+    own = held.own
+    assert own["motor.poles"] == 30
+    assert own["motor.Kv"] == pytest.approx(60.0, rel=1e-6)
+    assert own["servo.pid_dq_hz"] == 1000.0
+    assert own["servo.pwm_rate_hz"] == 20000
+    assert held.current_q is not None
+    assert held.current_q.kp == pytest.approx(TWO_PI * 1000.0 * 1e-4)
+    assert held.current_q.ki == pytest.approx(TWO_PI * 1000.0 * 0.05)
+    assert held.drive.psi_pm == pytest.approx(SCOOTER.psi_pm, rel=1e-6)
+
+
+def test_the_loops_of_the_scooter() -> None:
+    asked = scooter()
+    held = configure(asked)
+    loops = profile(held)
+    assert loops.current.d.t_s == pytest.approx(50e-6)
+    assert loops.current.d.tracking * loops.current.d.t_s == pytest.approx(1.0)
+    assert loops.current.order == "d-first"
+    assert loops.current.voltage_share == pytest.approx(1.0 - 2.0 * 0.6e-6 * 2.0 * 20e3)
+    judged = judge(loops, asked.drive)
+    assert judged.current_q is not None
+    # Pole cancelled, one period of delay and half a one of holding: 90 deg less 1.5 T w, and the
+    # half period that the backward rule of the integral gives back.
+    assert judged.current_q.phase_margin == pytest.approx(
+        0.5 * math.pi - 1.5 * 50e-6 * TWO_PI * 1000.0, abs=0.05
+    )
+    assert judged.speed is not None
+    assert judged.speed.stable
+    assert loops.speed is not None
+    assert loops.speed.feedback.kind == "pll"
+    assert loops.speed.feedback.ki == pytest.approx(0.25 * loops.speed.feedback.kp**2)
+
+
+def test_speed_gains_are_those_of_position_and_its_rate() -> None:
+    """kd in N m per rev/s and kp in N m per revolution, by hand."""
+    asked = scooter()
+    assert asked.speed is not None
+    own = configure(asked).own
+    constant = 1.5 * 15 * SCOOTER.psi_pm
+    assert own["servo.pid_position.kd"] == pytest.approx(asked.speed.kp * constant * TWO_PI)
+    assert own["servo.pid_position.kp"] == pytest.approx(
+        asked.speed.ki * constant * TWO_PI, rel=1e-6
+    )
+
+
+def test_a_wish_for_the_filter_is_its_bandwidth() -> None:
+    asked = replace(scooter(), pll=PiGains(800.0, 160000.0))
+    loops = profile(configure(asked))
+    assert loops.speed is not None
+    assert loops.speed.feedback.kp == pytest.approx(800.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("wished", "rate", "period"),
+    [(8e3, 15000, 1 / 15e3), (20001.0, 20000, 5e-5), (40e3, 40000, 5e-5), (1e5, 60000, 1 / 3e4)],
+)
+def test_rates_are_those_that_the_firmware_runs(wished: float, rate: int, period: float) -> None:
+    asked = asked_of(SCOOTER, f_sw=wished)
+    assert pwm_rate(wished) == rate
+    held = configure(asked)
+    assert held.drive.f_sw == rate
+    assert held.drive.t_s == pytest.approx(period)
+    words = " ".join(found.words for found in shortfalls(asked, held))
+    assert ("switching frequency" in words) == (wished != 40e3 and abs(wished / rate - 1) > 1e-3)
+
+
+def test_the_slope_of_the_d_inductance_is_that_of_the_chord() -> None:
+    """Of a machine whose chord inductance is a straight line the slope is found."""
+    slope, l_d = -2e-6, 1e-3
+
+    class Straight(ArctanMachine):
+        @property
+        def l_d(self) -> float:
+            return l_d
+
+        def flux(self, i_d: np.ndarray, i_q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return self.psi_m + (l_d + slope * i_d) * i_d, 2e-3 * i_q
+
+    held = configure(asked_of(Straight(), v_dc=500.0))
+    assert held.own["motor.inductance_d_scale"] == pytest.approx(slope, rel=1e-6)
+
+
+def test_saturation_is_fitted_and_its_error_told() -> None:
+    machine = ArctanMachine()
+    asked = asked_of(machine, v_dc=500.0)
+    held = configure(asked)
+    cutoff = float(held.own["motor.rotation_current_cutoff_A"])
+    assert 0.0 <= cutoff < machine.i_max
+    found = shortfalls(asked, held)
+    assert any("a logarithm beyond" in entry.words for entry in found)
+    prices = {price.of: price for entry in found for price in entry.prices}
+    assert prices["phase margin (q) at i_max"].unit == "rad"
+    assert prices["phase margin (q) at i_max"].value >= 0.5235
+    assert prices["copper loss"].value > 0.0
+
+
+def test_machines_without_magnets_are_refused() -> None:
+    with pytest.raises(InputError, match=r"machine\.psi_pm: moteus"):
+        configure(asked_of(RELUCTANCE))
+
+
+def test_more_poles_than_a_byte_holds_are_refused() -> None:
+    with pytest.raises(InputError, match=r"machine\.pole_pairs: moteus holds at most"):
+        configure(asked_of(replace(SCOOTER, pole_pairs=128)))
+
+
+def test_a_configuration_that_says_too_little_has_no_loops() -> None:
+    with pytest.raises(InputError, match="one of them is missing"):
+        profile(configuration("drive", {"motor.poles": 14}))
+
+
+def test_older_firmware_states_its_gains() -> None:
+    numbers = {"servo.pid_dq.kp": 0.1, "servo.pid_dq.ki": 50.0, "servo.pwm_rate_hz": 30000}
+    held = configuration("drive", numbers)
+    assert held.current_d == held.current_q == PiGains(0.1, 50.0)
+    assert profile(held).current.q.ki == 50.0
+    both = configuration("drive", {**numbers, "servo.pid_q.kp": 0.2})
+    assert both.current_q == PiGains(0.2, 50.0)
+
+
+def test_gains_edited_by_hand_are_told() -> None:
+    held = configuration(
+        "drive",
+        {
+            "servo.pid_dq.kp": 0.1,
+            "servo.pid_dq.ki": 90.0,
+            "motor.resistance_ohm": 0.05,
+            "motor.inductance_d_H": 1e-4,
+        },
+    )
+    assert any("servo.pid_dq.ki 90 is not R/L kp = 50" in words for words in held.contradictions)
+
+
+def test_feedforward_of_the_resistance_is_told_with_its_overshoot() -> None:
+    numbers = {**configure(scooter()).own, "servo.current_feedforward": 1.0}
+    held = configuration("drive", {key: float(value) for key, value in numbers.items()})
+    # a = 2 pi 1000 L/R = 12.6; the excess is a^(-(a + 1)/(a - 1)).
+    assert any("overshoots by 5.1%" in words for words in held.conventions)

@@ -1,0 +1,135 @@
+"""ODrive 0.5: what a design becomes, and the loops that run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from drives import RELUCTANCE
+from firmware_asked import SCOOTER, TWO_PI, asked_of, scooter
+
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.firmware.configuration import PiGains
+from dqforge.optimizer.firmware.judge import judge
+from dqforge.optimizer.firmware.one_bandwidth.odrive_keys import configuration
+from dqforge.optimizer.firmware.targets.odrive import ODRIVE
+
+configure, profile, shortfalls = ODRIVE.configure, ODRIVE.profile, ODRIVE.shortfalls
+BANDWIDTH = "motor.config.current_control_bandwidth"
+
+
+def test_the_scooter() -> None:
+    asked = scooter()
+    held = configure(asked)
+    own = held.own
+    assert own["motor.config.pole_pairs"] == 15
+    assert own["motor.config.phase_inductance"] == 1e-4
+    # ODrive's own rule for the torque constant, with KV in rpm per volt.
+    assert own["motor.config.torque_constant"] == pytest.approx(8.27 / 60.0, rel=2e-4)
+    bandwidth = float(own[BANDWIDTH])
+    assert held.current_d == held.current_q == PiGains(bandwidth * 1e-4, bandwidth * 0.05)
+    assert asked.speed is not None
+    constant = 1.5 * 15 * SCOOTER.psi_pm
+    assert own["controller.config.vel_gain"] == pytest.approx(
+        TWO_PI * constant * asked.speed.kp, rel=1e-6
+    )
+    assert own["controller.config.vel_limit"] == pytest.approx(250.0 / TWO_PI, rel=1e-6)
+
+
+def test_the_loops_of_the_scooter() -> None:
+    asked = scooter()
+    loops = profile(configure(asked))
+    assert loops.current.q.t_s == pytest.approx(125e-6)
+    assert loops.current.voltage_share == 0.8
+    assert loops.current.angle_advance == 1.5
+    judged = judge(loops, asked.drive)
+    assert judged.current_q is not None
+    assert judged.current_q.phase_margin >= asked.design.control.current_loop.phase_margin_min
+    assert judged.speed is not None
+    assert judged.speed.stable
+    assert loops.speed is not None
+    assert loops.speed.feedback.ki == pytest.approx(0.25 * loops.speed.feedback.kp**2)
+    assert loops.speed.feedback.kp * 125e-6 < 1.0
+
+
+def test_too_fast_a_wish_is_lowered_to_what_8_khz_hold() -> None:
+    """pi/2 - 1.5 T w = 30 deg leaves 5585 rad/s; the forward rule of the integral takes some."""
+    held = configure(asked_of(SCOOTER, crossover=2e4))
+    assert 4500.0 < float(held.own[BANDWIDTH]) < 0.5 * math.pi / (1.5 * 125e-6)
+
+
+def test_the_pll_never_comes_where_the_firmware_refuses_it() -> None:
+    fast = replace(scooter(), pll=PiGains(50000.0, 1.0))
+    own = configure(fast).own
+    assert 2.0 * float(own["encoder.config.bandwidth"]) * 125e-6 < 1.0
+
+
+def test_one_inductance_for_two_axes_is_told_with_both_crossovers() -> None:
+    asked = asked_of(replace(SCOOTER, l_q=2e-4))
+    held = configure(asked)
+    assert held.own["motor.config.phase_inductance"] == pytest.approx(1.5e-4)
+    found = shortfalls(asked, held)
+    assert any(
+        "one inductance, 150 uH, stands for 100 uH (d) and 200 uH (q)" in entry.words
+        for entry in found
+    )
+    prices = {price.of: price.value for entry in found for price in entry.prices}
+    assert prices["crossover (d)"] > 1.5 * prices["crossover (q)"]
+    assert prices["torque"] > 0.0
+
+
+def test_rates_that_are_not_those_of_the_design_are_told() -> None:
+    asked = scooter()
+    words = " ".join(entry.words for entry in shortfalls(asked, configure(asked)))
+    assert "switching frequency 20 kHz becomes 24 kHz" in words
+    assert "current control every 50 us becomes 125 us" in words
+
+
+def test_inductances_that_its_calibration_refuses_are_told() -> None:
+    asked = asked_of(replace(SCOOTER, l_d=5e-3, l_q=5e-3, r_s=1.0))
+    words = " ".join(entry.words for entry in shortfalls(asked, configure(asked)))
+    assert "5000 uH is outside 2 to 4000 uH" in words
+
+
+def test_machines_without_magnets_are_refused() -> None:
+    with pytest.raises(InputError, match=r"machine\.psi_pm: ODrive"):
+        configure(asked_of(RELUCTANCE))
+
+
+def test_a_motor_that_was_not_calibrated_has_no_loops() -> None:
+    with pytest.raises(InputError, match="calibrate the motor"):
+        profile(configuration("drive", {"motor.config.phase_resistance": 0.0}))
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"motor.config.torque_constant": 0.04}, "is what ODrive ships"),
+        (
+            {
+                "motor.config.torque_constant": 0.138,
+                "motor.config.pole_pairs": 15,
+                "sensorless_estimator.config.pm_flux_linkage": 0.00306,
+            },
+            "is not 1.5 pole_pairs pm_flux_linkage = 0.06885",
+        ),
+        ({"encoder.config.bandwidth": 4000.0}, "kp T = 1 is not below 1"),
+        (
+            {
+                "encoder.config.mode": 1,
+                "encoder.config.cpr": 8192,
+                "motor.config.pole_pairs": 15,
+            },
+            "is not 6 pole_pairs = 90",
+        ),
+        (
+            {"motor.config.current_lim": 70.0, "motor.config.requested_current_range": 60.0},
+            "above requested_current_range 60 A",
+        ),
+        ({"motor.config.current_control_bandwidth": 5000.0}, "above 0.5 the current loops ring"),
+        ({"motor.config.pre_calibrated": True}, "pre_calibrated is true, but"),
+    ],
+)
+def test_contradictions(values: dict[str, float], words: str) -> None:
+    assert any(words in found for found in configuration("drive", values).contradictions)
