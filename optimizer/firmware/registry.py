@@ -17,12 +17,6 @@ METHODS: dict[Firmware, FirmwareMethod] = {
     method.name: method
     for method in (
         # A line per firmware.
-<<<<<<< HEAD
-        NXP,
-        INFINEON,
-        TI,
-=======
->>>>>>> main
         VESC,
         SIMPLEFOC,
         MOTEUS,

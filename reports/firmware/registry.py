@@ -8,10 +8,7 @@ from dqforge.reports.firmware.moteus.target import TARGET as MOTEUS
 from dqforge.reports.firmware.nxp.target import TARGET as NXP
 from dqforge.reports.firmware.odrive.target import TARGET as ODRIVE
 from dqforge.reports.firmware.simplefoc.target import TARGET as SIMPLEFOC
-<<<<<<< HEAD
-=======
 from dqforge.reports.firmware.st.target import TARGET as ST
->>>>>>> main
 from dqforge.reports.firmware.target import Target
 from dqforge.reports.firmware.ti.target import TARGET as TI
 from dqforge.reports.firmware.vesc.target import TARGET as VESC
@@ -20,12 +17,6 @@ TARGETS: dict[Firmware, Target] = {
     target.method.name: target
     for target in (
         # A line per firmware.
-<<<<<<< HEAD
-        NXP,
-        INFINEON,
-        TI,
-=======
->>>>>>> main
         VESC,
         SIMPLEFOC,
         MOTEUS,
