@@ -100,7 +100,7 @@ def beyond() -> Design:
         control=replace(design.control, references=references),
         inverter=replace(design.inverter, overmodulation="least-phase-error"),
         operation=replace(design.operation, overmodulation="least-phase-error"),
-        export=replace(design.export, firmware=("vesc",)),
+        export=replace(design.export, firmware=("odrive",)),
     )
 
 
