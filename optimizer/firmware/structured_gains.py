@@ -341,8 +341,10 @@ class SpeedSearch:
         if factor > 0.0 and self.settings.method not in _NAMED:
             found = self._made(pll, self.by(calmer(family, factor)))
             assert found is not None
-            words = _lowered("the speed loop", f"it {fault}", factor, self.method)
-            return replace(found, words=(*self.current.words, words))
+            words = [_lowered("the speed loop", f"it {fault}", factor, self.method)]
+            if pll is not None and pll != self.asked.pll:
+                words.append(f"the PLL gets kp {pll.kp:.6g} and ki {pll.ki:.6g}")
+            return replace(found, words=(*self.current.words, *words))
         raise NoSolutionError(self._refusal(fault, family, factor))
 
     def _largest(
