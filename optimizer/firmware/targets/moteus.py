@@ -133,7 +133,8 @@ def profile(held: Configuration) -> LoopProfile:
         d=pi,
         q=replace(pi, kp=q.kp, ki=q.ki),
         delay=1.0,
-        cross=bool(held.own.get("servo.cross_coupling_feedforward", 0.0)),
+        # What is fed forward is the coupling of the references, which no loop feels.
+        cross=False,
         order="d-first",
         voltage_share=voltage_share(drive.f_sw),
     )
