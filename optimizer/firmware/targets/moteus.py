@@ -48,6 +48,7 @@ from dqforge.optimizer.firmware.one_bandwidth.torque_rotation import (
     torque_rotation,
 )
 from dqforge.optimizer.firmware.profile import (
+    AntiWindup,
     CurrentLoops,
     LoopProfile,
     PiController,
@@ -253,7 +254,7 @@ def _speed(held: Configuration) -> SpeedController | None:
     if isinstance(bandwidth, float | int) and bandwidth > 0.0:
         kp, ki = filter_gains(float(bandwidth))
         feedback = SpeedEstimate("pll", drive.t_s, kp, ki)
-    winds = "clamp" if _slips(held, gains.ki) else "none"
+    winds: AntiWindup = "clamp" if _slips(held, gains.ki) else "none"
     pi = PiController(gains.kp, gains.ki, drive.t_s, anti_windup=winds, limit=drive.i_max)
     slope = held.own.get("servo.default_accel_limit")
     ramp = None if slope is None else 2.0 * math.pi * float(slope)

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from drives import RELUCTANCE
-from firmware_asked import SCOOTER, TWO_PI, asked_of, scooter
+from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
 from saturated import ArctanMachine
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
+from dqforge.optimizer.firmware.firmware_method import Asked
 from dqforge.optimizer.firmware.judge import judge
 from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import configuration, pwm_rate
 from dqforge.optimizer.firmware.targets.moteus import MOTEUS
@@ -132,6 +133,16 @@ def test_saturation_is_fitted_and_its_error_told() -> None:
     assert prices["phase margin (q) at i_max"].unit == "rad"
     assert prices["phase margin (q) at i_max"].value >= 0.5235
     assert prices["copper loss"].value > 0.0
+
+
+@pytest.mark.parametrize("asked", list(random_asked(6, seed=3)))
+def test_loops_of_any_machine_hold(asked: Asked) -> None:
+    held = configure(asked)
+    judged = judge(profile(replace(held, speed=None)), asked.drive)
+    for loop in (judged.current_d, judged.current_q):
+        assert loop is not None
+        assert loop.stable
+        assert loop.phase_margin >= asked.design.control.current_loop.phase_margin_min
 
 
 def test_machines_without_magnets_are_refused() -> None:
