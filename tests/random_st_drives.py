@@ -47,7 +47,7 @@ def _asked(base: Design, rng: np.random.Generator, *, table: bool) -> Asked:
     base_speed = 10.0 ** rng.uniform(2.0, 3.3)
     psi = 0.4 * v_dc / base_speed
     l_d = psi / i_max * 10.0 ** rng.uniform(-1.5, 0.0)
-    l_q = l_d * (rng.uniform(1.5, 3.0) if table else 10.0 ** rng.uniform(-0.1, 0.5))
+    l_q = l_d * (rng.uniform(1.5, 3.0) if table else 10.0 ** max(0.0, rng.uniform(-0.3, 0.5)))
     f_sw = float(rng.choice([8e3, 10e3, 16e3, 20e3, 40e3, 100e3]))
     pairs = int(rng.integers(1, 12))
     machine = LinearMachine(

@@ -99,15 +99,15 @@ def _observer(own: Mapping[str, OwnValue]) -> Iterator[str]:
         return
     former = observer_integers(replace(machine, room=1.0))
     for name, scale in (("GAIN1", "F1"), ("GAIN2", "F2")):
-        value, factor = number(own, name), number(own, scale)
-        if value is None or not factor:
+        given, factor = number(own, name), number(own, scale)
+        if given is None or not factor:
             continue
         expected = [found[name] * factor / max(found[scale], 1) for found in (wanted, former)]
         room = 1.0 + factor / max(wanted[scale], 1)
-        if all(abs(value - one) > room + _ROUNDED * abs(one) for one in expected):
+        if all(abs(given - one) > room + _ROUNDED * abs(one) for one in expected):
             slow = max(abs(pole) for pole in placed_poles(own, machine))
             yield (
-                f"{name} {value:g} is not Workbench's {expected[0]:.0f} for these R, L and rates: "
+                f"{name} {given:g} is not Workbench's {expected[0]:.0f} for these R, L and rates: "
                 f"the slower pole of the observer is {slow:.3g} per period"
                 + (", unstable" if slow >= 1.0 else "")
             )

@@ -103,7 +103,8 @@ def fitted_table(wanted: FloatArray) -> MtpaTable:
 
 
 def _with_width(wanted: FloatArray, width: int) -> MtpaTable:
-    slopes, offsets = [], []
+    slopes: list[int] = []
+    offsets: list[int] = []
     for start, end in _segments(wanted.size, width):
         if start >= end:
             slopes.append(slopes[-1])

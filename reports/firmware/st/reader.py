@@ -85,10 +85,12 @@ def read_several(files: Sequence[tuple[str, str]]) -> Configuration:
 
 
 def parameter_macros(text: str, place: str) -> Macros:
-    """Macros of a header, those of the firmware that stand behind them known."""
+    """Macros of a header, with those of the firmware that they use: speeds count in tenths of a
+    hertz, whatever unit the header chooses, so that gains are those that were divided by it.
+    """
     found = read_macros(text, place, known=KNOWN)
     known = {name: Definition(name, value, 0, 0, 0) for name, value in KNOWN.items()}
-    return replace(found, by_name=known | dict(found.by_name))
+    return replace(found, by_name=dict(found.by_name) | known)
 
 
 def origins(
@@ -193,7 +195,7 @@ def _motor_file(found: JsonText, place: str) -> Configuration:
     if ratio is not None:
         path = ("magneticStructure", "ld_lq_ratio")
         own["ld_lq_ratio"] = _number_of(found, path, "ld_lq_ratio", ratio)
-    conventions = CONVENTIONS
+    conventions: tuple[str, ...] = CONVENTIONS
     inductance = found.number("ls")
     if inductance is not None:
         henries, words = _inductance(inductance, number(own, "RS"), found.value("description"))

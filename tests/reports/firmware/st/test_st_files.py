@@ -198,7 +198,7 @@ def test_three_headers_of_a_project() -> None:
 def test_values_stand_in_the_headers_of_a_project_and_all_else_stays() -> None:
     (wish,) = random_asked(1, 29)
     found = ST.configure(wish)
-    merged = TARGET.write(found, TITLE, DRIVE_HEADER)["drive_parameters.h"].decode()
+    merged = TARGET.write(found, TITLE, DRIVE_HEADER)["drive_st_parameters.h"].decode()
     kept = [line for line in DRIVE_HEADER.splitlines() if "KD_DEFAULT" in line or "LINE" in line]
     assert kept
     assert all(line in merged for line in kept)
@@ -211,8 +211,8 @@ def test_values_stand_in_the_headers_of_a_project_and_all_else_stays() -> None:
         in merged
     )
     assert f"LOG2(({found.own['TF_KPDIV']}))" in merged
-    motor = TARGET.write(found, TITLE, MOTOR_HEADER)["pmsm_motor_parameters.h"].decode()
-    stage = TARGET.write(found, TITLE, STAGE_HEADER)["power_stage_parameters.h"].decode()
+    motor = TARGET.write(found, TITLE, MOTOR_HEADER)["drive_st_parameters.h"].decode()
+    stage = TARGET.write(found, TITLE, STAGE_HEADER)["drive_st_parameters.h"].decode()
     assert "VBUS_PARTITIONING_FACTOR      0.09625565501973242" in stage
     back = TARGET.read_several([(merged, "d"), (motor, "m"), (stage, "s")])
     assert back.current_q == found.current_q
