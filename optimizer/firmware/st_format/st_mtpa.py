@@ -6,7 +6,6 @@ The firmware works out i_d = ((ANGC[s] |i_q|) >> 15) + OFST[s] with s = min(|i_q
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -228,10 +227,8 @@ def _whole_line(i_q: Counts, wanted: FloatArray) -> tuple[int, int]:
     return whole, round(float(wanted[0])) - (whole * int(i_q[0]) >> 15)
 
 
-def locus_counts(
-    i_d: FloatArray, i_q: FloatArray, full_current: float
-) -> tuple[FloatArray, Callable[[FloatArray], FloatArray]]:
-    """Optimal i_d in counts for every count of i_q, and the same curve over i_q in A.
+def locus_counts(i_d: FloatArray, i_q: FloatArray, full_current: float) -> FloatArray:
+    """Optimal i_d in counts for every count of i_q.
 
     Parameters
     ----------
@@ -247,4 +244,4 @@ def locus_counts(
     count = 32768.0 / full_current
     largest = int(np.floor(i_q[rising][-1] * count))
     counts = np.arange(largest + 1, dtype=np.float64)
-    return np.asarray(curve(counts / count)) * count, curve
+    return np.asarray(curve(counts / count)) * count

@@ -22,7 +22,8 @@ from dqforge.optimizer.firmware.st_format.st_observer import (
 # Machine, pole pairs, F1, F2, GAIN1, GAIN2, PLL_KP_GAIN, PLL_KI_GAIN; gains of the amplifiers with
 # the digits that the headers cut off (9.14, 7.33, 4.57).
 BUS = 3.3 / math.sqrt(3.0) / 0.09625565501973242
-PROJECTS = (
+Project = tuple[ObservedMachine, int, int, int, int, int, int, int]
+PROJECTS: tuple[Project, ...] = (
     (
         ObservedMachine(0.35, 0.0006, 4.0, 4000, 1.65 / (0.003 * 9.1361), BUS, 20e3),
         *(2, 16384, 1024, -24217, 26260, 213, 8),
@@ -43,7 +44,7 @@ PROJECTS = (
 
 
 @pytest.mark.parametrize("project", PROJECTS, ids=("g431", "car", "wireless", "demo"))
-def test_integers_of_projects(project: tuple[ObservedMachine, int]) -> None:
+def test_integers_of_projects(project: Project) -> None:
     machine, pairs, f1, f2, gain_1, gain_2, kp, ki = project
     found = observer_integers(machine)
     assert (found["F1"], found["F2"]) == (f1, f2)
