@@ -166,11 +166,11 @@ def test_an_independent_reader_finds_the_values() -> None:
     found = ST.configure(wish)
     files = written(found)
     macros = dict(re.findall(r"^#define (\w+) +(\S+)", files["drive_st_parameters.h"], re.M))
-    for name, value in found.own.items():
+    for name, stated in found.own.items():
         if name in ("inertia", "friction", "ld_lq_ratio"):
             continue
         text = macros[name].removesuffix("/(SPEED_UNIT/10)").strip("()")
-        assert text == str(value) if isinstance(value, str) else float(text) == value
+        assert text == stated if isinstance(stated, str) else float(text) == stated
     assert macros["TF_KPDIV_LOG"] == f"LOG2(({found.own['TF_KPDIV']}))"
     motor = json.loads(files["drive_st_motor.json"])
     assert motor["ls"] == pytest.approx(1e3 * value(found, "LS"), rel=1e-6)
