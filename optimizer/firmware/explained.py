@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.design.numerical import numerical_errors
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
 from dqforge.optimizer.firmware.judge import (
     JudgedFirmware,
@@ -91,13 +92,14 @@ def explain(
     drive = on_machine(configuration.drive, machine)
     # What the file says counts for what the firmware computes from it; the machine completes it.
     told = on_machine(drive, configuration.drive)
+    method, profile = method_of(configuration.firmware, methods), None
     try:
-        profile = method_of(configuration.firmware, methods).profile(
-            replace(configuration, drive=told)
-        )
-    except InputError as error:
-        return Explained(configuration, drive, None, _nothing(error.message))
-    return Explained(configuration, drive, profile, judge(profile, drive))
+        with numerical_errors():
+            profile = method.profile(replace(configuration, drive=told))
+            judged = judge(profile, drive)
+    except (InputError, NoSolutionError) as error:
+        judged = _nothing(error.message)
+    return Explained(configuration, drive, profile, judged)
 
 
 def _nothing(remark: str) -> JudgedFirmware:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import PurePath
 
 from dqforge import __version__
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.firmware.configuration import Configuration
+from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
 from dqforge.optimizer.firmware.solve import FirmwareFit
 from dqforge.reports.firmware.registry import TARGETS
 from dqforge.reports.firmware.target import FileTitle, Target
 from dqforge.reports.firmware.text_file import TextFile, decoded_file
-from dqforge.reports.firmware_files.recognised import Targets
+from dqforge.reports.firmware_files.recognised import Targets, read_file, together
 
 
 def file_title(design: Design, fit: FirmwareFit) -> FileTitle:
@@ -123,44 +123,41 @@ def read_back(
         One of them says something else, or none is known.
     """
     known = _known(files, target)
-    names = [name for _, name in known]
-    for found, places in _read(known, target):
-        difference = (
-            differing(configuration, found, whole=whole)
-            if whole or target.read_several is None
-            else differing_part(configuration, found)
-        )
+    names, found = ", ".join(file.source for file in known), together(target, known)
+    if not whole and target.read_several is not None:
+        differences = [(names, contradicting(_own(configuration), _own(found)))]
+    else:
+        differences = [
+            (file.source, contradicting(configuration, read_file(target, file))) for file in known
+        ]
+        differences.append((names, differing(configuration, found, whole=whole)))
+    for source, difference in differences:
         if difference:
-            raise VerificationError(f"{places}: reads back as something else: {difference}")
-    if not names:
+            raise VerificationError(f"{source}: reads back as something else: {difference}")
+    return tuple(file.source for file in known)
+
+
+def _own(configuration: Configuration) -> Configuration:
+    """What a file says by its own names, without what is worked out of several of them: one file
+    of several, in which values of others stand, says that only with the others.
+    """
+    return replace(configuration, drive=DriveValues(), current_d=None, current_q=None, speed=None)
+
+
+def _known(files: Mapping[str, bytes], target: Target) -> list[TextFile]:
+    """Those of the files that the target's reader knows."""
+    decoded = [decoded_file(content, name) for name, content in files.items()]
+    known = [file for file in decoded if target.recognise(PurePath(file.source).name, file.text)]
+    if not known:
         raise VerificationError(
             f"{', '.join(files)}: the reader of {target.method.name} does not know its own files"
         )
-    return tuple(names)
-
-
-def _known(files: Mapping[str, bytes], target: Target) -> list[tuple[str, str]]:
-    """Text and name of the files that a reader knows."""
-    decoded = [(decoded_file(content, name).text, name) for name, content in files.items()]
-    return [(text, name) for text, name in decoded if target.recognise(PurePath(name).name, text)]
-
-
-def _read(known: Sequence[tuple[str, str]], target: Target) -> Iterator[tuple[Configuration, str]]:
-    """What files say, each by itself or, where they are understood so, all together; and which."""
-    if target.read_several is not None and known:
-        yield target.read_several(known), ", ".join(name for _, name in known)
-        return
-    for text, name in known:
-        yield target.read(text, name), name
+    return known
 
 
 def read_files(files: Mapping[str, bytes], target: Target) -> Configuration:
-    """What the first file that a reader knows says (all of them, where they are understood
-    together), with the places of its values.
-    """
-    for found, _ in _read(_known(files, target), target):
-        return found
-    raise VerificationError(f"{', '.join(files)}: none is a file of {target.method.name}")
+    """What the files that a reader knows say together, with the places of the values."""
+    return together(target, _known(files, target))
 
 
 def differing(wanted: Configuration, found: Configuration, *, whole: bool = True) -> str:
@@ -178,13 +175,12 @@ def differing(wanted: Configuration, found: Configuration, *, whole: bool = True
     return ""
 
 
-def differing_part(wanted: Configuration, found: Configuration) -> str:
-    """The first difference in what both say by the format's own names, "" where there is none: of
-    a file that holds a part of a configuration.
-    """
-    for key, value in found.own.items():
-        if key in wanted.own and wanted.own[key] != value:
-            return f"{key} is {value}, not {wanted.own[key]}"
+def contradicting(wanted: Configuration, found: Configuration) -> str:
+    """The first value that both state, and state differently; "" where there is none."""
+    one, other = _values(wanted), _values(found)
+    for key, value in one.items():
+        if value is not None and other.get(key) is not None and other[key] != value:
+            return f"{key} is {other[key]}, not {value}"
     return ""
 
 

@@ -196,12 +196,12 @@ _FIELDS = {
 }
 
 _OF_GAINS = {
-    "current_d.kp": ("USER_MOTOR1_Ls_d_H", "times BWc of the firmware, V/A"),
-    "current_d.ki": ("USER_MOTOR1_Rs_Ohm", "times BWc/4 of the firmware, V/(A s)"),
-    "current_q.kp": ("USER_MOTOR1_Ls_q_H", "times BWc of the firmware, V/A"),
-    "current_q.ki": ("USER_MOTOR1_Rs_Ohm", "times BWc/4 of the firmware, V/(A s)"),
-    "speed.kp": ("USER_MOTOR1_INERTIA_Kgm2", "BWc/(delta Kctrl) p/(2 pi), A s/rad"),
-    "speed.ki": ("USER_MOTOR1_INERTIA_Kgm2", "the same times BWc/delta^2, A/rad"),
+    "current_d.kp": ("USER_MOTOR1_Ls_d_H", "times BWc and KP_ID_SF, V/A"),
+    "current_d.ki": ("USER_MOTOR1_Rs_Ohm", "times BWc/4, KP_ID_SF and KI_ID_SF, V/(A s)"),
+    "current_q.kp": ("USER_MOTOR1_Ls_q_H", "times BWc and KP_IQ_HIGH_SF, V/A"),
+    "current_q.ki": ("USER_MOTOR1_Rs_Ohm", "times BWc/4 and both factors, V/(A s)"),
+    "speed.kp": ("USER_MOTOR1_INERTIA_Kgm2", "BWc/(delta Kctrl) p/(2 pi) KP_SPD_HIGH_SF, A s/rad"),
+    "speed.ki": ("USER_MOTOR1_INERTIA_Kgm2", "the same times BWc/delta^2 KI_SPD_HIGH_SF, A/rad"),
 }
 
 

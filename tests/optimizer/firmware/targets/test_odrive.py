@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import pytest
@@ -12,6 +11,7 @@ from firmware_asked import SCOOTER, TWO_PI, asked_of, scooter
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.judge import judge
+from dqforge.optimizer.firmware.one_bandwidth.bandwidth_choice import MOST_SENSITIVITY
 from dqforge.optimizer.firmware.one_bandwidth.odrive_keys import configuration
 from dqforge.optimizer.firmware.targets.odrive import ODRIVE
 
@@ -54,9 +54,15 @@ def test_the_loops_of_the_scooter() -> None:
 
 
 def test_too_fast_a_wish_is_lowered_to_what_8_khz_hold() -> None:
-    """pi/2 - 1.5 T w = 30 deg leaves 5585 rad/s; the forward rule of the integral takes some."""
-    held = configure(asked_of(SCOOTER, crossover=2e4))
-    assert 4500.0 < float(held.own[BANDWIDTH]) < 0.5 * math.pi / (1.5 * 125e-6)
+    asked = asked_of(SCOOTER, crossover=2e4)
+    held = configure(asked)
+    judged = judge(profile(held), asked.drive).current_q
+    assert judged is not None
+    assert judged.max_sensitivity <= MOST_SENSITIVITY
+    # pi/2 - 1.5 T w is 61 deg there.
+    assert float(held.own[BANDWIDTH]) == pytest.approx(2710.0, rel=0.02)
+    words = " ".join(entry.words for entry in shortfalls(asked, held))
+    assert f"current_control_bandwidth {held.own[BANDWIDTH]:g} rad/s is all that" in words
 
 
 def test_the_pll_never_comes_where_the_firmware_refuses_it() -> None:

@@ -135,6 +135,16 @@ def test_the_tracking_loop_is_fast_where_the_speed_is_controlled() -> None:
     assert "foc_pll_ki" not in configure(scooter(with_speed=False)).own
 
 
+def test_a_tracking_loop_that_is_asked_for_is_written() -> None:
+    held = configure(replace(scooter(), pll=PiGains(1500.0, 4e5)))
+    assert (held.own["foc_pll_kp"], held.own["foc_pll_ki"]) == (1500.0, 4e5)
+    speed = profile(held).speed
+    assert speed is not None
+    assert (speed.feedback.kp, speed.feedback.ki) == (1500.0, 4e5)
+    with pytest.raises(InputError, match=r"control\.firmware\.pll_ki"):
+        configure(replace(scooter(), pll=PiGains(4000.0, 4e6)))
+
+
 def test_the_default_of_the_tracking_loop_is_named_and_oscillates() -> None:
     asked, held = scooter(), configure(scooter())
     slow = replace(held, own={**held.own, "foc_pll_kp": 2000.0, "foc_pll_ki": 30000.0})

@@ -1,0 +1,207 @@
+"""TI's lab: its own rule, factors that make other gains of it, and the loops of that."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
+from saturated import ArctanMachine
+
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.firmware.judge import judge
+from dqforge.optimizer.firmware.targets.ti import configure, profile, shortfalls
+from dqforge.optimizer.firmware.ti_format.ti_configuration import (
+    BANDWIDTHS,
+    configuration,
+    current_rule,
+    speed_rule,
+)
+from dqforge.optimizer.firmware.ti_format.ti_keys import OLDER_LAB, VERSION, as_printed
+
+# Motors of TI's public files, as numbers (motor-control-sdk user_mtr1.h).
+TEKNIC = {
+    "USER_MOTOR1_NUM_POLE_PAIRS": 4,
+    "USER_MOTOR1_Rs_Ohm": 0.393955578,
+    "USER_MOTOR1_Ls_d_H": 0.000190442806,
+    "USER_MOTOR1_Ls_q_H": 0.000190442806,
+    "USER_MOTOR1_RATED_FLUX_VpHz": 0.0399353318,
+    "USER_MOTOR1_MAX_CURRENT_A": 6.6,
+    "USER_MOTOR1_OVER_CURRENT_A": 7.5,
+    "USER_MOTOR1_INERTIA_Kgm2": 7.06154e-06,
+    "USER_MOTOR1_RATED_VOLTAGE_V": 24.0,
+    "USER_MOTOR1_FREQ_MAX_Hz": 600.0,
+    "USER_M1_PWM_FREQ_kHz": 15.0,
+}
+
+
+def test_the_flux_of_the_teknic_is_that_of_its_data_sheet() -> None:
+    found = configuration("Teknic_M2310PLN04K", TEKNIC)
+    assert found.drive.psi_pm == pytest.approx(6.356e-3, rel=1e-4)
+    # Its data sheet: 4.64 V (peak, line to line) per 1000 rpm.
+    of_the_sheet = 4.64 / math.sqrt(3.0) / (1000.0 * math.pi / 30.0 * 4)
+    assert found.drive.psi_pm == pytest.approx(of_the_sheet, rel=7e-3)
+
+
+def setup_controllers(values: dict[str, float], bandwidth: float, delta: float) -> dict[str, float]:
+    """Gains per sample as the firmware computes them, from the block, in its own units."""
+    t_s, speed_ticks = 1.0 / (values["USER_M1_PWM_FREQ_kHz"] * 1000.0), 10
+    flux = values["USER_MOTOR1_RATED_FLUX_VpHz"] / TWO_PI
+    constant = 3.0 * values["USER_MOTOR1_NUM_POLE_PAIRS"] * flux
+    constant /= 2.0 * values["USER_MOTOR1_INERTIA_Kgm2"]
+    inductance = values["USER_MOTOR1_Ls_q_H"]
+    return {
+        "kp": inductance * bandwidth,
+        "ki": 0.25 * values["USER_MOTOR1_Rs_Ohm"] / inductance * t_s,
+        "kp_spd": bandwidth / (delta * constant),
+        "ki_spd": bandwidth * t_s * speed_ticks / delta**2,
+    }
+
+
+@pytest.mark.parametrize(("version", "hertz", "delta"), [(VERSION, 200, 20), (OLDER_LAB, 400, 10)])
+def test_the_firmwares_own_gains(version: str, hertz: float, delta: float) -> None:
+    own = setup_controllers(TEKNIC, TWO_PI * hertz, delta)
+    found = configuration("Teknic", TEKNIC, version=version)
+    t_s = found.drive.t_s
+    assert t_s is not None
+    assert found.current_q is not None
+    assert found.current_q.kp == pytest.approx(own["kp"], rel=1e-12)
+    # Series form: the integral takes ki times kp times the error each sample.
+    assert found.current_q.ki * t_s == pytest.approx(own["kp"] * own["ki"], rel=1e-12)
+    assert found.speed is not None
+    # An error of 1 rad/s (mechanical) is 4/(2 pi) Hz to the controller.
+    assert found.speed.kp == pytest.approx(own["kp_spd"] * 4 / TWO_PI, rel=1e-12)
+    per_second = own["kp_spd"] * own["ki_spd"] * 4 / TWO_PI / (10.0 * t_s)
+    assert found.speed.ki == pytest.approx(per_second, rel=1e-12)
+
+
+def test_the_factors_make_the_gains_that_were_asked_for() -> None:
+    for asked in random_asked(200):
+        found = configure(asked)
+        assert found.current_d is not None
+        assert found.current_q is not None
+        for has, wanted in ((found.current_d, asked.current_d), (found.current_q, asked.current_q)):
+            assert has.kp == pytest.approx(wanted.kp, rel=1e-6)
+            assert has.ki == pytest.approx(wanted.ki, rel=1e-6)
+        assert found.speed is not None
+        if asked.speed is not None:
+            assert found.speed.kp == pytest.approx(asked.speed.kp, rel=1e-6)
+            assert found.speed.ki == pytest.approx(asked.speed.ki, rel=1e-6)
+        else:
+            assert found.own["USER_MOTOR1_KP_SPD_HIGH_SF"] == 1.0
+        numbers = [value for value in found.own.values() if isinstance(value, float)]
+        assert numbers == [as_printed(value) for value in numbers]
+
+
+def test_older_labs_do_not_know_the_factors() -> None:
+    own = TEKNIC | {"USER_MOTOR1_KP_IQ_HIGH_SF": 3.0}
+    plain = configuration("Teknic", TEKNIC, version=OLDER_LAB)
+    assert configuration("Teknic", own, version=OLDER_LAB).current_q == plain.current_q
+    now = configuration("Teknic", own)
+    assert now.current_q is not None
+    rule = current_rule(0.393955578, 0.000190442806, BANDWIDTHS[VERSION].current)
+    assert now.current_q.kp == pytest.approx(3.0 * rule.kp)
+    assert now.current_q.ki == pytest.approx(3.0 * rule.ki)
+
+
+def test_the_loops_are_those_of_the_lab() -> None:
+    found = configure(scooter())
+    loops = profile(found)
+    assert (loops.current.order, loops.current.delay) == ("d-first", 1.0)
+    assert (loops.current.cross, loops.current.back_emf) == (False, False)
+    assert loops.current.d.rule == "integral-first"
+    assert loops.current.d.anti_windup == "hold"
+    assert loops.current.voltage_share == pytest.approx(1.0, abs=1e-6)
+    assert loops.reference == "id-zero"
+    assert loops.speed is not None
+    assert loops.speed.feedback.filter_time == pytest.approx(1.0 / (TWO_PI * 200.0))
+    assert loops.speed.pi.limit == pytest.approx(40.0 * math.sqrt(2.0), rel=1e-6)
+    judged = judge(loops, scooter().drive)
+    assert judged.current_q is not None
+    assert judged.current_q.stable
+    assert judged.speed is not None
+    assert judged.speed.stable
+    assert math.degrees(judged.speed.phase_margin) > 50.0
+
+
+def test_the_labs_own_speed_loop_is_faster_than_its_rule_by_the_pole_pairs() -> None:
+    """Its gain is for rad/s and is given Hz: 15/(2 pi) = 2.39 times the crossover of 63 rad/s."""
+    own = BANDWIDTHS[VERSION]
+    rule = speed_rule(15, SCOOTER.psi_pm, 0.02, own)
+    crossover = rule.kp * 1.5 * 15 * SCOOTER.psi_pm / 0.02
+    assert crossover == pytest.approx(own.current / own.delta * 15 / TWO_PI)
+    assert crossover == pytest.approx(150.0, rel=1e-3)
+
+
+def test_periods_that_the_lab_cannot_run_are_told() -> None:
+    asked = scooter()
+    drive = replace(asked.drive, t_s=0.5 / 20e3)
+    found = configure(replace(asked, drive=drive))
+    assert found.drive.t_s == pytest.approx(1.0 / 20e3)
+    words = [entry.words for entry in shortfalls(replace(asked, drive=drive), found)]
+    assert any("control step every 50 us, the design every 25 us" in text for text in words)
+    three = configure(replace(asked, drive=replace(asked.drive, t_s=3.0 / 20e3)))
+    assert three.own["USER_M1_NUM_PWM_TICKS_PER_ISR_TICK"] == 3
+
+
+def test_what_holds_without_the_factors_has_a_price() -> None:
+    asked = scooter()
+    found = shortfalls(asked, configure(asked))
+    prices = {price.of: price.value for entry in found for price in entry.prices}
+    assert prices["q gain of the firmware's own rule"] == pytest.approx(0.2 - 1.0, rel=1e-3)
+    assert prices["q integral gain of the firmware's own rule"] == pytest.approx(-0.95, rel=1e-3)
+    assert any("MOTOR1_PI_TUNE" in entry.words for entry in found)
+
+
+def test_factors_beyond_the_advised_ones_are_told() -> None:
+    asked = asked_of(SCOOTER, crossover=TWO_PI * 4000.0)
+    words = [entry.words for entry in shortfalls(asked, configure(asked))]
+    assert any("USER_MOTOR1_KP_IQ_HIGH_SF 20 is outside" in text for text in words)
+
+
+def test_saturated_currents_have_a_price_in_torque_and_copper() -> None:
+    asked = asked_of(ArctanMachine(inertia=0.01), v_dc=300.0)
+    found = shortfalls(asked, configure(asked))
+    prices = {price.of: price.value for entry in found for price in entry.prices}
+    assert 1e-3 < prices["torque"] < 0.5
+    assert prices["copper loss"] > prices["torque"]
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"psi_pm": 0.0}, "machine.magnet_flux"),
+        ({"inertia": None}, "machine.inertia"),
+        ({"r_s": None}, "machine.resistance"),
+        ({"i_max": None}, "machine.max_current"),
+        ({"inertia": 1e35}, "machine.inertia"),
+    ],
+)
+def test_designs_that_say_too_little_are_refused_by_key(change: dict[str, Any], key: str) -> None:
+    asked = scooter()
+    with pytest.raises(InputError) as refused:
+        configure(replace(asked, drive=replace(asked.drive, **change)))
+    assert str(refused.value).startswith(key)
+
+
+def test_a_block_without_timing_has_no_loops() -> None:
+    own = {name: value for name, value in TEKNIC.items() if "PWM" not in name}
+    with pytest.raises(InputError, match="USER_M1_PWM_FREQ_kHz"):
+        profile(configuration("Teknic", own))
+
+
+def test_contradictions_name_both_numbers() -> None:
+    found = configuration("Teknic_M2310PLN04K", TEKNIC)
+    assert len(found.contradictions) == 1
+    assert "induce 23.96 V" in found.contradictions[0]
+    assert "gives 13.86 V" in found.contradictions[0]
+    own = TEKNIC | {
+        "USER_MOTOR1_OVER_CURRENT_A": 5.0,
+        "USER_M1_ADC_FULL_SCALE_CURRENT_A": 10.0,
+        "USER_MOTOR1_RATED_SPEED_KRPM": 12.0,
+    }
+    words = " ".join(configuration("another", own).contradictions)
+    for part in ("trips below", "47.5 %", "RATED_SPEED_KRPM 12 is 800 Hz", "Teknic M2310"):
+        assert part in words
