@@ -40,10 +40,14 @@ PROJECTS: tuple[Project, ...] = (
         ObservedMachine(0.14, 0.000021, 1.0, 7500, 1.65 / (0.003 * 9.1356), BUS, 20e3),
         *(7, 16384, 8192, -20480, 18494, 1397, 49),
     ),
+    (
+        ObservedMachine(0.1, 0.00002, 0.4, 10002, 1.65 / (0.003 * 9.1361), BUS, 16e3),
+        *(7, 16384, 8192, -20736, 24504, 2328, 103),
+    ),
 )
 
 
-@pytest.mark.parametrize("project", PROJECTS, ids=("g431", "car", "wireless", "demo"))
+@pytest.mark.parametrize("project", PROJECTS, ids=("g431", "car", "wireless", "demo", "servo"))
 def test_integers_of_projects(project: Project) -> None:
     machine, pairs, f1, f2, gain_1, gain_2, kp, ki = project
     found = observer_integers(machine)
