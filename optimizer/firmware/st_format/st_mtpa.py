@@ -127,6 +127,29 @@ def measured_table(
     return MtpaTable(width, slopes, offsets, wanted.size - 1, error, jump)
 
 
+def best_linear_machine(table: MtpaTable) -> MtpaTable:
+    """The table measured against the machine of constant inductances that it fits best.
+
+    Its currents of least loss are i_d = s - sqrt(s^2 + i_q^2), with s = psi/(2 (L_q - L_d)).
+    """
+    i_q = np.arange(table.largest + 1.0)
+    low, high = np.log(0.01 * table.largest + 1.0), np.log(100.0 * table.largest + 1.0)
+
+    def against(logarithm: float) -> MtpaTable:
+        scale = np.exp(logarithm)
+        wanted = -i_q * i_q / (scale + np.sqrt(scale * scale + i_q * i_q))
+        return measured_table(table.width, table.slopes, table.offsets, wanted)
+
+    best = low
+    for _ in range(4):
+        tried = np.linspace(low, high, 41)
+        errors = [against(float(one)).error for one in tried]
+        place = int(np.argmin(errors))
+        best = tried[place]
+        low, high = tried[max(place - 1, 0)], tried[min(place + 1, 40)]
+    return against(float(best))
+
+
 def _segments(size: int, width: int) -> list[tuple[int, int]]:
     edges = [min(segment * width, size) for segment in range(SEGMENTS)]
     return list(zip(edges, [*edges[1:], size], strict=True))

@@ -127,6 +127,22 @@ def test_rounded_inputs_are_no_contradiction() -> None:
         assert st_configuration("motor", PROJECT | change).contradictions == ()
 
 
+def test_a_table_with_steps_is_named_and_ours_is_not() -> None:
+    published: dict[str, OwnValue] = {
+        "IQMAX": 23687,
+        "SEGDIV": 2921,
+        "ANGC": "{-1412,-2572,-4576,-5200,-5564,-10551,-12664,-15567}",
+        "OFST": "{0,105,463,632,764,3012,4162,5997}",
+    }
+    (words,) = st_configuration("", published).contradictions
+    assert "step by up to 25 counts" in words
+    assert "off by 261 counts" in words
+    for wish in random_asked(3, 5, tables=3):
+        found = ST.configure(wish)
+        assert "ANGC" in found.own
+        assert not any("ANGC" in sentence for sentence in found.contradictions)
+
+
 def test_files_of_one_drive_count_together() -> None:
     names = list(PROJECT)
     parts = [st_configuration("", {name: PROJECT[name] for name in names[k::3]}) for k in range(3)]
