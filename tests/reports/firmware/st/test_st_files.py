@@ -211,10 +211,8 @@ def test_values_stand_in_the_headers_of_a_project_and_all_else_stays() -> None:
     assert "(SPEED_UNIT/10) /* for 0.1 Hz */" in merged
     assert "#define RS " not in merged
     full = 1.65 / (value(found, "RSHUNT") * value(found, "AMPLIFICATION_GAIN"))
-    assert (
-        f"#define IQMAX                               {round(value(found, 'IQMAX_A') * 32768 / full)}"
-        in merged
-    )
+    counts = round(value(found, "IQMAX_A") * 32768 / full)
+    assert f"#define IQMAX                               {counts}\n" in merged
     assert f"LOG2(({found.own['TF_KPDIV']}))" in merged
     motor = TARGET.write(found, TITLE, MOTOR_HEADER)["drive_st_parameters.h"].decode()
     stage = TARGET.write(found, TITLE, STAGE_HEADER)["drive_st_parameters.h"].decode()
