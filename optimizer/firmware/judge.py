@@ -318,7 +318,7 @@ def _of_pll(
     remedy = (
         f"ki = kp^2/4 = {double:.6g} puts both poles at {0.5 * feedback.kp:.6g} rad/s"
         if apart
-        else "a larger kp, with ki = kp^2/4, makes it faster"
+        else "a larger kp, with ki = kp^2/4, makes it faster where the format permits it"
     )
     words = (
         f"the PLL of {profile.firmware} (kp {feedback.kp:.6g}, ki {feedback.ki:.6g}) has a pole at "
@@ -336,8 +336,8 @@ def _of_observer(profile: LoopProfile, speed: JudgedLoop | None) -> tuple[str, .
     if observer.rate is None:
         return (f"{made} own lag is not in the margins of the speed loop",)
     words = (
-        f"{made} errors decay with {_rate(observer.rate)}; with the right resistance, inductance "
-        "and flux linkage they are not part of the speed loop, with wrong ones they are"
+        f"{made} errors decay with {observer.rate:.4g} rad/s; with the right resistance, "
+        "inductance and flux linkage they are not part of the speed loop, with wrong ones they are"
     )
     return (words,)
 
