@@ -57,6 +57,7 @@ def outcome(found: Verdict, name: str) -> str:
     return next(step.answer.outcome for step in found.tried if step.name == name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", EVERY)
 def test_every_structure_settles_with_sound_gains(
     program: Simulator, make: Callable[[], LoopProfile]
