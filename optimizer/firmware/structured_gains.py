@@ -26,6 +26,7 @@ from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
 from dqforge.optimizer.firmware.profile import CurrentLoops, LoopProfile, PiController
 from dqforge.optimizer.firmware.sampled_structure import added_gain
 from dqforge.optimizer.firmware.structure_box import (
+    AXES,
     Bounds,
     BoxedPlants,
     axis_plants,
@@ -53,6 +54,9 @@ _SHRUNK = (1.0, 0.999, 0.99, 0.95, 0.9, 0.8, 0.6)
 
 _NAMED = ("bandwidth", "damping", "given", *get_args(VendorMethod))
 """Methods whose numbers the design names."""
+
+
+_NO_LOOP: tuple[float, PiGains | None] = (0.0, None)
 
 
 _WORTH = 1.02
@@ -142,7 +146,7 @@ class CurrentSearch:
     def fault(self, chosen: Chosen) -> str | None:
         """What one of both loops does not keep, in words."""
         loops = chosen.profile.current
-        for axis, pi in (("i_d", loops.d), ("i_q", loops.q)):
+        for axis, pi in zip(AXES, (loops.d, loops.q), strict=True):
             found = axis_plants(self.box, axis, loops).fault(pi, self.bounds)
             if found is not None:
                 return f"the {axis} loop {found}"
@@ -219,7 +223,7 @@ class CurrentSearch:
             start = replace(self.family(), bandwidth=1.0 / ((loops.delay + 0.5) * loops.q.t_s))
             factor = largest_factor(lambda share: tight.holds(self.by(calmer(start, share))))
             return None if factor is None else self.by(calmer(start, factor))
-        both = [axis_plants(self.box, axis, loops).plants for axis in ("i_d", "i_q")]
+        both = [axis_plants(self.box, axis, loops).plants for axis in AXES]
         sets = [_together(both)] * 2 if self.method.free == "one-pair" else both
         found = []
         for plants, inductance, pi in zip(sets, self.box.nominal, (loops.d, loops.q), strict=True):
@@ -331,7 +335,7 @@ class SpeedSearch:
 
     def _slower(self, fault: str) -> Chosen:
         """The fastest loop of the same shape over all phase-locked loops, or a refusal."""
-        family, best = self.family(), (0.0, None)
+        family, best = self.family(), _NO_LOOP
         for pll in self.plls():
             start = self._made(pll, self.asked.speed)
             factor = None if start is None else self._largest(start, pll, family)
