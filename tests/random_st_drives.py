@@ -13,7 +13,7 @@ from dqforge.machines.design.loader import load_text
 from dqforge.machines.devices.current_sensing import CurrentSensing
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.firmware.asked import drive_values
-from dqforge.optimizer.firmware.configuration import PiGains
+from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked
 
 
@@ -23,6 +23,13 @@ def base_design() -> Design:
     sensing = "  current_sensing: {shunt: 10 mOhm, gain: 5.18, reference: 3.3 V}\n  v_dc:"
     assert text.count("\n  v_dc:") == 1
     return load_text(text.replace("\n  v_dc:", "\n" + sensing).encode(), "d.yaml")
+
+
+def value(found: Configuration, name: str) -> float:
+    """A number of a configuration by its own name."""
+    stated = found.own[name]
+    assert not isinstance(stated, str)
+    return float(stated)
 
 
 def random_asked(count: int, seed: int, *, tables: int = 0) -> Iterator[Asked]:

@@ -30,6 +30,12 @@ OF_MACHINE = ("pole_pairs", "r_s", "l_d", "l_q", "psi_pm", "inertia", "viscous")
 """Fields of `DriveValues` that say what machine it is."""
 
 
+_NO_SPEED = (
+    "the speed loop is not judged: a header does not say the inertia; name the design of the "
+    "machine"
+)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Explained:
     """A configuration on a machine.
@@ -123,7 +129,9 @@ def explain_own(gains: OwnGains, machine: DriveValues | None = None) -> JudgedFi
         return _nothing(f"without the {missing} no loop can be judged")
     d = _own_current(gains.current_d, drive, drive.l_d)
     q = _own_current(gains.current_q, drive, drive.l_q)
-    return JudgedFirmware(d, q, _own_speed(gains, drive), None, ())
+    speed = _own_speed(gains, drive)
+    lacking = () if speed is not None or gains.speed is None else (_NO_SPEED,)
+    return JudgedFirmware(d, q, speed, None, lacking)
 
 
 def _own_current(

@@ -74,12 +74,8 @@ def firmware_files(
 
 def _into(design: Design, fit: FirmwareFit, existing: TextFile, target: Target) -> dict[str, bytes]:
     """The existing file with the values of the design, and no other file."""
+    check_existing(existing, target)
     own = PurePath(existing.source).name
-    if not target.recognise(own, existing.text):
-        raise InputError(
-            f"is no file of {target.title}; name one that it writes", source=existing.source
-        )
-    target.read(existing.text, existing.source)  # its faults are named by it, not by the result
     files = target.write(fit.configuration, file_title(design, fit), existing.text)
     alike = [name for name in files if PurePath(name).suffix == PurePath(own).suffix]
     readable = [name for name in alike or files if _recognised(target, own, files[name])]
@@ -90,6 +86,21 @@ def _into(design: Design, fit: FirmwareFit, existing: TextFile, target: Target) 
         )
     text = files[readable[0]].decode("utf-8")
     return {own: existing.encoded(text.replace("\r\n", "\n"))}
+
+
+def check_existing(existing: TextFile, target: Target) -> None:
+    """Refuse a file whose fields cannot be kept.
+
+    Raises
+    ------
+    InputError
+        It is not one of the firmware, or not what that writes; with the line.
+    """
+    if not target.recognise(PurePath(existing.source).name, existing.text):
+        raise InputError(
+            f"is no file of {target.title}; name one that it writes", source=existing.source
+        )
+    read_file(target, existing)
 
 
 def _recognised(target: Target, name: str, content: bytes) -> bool:

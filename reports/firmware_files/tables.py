@@ -34,6 +34,9 @@ FIELDS = (
     ("dead_time", "dead time", "s"),
     ("t_s", "period of the current control", "s"),
     ("t_speed", "period of the speed control", "s"),
+    ("shunt", "shunt of the current measurement", "Ohm"),
+    ("sense_gain", "its amplifier", ""),
+    ("sense_reference", "reference of the converter", "V"),
 )
 
 """Fields of `DriveValues` with their names and units."""

@@ -10,8 +10,10 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
+from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.optimizer.firmware.infineon_format.infineon_keys import TABLE_POINTS, as_printed
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
+from dqforge.optimizer.operating_points.mtpa import mtpa_currents
 
 _BETWEEN = 8
 
@@ -28,11 +30,14 @@ class FluxTable:
         In Wb at even steps, shape (TABLE_POINTS,), rounded as printed.
     error:
         Largest deviation in Wb of the lines between them from the machine's own.
+    of_constants:
+        Largest deviation in Wb of what constant inductances give, as the library works it out.
     """
 
     most: float
     flux: FloatArray
     error: float
+    of_constants: float
 
 
 def largest_torque(design: Design) -> float:
@@ -62,4 +67,11 @@ def flux_table(design: Design) -> FluxTable:
     points[1:-1] += 0.5 * (middle[:-1] + middle[1:])
     flux = np.array([as_printed(float(value)) for value in points])
     error = np.max(np.abs(exact - np.interp(torque, torque[::_BETWEEN], flux)))
-    return FluxTable(most, flux, float(error))
+    constant = _of_constants(design, torque)
+    return FluxTable(most, flux, float(error), float(np.max(np.abs(exact - constant))))
+
+
+def _of_constants(design: Design, torque: FloatArray) -> FloatArray:
+    """Flux linkage in Wb over torque in N m, shape (N,), with the inductances at zero current."""
+    linear = linearised(design.machine)
+    return np.hypot(*linear.flux(*mtpa_currents(linear, torque)))

@@ -72,6 +72,7 @@ _KEYS = (
     Key("sys.samp.fpwm_fs0_ratio", "count", "", "PWM periods per control step"),
     Key("sys.analog.filt.w0_i_ph", "real", "rad/s", "filter of the currents: none at fs0"),
     Key("sys.analog.filt.w0_v_ph", "real", "rad/s", "filter of the voltages: the same"),
+    Key("sys.analog.shunt.res", "real", "Ohm", "resistance of a shunt"),
     Key("sys.vdc_nom", "real", "V", "voltage of the dc link"),
     Key("sys.cmd.w_max.mech", "real", "rad/s", "full scale of the speed command"),
     Key("sys.cmd.i_max", "real", "A", "full scale of the current command", "rotor"),

@@ -114,9 +114,16 @@ def _table(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
     if TABLE not in held.own:
         return
     table = flux_table(asked.design)
-    share = table.error / float(table.flux[-1])
-    yield Shortfall(
+    most = float(table.flux[-1])
+    words = (
         f"the {TABLE_POINTS} points of mtpa_lut, joined by lines, are off by at most "
-        f"{table.error:.2g} Wb ({100.0 * share:.2g} % of the largest flux linkage)",
-        (Price("flux linkage", table.error, "Wb"),),
+        f"{table.error:.2g} Wb ({100.0 * table.error / most:.2g} % of the largest flux linkage)"
     )
+    prices = [Price("flux linkage", table.error, "Wb")]
+    if table.of_constants > max(_NOTICED * most, table.error):
+        words += (
+            f"; those that the library works out of constant ld and lq by "
+            f"{100.0 * table.of_constants / most:.2g} %"
+        )
+        prices.append(Price("flux linkage of the library's own table", table.of_constants, "Wb"))
+    yield Shortfall(words, tuple(prices))

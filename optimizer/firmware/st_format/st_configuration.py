@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping
 
 from dqforge.optimizer.firmware.configuration import (
@@ -31,9 +30,6 @@ CONVENTIONS = (
     "MOTOR_VOLTAGE_CONSTANT is in V r.m.s. line to line per 1000 rpm (mechanical)",
     "LS is the inductance of a phase along q",
 )
-
-
-_WHOLE = re.compile(r"-?\d{1,10}")
 
 
 def st_configuration(
@@ -100,11 +96,6 @@ def amperes(own: Mapping[str, OwnValue], name: str) -> float | None:
         return value
     counts, full = number(own, COUNTED[name]), current_scale(own)
     return None if counts is None or full is None else counts * full / FULL
-
-
-def integers(text: OwnValue | None) -> tuple[int, ...] | None:
-    """Integers of a table such as ``{0,-12,3}``; None where there is none."""
-    return None if not isinstance(text, str) else tuple(int(part) for part in _WHOLE.findall(text))
 
 
 def _drive(own: Mapping[str, OwnValue]) -> DriveValues:

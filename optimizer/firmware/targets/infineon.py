@@ -68,6 +68,9 @@ def configure(asked: Asked) -> Configuration:
     """
     values = _machine(asked.drive)
     values |= _loops(asked)
+    sensing = asked.design.inverter.current_sensing
+    if sensing is not None:
+        values["params.sys.analog.shunt.res"] = kept(sensing.shunt, "inverter.current_sensing")
     values |= _table(asked, values)
     own = {name: values[name] for name in (*KEYS, *TABLE_KEYS, TABLE) if name in values}
     return configuration(asked.design.name, own)

@@ -26,7 +26,6 @@ from dqforge.optimizer.firmware.profile import (
 )
 from dqforge.optimizer.firmware.st_format.st_configuration import (
     amperes,
-    integers,
     st_configuration,
 )
 from dqforge.optimizer.firmware.st_format.st_gains import current_integers, speed_integers
@@ -47,6 +46,7 @@ from dqforge.optimizer.firmware.st_format.st_scales import (
     FULL,
     LARGEST,
     current_scale,
+    integers,
     number,
     printed,
     scales,

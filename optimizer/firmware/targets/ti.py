@@ -108,7 +108,8 @@ def configure(asked: Asked) -> Configuration:
     values |= _machine(drive)
     values |= _timing(drive)
     values |= _factors(asked)
-    own = {name: values[name] for name in KEYS}
+    values |= _range(asked)
+    own = {name: values[name] for name in KEYS if name in values}
     return configuration(asked.design.name, own)
 
 
@@ -217,6 +218,15 @@ def _timing(drive: DriveValues) -> dict[str, OwnValue]:
         f"{BOARD_PREFIX}NUM_PWM_TICKS_PER_ISR_TICK": ticks,
         f"{BOARD_PREFIX}NUM_ISR_TICKS_PER_SPEED_TICK": min(max(steps, 1), MOST_SPEED_TICKS),
     }
+
+
+def _range(asked: Asked) -> dict[str, OwnValue]:
+    """What all codes of the converter amount to, where the design says how it measures."""
+    sensing = asked.design.inverter.current_sensing
+    if sensing is None:
+        return {}
+    scale = kept(sensing.reference / sensing.slope, "inverter.current_sensing")
+    return {f"{BOARD_PREFIX}ADC_FULL_SCALE_CURRENT_A": scale}
 
 
 def _factors(asked: Asked) -> dict[str, OwnValue]:

@@ -96,6 +96,7 @@ _BOARD = (
     Key("NUM_PWM_TICKS_PER_ISR_TICK", "whole", "design", "PWM periods per control step: 1, 2 or 3"),
     Key("NUM_ISR_TICKS_PER_SPEED_TICK", "whole", "design", "control steps per speed step"),
     Key("MAX_VS_MAG_PU", "real", "design", "largest voltage over that of the dc link: 1/sqrt(3)"),
+    Key("ADC_FULL_SCALE_CURRENT_A", "real", "design", "current over all codes of the converter"),
 )
 # fmt: on
 
@@ -113,10 +114,8 @@ KEYS: Mapping[str, Key] = {
 
 
 READ_ONLY: Mapping[str, Key] = {
-    key.name: key
-    for key in (
-        Key("USER_MOTOR1_RATED_SPEED_KRPM", "real", "design", "rated speed"),
-        Key("USER_M1_ADC_FULL_SCALE_CURRENT_A", "real", "design", "range of the measured currents"),
+    "USER_MOTOR1_RATED_SPEED_KRPM": Key(
+        "USER_MOTOR1_RATED_SPEED_KRPM", "real", "design", "rated speed"
     )
 }
 

@@ -13,6 +13,7 @@ from dqforge.optimizer.firmware.ti_format.ti_configuration import (
     current_rule,
     speed_rule,
 )
+from dqforge.optimizer.firmware.ti_format.ti_contradictions import TRIP_SHARE
 from dqforge.optimizer.firmware.ti_format.ti_keys import number
 
 _NOTICED = 1e-3
@@ -41,6 +42,7 @@ def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
         *_factors(held),
         *_currents(asked, held),
         *_periods(asked, held),
+        *_range(held),
         *_field_weakening(held),
     )
 
@@ -120,6 +122,18 @@ def _periods(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
                 f"{1e6 * wanted:.4g} us",
                 (Price(f"period of the {what}", has - wanted, "s"),),
             )
+
+
+def _range(held: Configuration) -> Iterator[Shortfall]:
+    """Where nothing is known of how currents are measured."""
+    i_max = held.drive.i_max
+    if i_max is None or number(held.own, "M1_ADC_FULL_SCALE_CURRENT_A") is not None:
+        return
+    yield Shortfall(
+        f"the range of the measured currents is that of the board's block: for {i_max:.4g} A "
+        f"USER_M1_ADC_FULL_SCALE_CURRENT_A must be at least {i_max / TRIP_SHARE:.4g} A; "
+        f"inverter.current_sensing in the design writes it"
+    )
 
 
 def _field_weakening(held: Configuration) -> Iterator[Shortfall]:

@@ -11,6 +11,7 @@ import pytest
 from firmware_asked import SCOOTER, asked_of, random_asked, scooter
 from saturated import ArctanMachine
 
+from dqforge.machines.devices.current_sensing import CurrentSensing
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.infineon_format.flux_table import flux_table
@@ -125,6 +126,15 @@ def test_another_loop_for_the_speed_is_held() -> None:
     assert loops.speed.feedback.ki == pytest.approx(3.6e5, rel=1e-6)
 
 
+def test_the_shunt_is_written_where_it_is_known() -> None:
+    asked = scooter()
+    assert "params.sys.analog.shunt.res" not in configure(asked).own
+    sensing = CurrentSensing(shunt=0.5e-3, gain=20.0, reference=3.3)
+    inverter = replace(asked.design.inverter, current_sensing=sensing)
+    known = replace(asked, design=replace(asked.design, inverter=inverter))
+    assert configure(known).own["params.sys.analog.shunt.res"] == 0.5e-3
+
+
 def test_filters_of_the_currents_are_part_of_the_loops() -> None:
     slow = configuration("x", DEFAULTS | {"params.sys.analog.filt.w0_i_ph": 50e3})
     assert profile(slow).current.q.filter_time == pytest.approx(1.0 / 50e3 - 1.0 / 100e3)
@@ -176,6 +186,7 @@ def test_what_the_library_does_not_hold_has_a_price() -> None:
     assert prices["integral gain of the speed by the library's own rule"] == -1.0
     assert prices["period of the speed controller"] == pytest.approx(-0.95e-3, rel=1e-3)
     assert prices["flux linkage"] > 0.0
+    assert prices["flux linkage of the library's own table"] > 100.0 * prices["flux linkage"]
     words = " ".join(entry.words for entry in found)
     assert "mtpa_lut" in words
 

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import pytest
 from drives import RELUCTANCE
-from firmware_asked import SCOOTER, TWO_PI, asked_of, scooter
+from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
+from dqforge.optimizer.firmware.firmware_method import Asked
 from dqforge.optimizer.firmware.judge import judge
 from dqforge.optimizer.firmware.one_bandwidth.bandwidth_choice import MOST_SENSITIVITY
 from dqforge.optimizer.firmware.one_bandwidth.odrive_keys import configuration
@@ -96,6 +97,16 @@ def test_inductances_that_its_calibration_refuses_are_told() -> None:
     asked = asked_of(replace(SCOOTER, l_d=5e-3, l_q=5e-3, r_s=1.0))
     words = " ".join(entry.words for entry in shortfalls(asked, configure(asked)))
     assert "5000 uH is outside 2 to 4000 uH" in words
+
+
+@pytest.mark.parametrize("asked", list(random_asked(6, seed=3)))
+def test_loops_of_any_machine_hold(asked: Asked) -> None:
+    held = configure(asked)
+    judged = judge(profile(replace(held, speed=None)), asked.drive)
+    for loop in (judged.current_d, judged.current_q):
+        assert loop is not None
+        assert loop.stable
+        assert loop.phase_margin >= asked.design.control.current_loop.phase_margin_min
 
 
 def test_machines_without_magnets_are_refused() -> None:

@@ -10,6 +10,7 @@ import pytest
 from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
 from saturated import ArctanMachine
 
+from dqforge.machines.devices.current_sensing import CurrentSensing
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.judge import judge
 from dqforge.optimizer.firmware.targets.ti import configure, profile, shortfalls
@@ -184,6 +185,22 @@ def test_designs_that_say_too_little_are_refused_by_key(change: dict[str, Any], 
     with pytest.raises(InputError) as refused:
         configure(replace(asked, drive=replace(asked.drive, **change)))
     assert str(refused.value).startswith(key)
+
+
+def test_the_range_of_the_currents_is_written_where_it_is_known() -> None:
+    asked = scooter()
+    words = [entry.words for entry in shortfalls(asked, configure(asked))]
+    assert any("must be at least 119.1 A" in text for text in words)
+    sensing = CurrentSensing(shunt=0.5e-3, gain=50.0, reference=3.3)
+    inverter = replace(asked.design.inverter, current_sensing=sensing)
+    known = replace(asked, design=replace(asked.design, inverter=inverter))
+    found = configure(known)
+    assert found.own["USER_M1_ADC_FULL_SCALE_CURRENT_A"] == pytest.approx(132.0)
+    assert found.contradictions == ()
+    assert not any("at least" in entry.words for entry in shortfalls(known, found))
+    small = replace(inverter, current_sensing=replace(sensing, gain=60.0))
+    found = configure(replace(asked, design=replace(asked.design, inverter=small)))
+    assert any("47.5 %" in text for text in found.contradictions)
 
 
 def test_a_block_without_timing_has_no_loops() -> None:

@@ -10,56 +10,55 @@ from dqforge.machines.errors import InputError
 from dqforge.reports.firmware.infineon.reader import read, recognise
 
 # The numbers of the library's own defaults, in a layout of our own.
-DEFAULTS = """void manual(void)
+DEFAULTS = """void board(void)
 {
-    params.motor.P = 14.0f;
-    params.motor.lq = 28.0E-6f;
-    params.motor.ld = 23.0E-6f;
-    params.motor.lam = 1.9E-3f;
-    params.motor.r = 11.0E-3f; // ohm
-    params.motor.T_max = 1.8f;
-    params.motor.i_peak = 100.0f;
-    params.motor.i_cont = 50.0f;
-    params.motor.id_max = 30.0f;
-    params.motor.v_nom = LINE_TO_PHASE(32.0f);
-    params.motor.w_nom.elec = MECH_TO_ELEC(HZ_TO_RADSEC(RPM_TO_HZ(12600.0f)), params.motor.P);
-    params.motor.w_max.elec = MECH_TO_ELEC(HZ_TO_RADSEC(RPM_TO_HZ(1.5f * 12600)), params.motor.P);
-    params.sys.samp.fpwm_fs0_ratio = 2U;
     params.sys.samp.fs0 = 100.0E3;
-    params.sys.analog.filt.w0_i_ph = HZ_TO_RADSEC(params.sys.samp.fs0 * ONE_OVER_TWO_PI);
-    params.sys.analog.calib.i_u = (CALIB_PARAMS_t){ 1.0f, 0.0f };
+    params.sys.samp.fpwm_fs0_ratio = 2U;
     params.sys.vdc_nom = 32.0f;
-#if defined(REGRESSION_TEST)
-    params.obs.pll.w0 = HZ_TO_RADSEC(1.5E3f);
-#elif defined(SIL_TEST)
-    params.obs.pll.w0 = HZ_TO_RADSEC(500.0f);
-#endif
-    params.mech.inertia = 0.5f * 0.5f * POW_TWO(0.05f);
-    params.mech.viscous = 0.0002f * 7.0f;
-    params.mech.friction = 0.05f * 4.0f;
-    params.filt.spd_ar_en = En;
-    params.filt.spd_ar_wp[0] = HZ_TO_RADSEC(10.0f);
-    params.filt.spd_ar_wz[0] = HZ_TO_RADSEC(3.0E3f);
-    params.ctrl.speed.bw = HZ_TO_RADSEC(10.0f);
-#if defined(CTRL_METHOD_RFO) || defined(CTRL_METHOD_TBC)
-    params.ctrl.curr.bw = HZ_TO_RADSEC(1.5E3f);
-    params.ctrl.curr.ff_coef = 1.0f;
-#elif defined(CTRL_METHOD_SFO)
-    params.ctrl.flux.bw = HZ_TO_RADSEC(400.0f);
-#endif
+    params.sys.analog.calib.i_u = (CALIB_PARAMS_t){ 1.0f, 0.0f };
+    params.sys.analog.filt.w0_i_ph = HZ_TO_RADSEC(ONE_OVER_TWO_PI * params.sys.samp.fs0);
 }
-void automatic(void)
+void winding(void)
 {
+    params.motor.r = 11.0E-3f; // ohm
+    params.motor.ld = 23.0E-6f;
+    params.motor.lq = 28.0E-6f;
+    params.motor.lam = 1.9E-3f;
+    params.motor.P = 14.0f;
+    params.motor.i_peak = 100.0f;
+    params.motor.T_max = 1.8f;
+    params.motor.v_nom = LINE_TO_PHASE(32.0f);
+    params.motor.w_max.elec = MECH_TO_ELEC(HZ_TO_RADSEC(RPM_TO_HZ(1.5f * 12600)), params.motor.P);
+    params.mech.inertia = 0.25f * POW_TWO(0.05f);
+    params.mech.viscous = 7.0f * 0.0002f;
+}
+void loops(void)
+{
+#if defined(SIL_TEST)
+    params.obs.pll.w0 = HZ_TO_RADSEC(500.0f);
+#elif defined(REGRESSION_TEST)
+    params.obs.pll.w0 = HZ_TO_RADSEC(1.5E3f);
+#endif
+    params.filt.spd_ar_wz[0] = HZ_TO_RADSEC(3.0E3f);
+    params.filt.spd_ar_wp[0] = HZ_TO_RADSEC(10.0f);
+    params.filt.spd_ar_en = En;
+#if defined(CTRL_METHOD_SFO)
+    params.ctrl.flux.bw = HZ_TO_RADSEC(400.0f);
+#elif defined(CTRL_METHOD_TBC) || defined(CTRL_METHOD_RFO)
+    params.ctrl.curr.ff_coef = 1.0f;
+    params.ctrl.curr.bw = HZ_TO_RADSEC(1.5E3f);
+#endif
+    params.ctrl.speed.bw = HZ_TO_RADSEC(10.0f);
     params.obs.pll.kp = params.obs.pll.w0 / params.motor.lam;
-    static const float Multiple = 1.0f;
-#if defined(CTRL_METHOD_RFO)
-    params.ctrl.speed.kp = ((8.0f / 3.0f) / (POW_TWO(params.motor.P) * params.motor.lam)) *
-        params.mech.inertia * params.ctrl.speed.bw;
-    params.ctrl.speed.ki = ((8.0f / 3.0f) / (POW_TWO(params.motor.P) * params.motor.lam)) *
-        params.mech.viscous * params.ctrl.speed.bw * Multiple;
-    params.ctrl.curr.kp.q = params.ctrl.curr.bw * params.motor.lq;
-#elif defined(CTRL_METHOD_TBC)
+    const float per_torque = 8.0f / (3.0f * params.motor.lam * POW_TWO(params.motor.P));
+    const float times = 1.0f;
+#if defined(CTRL_METHOD_TBC)
     params.ctrl.speed.kp = 9.0f;
+#elif defined(CTRL_METHOD_RFO)
+    params.ctrl.speed.kp = params.ctrl.speed.bw * params.mech.inertia * per_torque;
+    params.ctrl.speed.ki = params.ctrl.speed.bw * params.mech.viscous *
+        per_torque * times;
+    params.ctrl.curr.kp.q = params.motor.lq * params.ctrl.curr.bw;
 #endif
 }
 """
@@ -78,7 +77,7 @@ def test_the_defaults_with_where_everything_stands() -> None:
     assert "params.obs.pll.w0" not in found.own  # only in builds for tests
     assert "params.obs.pll.kp" not in found.own  # builds on it
     assert found.origins["r_s"].key == "params.motor.r"
-    assert (found.origins["r_s"].text, found.origins["r_s"].line) == ("11.0E-3f", 7)
+    assert (found.origins["r_s"].text, found.origins["r_s"].line) == ("11.0E-3f", 11)
     assert "half" in found.origins["pole_pairs"].conversion
     # At 12 % above what 32 V give, and a filter as slow as the speed loop.
     assert any("field weakening" in words for words in found.contradictions)
@@ -117,7 +116,7 @@ TABLE = "static const float x_mtpa_flux_Wb[128] = {\n" + ", ".join(["0.5f"] * 12
         (DEFAULTS.replace("14.0f", "14.5f"), "write a whole number"),
         (DEFAULTS.replace("= En", "= 1"), "write an enumerator"),
         (DEFAULTS.replace("#endif\n}\n", "}\n"), "#endif"),
-        (DEFAULTS.replace("#if defined(REGRESSION_TEST)", ""), "without #if"),
+        (DEFAULTS.replace("#if defined(SIL_TEST)", ""), "without #if"),
         (DEFAULTS.replace("// ohm", "/* ohm"), "comment"),
         (DEFAULTS.replace("11.0E-3f", "1.0f / 0.0f"), "not a number"),
         (DEFAULTS.replace("11.0E-3f", "(" * 100 + "1" + ")" * 100), "not a number"),

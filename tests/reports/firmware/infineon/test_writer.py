@@ -152,33 +152,33 @@ PARAMS_t params;
 #endif
 void manual(void)
 {
-    params.motor.P = 8.0f; // [#]
-    params.motor.lq = 200.0E-6f; // [H]
-    params.motor.ld = 150.0E-6f; // [H]
-    params.motor.lam = 12.0E-3f; // [Wb], measured
-    params.motor.r = 90.0E-3f; // [Ohm]
-    params.motor.i_peak = 30.0f; // [A]
+    params.motor.P = 8.0f; // poles
+    params.motor.lq = 200.0E-6f; // henry
+    params.motor.ld = 150.0E-6f; // henry
+    params.motor.lam = 12.0E-3f; // measured
+    params.motor.r = 90.0E-3f;
+    params.motor.i_peak = 30.0f;
     params.motor.w_max.elec = MECH_TO_ELEC(HZ_TO_RADSEC(RPM_TO_HZ(4000.0f)), params.motor.P); // max
-    params.motor.i2t.therm_tau = 5.0f; // [sec]
-    params.sys.samp.fpwm_fs0_ratio = 2U; // []
-    params.sys.samp.fs0 = 15.0E3; // [Hz]
-    params.sys.vdc_nom = 36.0f; // [V]
+    params.motor.i2t.therm_tau = 5.0f; // s
+    params.sys.samp.fpwm_fs0_ratio = 2U;
+    params.sys.samp.fs0 = 15.0E3;
+    params.sys.vdc_nom = 36.0f;
 #if defined(SOME_TEST)
-    params.obs.pll.w0 = HZ_TO_RADSEC(1.5E3f); // [Ra/sec]
+    params.obs.pll.w0 = HZ_TO_RADSEC(1.5E3f); // rad/s
 #endif
-    params.mech.inertia = 0.5f * POW_TWO(0.05f); // [kg.m^2]
-    params.ctrl.speed.bw = HZ_TO_RADSEC(8.0f); // [Ra/sec]
+    params.mech.inertia = 0.5f * POW_TWO(0.05f);
+    params.ctrl.speed.bw = HZ_TO_RADSEC(8.0f); // rad/s
 #if defined(CTRL_METHOD_RFO) || defined(CTRL_METHOD_TBC)
-    params.ctrl.curr.bw = HZ_TO_RADSEC(1.0E3f); // [Ra/sec]
+    params.ctrl.curr.bw = HZ_TO_RADSEC(1.0E3f); // rad/s
 #endif
 }
 void automatic(void)
 {
 #if defined(CTRL_METHOD_RFO)
-    params.ctrl.curr.kp.q = params.ctrl.curr.bw * params.motor.lq; // [V/A]
-    params.ctrl.curr.ki.q = params.ctrl.curr.bw * params.motor.r;
+    params.ctrl.curr.kp.q = params.motor.lq * params.ctrl.curr.bw; // V/A
+    params.ctrl.curr.ki.q = params.motor.r * params.ctrl.curr.bw;
 #elif defined(CTRL_METHOD_TBC)
-    params.ctrl.curr.kp = params.ctrl.curr.bw * params.motor.lq;
+    params.ctrl.curr.kp = params.motor.lq * params.ctrl.curr.bw;
 #endif
 }
 """
@@ -189,13 +189,13 @@ def test_what_a_file_assigns_is_replaced_and_all_else_stays() -> None:
     lines = text_of(found, DEFAULTS).splitlines()
     for kept in (
         '#include "Controller.h"',
-        "    params.motor.P = 30.0f; // [#]",
-        "    params.motor.lam = 0.006125877f; // [Wb], measured",
+        "    params.motor.P = 30.0f; // poles",
+        "    params.motor.lam = 0.006125877f; // measured",
         "    params.motor.w_max.elec = 3750.0f; // max",
-        "    params.motor.i2t.therm_tau = 5.0f; // [sec]",
-        "    params.obs.pll.w0 = HZ_TO_RADSEC(1.5E3f); // [Ra/sec]",
-        "    params.ctrl.curr.kp.q = 0.6283185f; // [V/A]",
-        "    params.ctrl.curr.kp = params.ctrl.curr.bw * params.motor.lq;",
+        "    params.motor.i2t.therm_tau = 5.0f; // s",
+        "    params.obs.pll.w0 = HZ_TO_RADSEC(1.5E3f); // rad/s",
+        "    params.ctrl.curr.kp.q = 0.6283185f; // V/A",
+        "    params.ctrl.curr.kp = params.motor.lq * params.ctrl.curr.bw;",
     ):
         assert kept in lines, kept
     assert len(lines) == len(DEFAULTS.splitlines())

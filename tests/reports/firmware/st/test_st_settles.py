@@ -10,6 +10,7 @@ import pytest
 from firmware_loops import VALUES, scooter, vesc
 
 from dqforge.machines.design.design import Design
+from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.control_design.gain_set import gains_or_reason
 from dqforge.optimizer.firmware.asked import asked
 from dqforge.optimizer.firmware.targets.st import ST
@@ -30,6 +31,8 @@ def program() -> Iterator[Simulator]:
 def drive(*, salient: bool) -> Design:
     """The scooter's drive with a largest speed, and a speed loop of 15 Hz."""
     design = scooter()
+    assert isinstance(design.machine, LinearMachine)
+    assert design.control.speed_loop is not None
     machine = replace(design.machine, omega_m_max=260.0)
     if salient:
         machine = replace(machine, l_q=2.5e-4)
