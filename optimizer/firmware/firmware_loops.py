@@ -16,11 +16,17 @@ from dqforge.optimizer.firmware.firmware_method import (
     FreeGains,
     Shortfall,
 )
+from dqforge.optimizer.firmware.gain_search.chosen import Chosen
+from dqforge.optimizer.firmware.gain_search.current_gains import CurrentSearch
+from dqforge.optimizer.firmware.gain_search.speed_gains import speed_search
+from dqforge.optimizer.firmware.gain_search.structure_box import (
+    AXES,
+    axis_plants,
+    speed_plants_over,
+)
 from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop, judge, judged_loop
 from dqforge.optimizer.firmware.profile import LoopProfile, PiController
 from dqforge.optimizer.firmware.registry import METHODS
-from dqforge.optimizer.firmware.structure_box import AXES, axis_plants, speed_plants_over
-from dqforge.optimizer.firmware.structured_gains import Chosen, CurrentSearch, speed_search
 from dqforge.optimizer.loops.loop_gains import LoopGains, LoopName
 from dqforge.optimizer.loops.plants import SpeedLoop
 from dqforge.optimizer.loops.robustness import LoopRobustness
