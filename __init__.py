@@ -20,6 +20,13 @@ if TYPE_CHECKING:
     from dqforge.reports.session.control import SimulatedDrive, Tuning, simulate, tune
     from dqforge.reports.session.drives import library, load_design
     from dqforge.reports.session.emission import Emission, Solution, Verified, emit, solve, verify
+    from dqforge.reports.session.firmware import (
+        FirmwareExport,
+        FirmwareFile,
+        design_from_firmware,
+        export_for,
+        read_firmware,
+    )
     from dqforge.reports.session.losses import Losses, LossMap, loss_map, losses
     from dqforge.reports.session.points import (
         Characteristics,
@@ -40,6 +47,8 @@ __all__ = [
     "Design",
     "DqforgeError",
     "Emission",
+    "FirmwareExport",
+    "FirmwareFile",
     "Fit",
     "FluxMap",
     "InputError",
@@ -59,7 +68,9 @@ __all__ = [
     "Waveforms",
     "certify",
     "characteristics",
+    "design_from_firmware",
     "emit",
+    "export_for",
     "fit",
     "library",
     "load_design",
@@ -70,6 +81,7 @@ __all__ = [
     "operating_map",
     "operating_points",
     "read_back_emf",
+    "read_firmware",
     "read_flux_map",
     "simulate",
     "solve",
@@ -90,6 +102,13 @@ _HOMES = {
     "reports.session.control": ("SimulatedDrive", "Tuning", "simulate", "tune"),
     "reports.session.drives": ("library", "load_design"),
     "reports.session.emission": ("Emission", "Solution", "Verified", "emit", "solve", "verify"),
+    "reports.session.firmware": (
+        "FirmwareExport",
+        "FirmwareFile",
+        "design_from_firmware",
+        "export_for",
+        "read_firmware",
+    ),
     "reports.session.losses": ("LossMap", "Losses", "loss_map", "losses"),
     "reports.session.points": (
         "Characteristics",

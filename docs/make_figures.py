@@ -13,6 +13,7 @@ import figures_certificates
 import figures_current_feedback
 import figures_estimators
 import figures_firmware_loops
+import figures_firmware_simulation
 import figures_fixed_control
 import figures_fixed_point
 import figures_fixed_reference
@@ -68,6 +69,7 @@ def main() -> None:
     figures_losses.loss_comparison(folder / "loss-comparison.svg")
     figures_losses.loss_map(folder / "loss-map.svg")
     figures_simulation.bench(folder / "simulation.svg")
+    figures_firmware_simulation.limit_cycle(folder / "firmware-simulation.svg")
     figures_simulation.dead_time(folder / "dead-time.svg")
     figures_stability.periodic_stability(folder / "periodic-stability.svg")
     figures_losses.modulation_choice(folder / "modulation-choice.svg")

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 from drives import make_design
 
 from dqforge.machines.design.design import Design
+from dqforge.machines.design.settings import SpeedLoopSettings
+from dqforge.machines.devices.current_sensing import CurrentSensing
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.names import Firmware
+from dqforge.optimizer.control_design.gain_set import gains_or_reason
+from dqforge.optimizer.firmware.asked import asked
 from dqforge.optimizer.firmware.configuration import DriveValues
 from dqforge.optimizer.firmware.profile import (
     CurrentLoops,
@@ -18,11 +24,12 @@ from dqforge.optimizer.firmware.profile import (
     SpeedController,
     SpeedEstimate,
 )
+from dqforge.optimizer.firmware.registry import METHODS
 
 # 48 V, 60 rpm/V (line to line, peak), 100 mOhm and 200 uH line to line, 15 pole pairs, 40 A rms.
 PSI = 60.0 / (math.sqrt(3.0) * 2.0 * math.pi * 15 * 60.0)
-MACHINE = LinearMachine(15, 0.05, 1e-4, 1e-4, PSI, 40.0 * math.sqrt(2.0), 1e-3, 1e-4)
-INVERTER = Inverter(48.0, 20e3)
+MACHINE = LinearMachine(15, 0.05, 1e-4, 1e-4, PSI, 40.0 * math.sqrt(2.0), 1e-3, 1e-4, 260.0)
+INVERTER = Inverter(48.0, 20e3, current_sensing=CurrentSensing(0.5e-3, 20.0, 3.3, 12))
 VALUES = DriveValues(
     15, 0.05, 1e-4, 1e-4, PSI, 1e-3, 1e-4, MACHINE.i_max, None, 48.0, 20e3, 0.0, 50e-6, 1e-3
 )
@@ -35,12 +42,12 @@ def scooter() -> Design:
     return replace(design, inverter=INVERTER, control=replace(design.control, t_s=50e-6))
 
 
-def current_pi(t_s: float, bandwidth: float, **changes: object) -> PiController:
+def current_pi(t_s: float, bandwidth: float, **changes: Any) -> PiController:
     """A current controller whose zero cancels the winding's pole; ``bandwidth`` in rad/s."""
     return replace(PiController(bandwidth * 1e-4, bandwidth * 0.05, t_s), **changes)
 
 
-def speed_pi(t_s: float, crossover: float, spread: float = 16.0, **changes: object) -> PiController:
+def speed_pi(t_s: float, crossover: float, spread: float = 16.0, **changes: Any) -> PiController:
     """A speed controller that crosses over at ``crossover`` rad/s, its zero ``spread`` times
     lower.
     """
@@ -137,6 +144,18 @@ def infineon() -> LoopProfile:
     loops = CurrentLoops(pi, pi, cross=True, back_emf=True, order="q-first", angle_advance=1.5)
     table = ((0.0, 0.0, 0.0), (30.0, -1.0, 29.9), (60.0, -4.0, 59.0))
     return LoopProfile("infineon", "hand", loops, speed, reference="table", table=table)
+
+
+def configured(name: Firmware) -> tuple[LoopProfile, DriveValues]:
+    """The loops of a firmware as it is configured for the scooter, and what it is told."""
+    design = scooter()
+    loops = SpeedLoopSettings("bandwidth", bandwidth=150.0, ratio=20)
+    design = replace(design, control=replace(design.control, speed_loop=loops, observer=None))
+    gains, reason = gains_or_reason(design)
+    assert gains is not None, reason
+    method = METHODS[name]
+    configuration = method.configure(asked(design, gains.i_d, gains.i_q, gains.speed))
+    return method.profile(configuration), configuration.drive
 
 
 EVERY = (lambda: vesc(1e6), simplefoc, moteus, odrive, nxp, st, ti, infineon)

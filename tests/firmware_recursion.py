@@ -35,11 +35,11 @@ class Pi:
         self.share = F(t_s / (t_s + pi.filter_time))
         self.limit = None if pi.limit is None else F(pi.limit)
         self.integral, self.before, self.error = ZERO, ZERO, ZERO
-        self.measured: np.float32 | None = None
+        self.measured, self.begun = ZERO, False
 
     def output(self, reference: np.float32, measured: np.float32) -> np.float32:
-        if self.measured is None or self.share >= 1.0:
-            self.measured = measured
+        if not self.begun or self.share >= 1.0:
+            self.measured, self.begun = measured, True
         else:
             self.measured = self.measured + self.share * (measured - self.measured)
         error, self.before = reference - self.measured, self.integral
@@ -93,12 +93,15 @@ class Estimate:
         self.count += 1
         if first:
             self.omega, self.value = self.pairs * omega_m, omega_m
-            self.theta, self.smooth = theta, self.omega
+            self.theta, self.smooth, self.since = theta, self.omega, ZERO
             self.past = [self.omega * self.t] * self.own.samples
             self.speeds = [self.omega] * self.own.averaged
             if self.own.kind == "pll":
                 self.theta = folded(self.theta + self.omega * self.t)
-        elif due:
+        elif self.own.kind != "pll":
+            self.since = self.since + folded(theta - self.theta)
+            self.theta = theta
+        if due and not first:
             speed = self.pairs * omega_m if self.own.kind == "ideal" else self.of_angle(theta)
             if self.own.kind in ("pll", "low-pass") and self.share < 1.0:
                 speed = self.smooth + self.share * (speed - self.smooth)
@@ -108,16 +111,15 @@ class Estimate:
 
     def of_angle(self, theta: np.float32) -> np.float32:
         assert self.own is not None
-        error = folded(theta - self.theta)
         if self.own.kind == "pll":
+            error = folded(theta - self.theta)
             self.omega = self.omega + self.ki * error
             both = self.omega + self.kp * error
             self.theta = folded(self.theta + both * self.t)
             return both if self.own.whole else self.omega
-        self.theta = theta
         count = self.own.samples if self.own.kind == "difference" else 1
         self.place = (self.place + 1) % count
-        self.past[self.place] = error
+        self.past[self.place], self.since = self.since, ZERO
         return total(self.past[:count]) / (F(count) * self.t)
 
     def mean(self, speed: np.float32) -> np.float32:

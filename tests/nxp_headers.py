@@ -64,9 +64,7 @@ def header(data: Published, *, motor: int = 1, inputs: bool = True) -> str:
     lines += [f"#ifndef __M{motor}_PMSM_APPCONFIG_H", f"#define __M{motor}_PMSM_APPCONFIG_H", ""]
     if inputs and commented:
         lines += comments(data)
-    lines += [
-        define(name, text, fixed=fixed, motor=motor) for name, text in data.constants.items()
-    ]
+    lines += [define(name, text, fixed=fixed, motor=motor) for name, text in data.constants.items()]
     lines += [f"#define M{motor}_POSPE_ENC_PULSES (1000)"]
     lines += ["/* USER INPUT START */", "#define AA 1", "/* USER INPUT END */", "#endif", ""]
     return "\n".join(lines)

@@ -13,7 +13,7 @@ from dqforge.machines.design.loader import load_text
 from dqforge.machines.devices.current_sensing import CurrentSensing
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.firmware.asked import drive_values
-from dqforge.optimizer.firmware.configuration import PiGains
+from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked
 
 
@@ -23,6 +23,13 @@ def base_design() -> Design:
     sensing = "  current_sensing: {shunt: 10 mOhm, gain: 5.18, reference: 3.3 V}\n  v_dc:"
     assert text.count("\n  v_dc:") == 1
     return load_text(text.replace("\n  v_dc:", "\n" + sensing).encode(), "d.yaml")
+
+
+def value(found: Configuration, name: str) -> float:
+    """A number of a configuration by its own name."""
+    stated = found.own[name]
+    assert not isinstance(stated, str)
+    return float(stated)
 
 
 def random_asked(count: int, seed: int, *, tables: int = 0) -> Iterator[Asked]:
@@ -47,7 +54,7 @@ def _asked(base: Design, rng: np.random.Generator, *, table: bool) -> Asked:
     base_speed = 10.0 ** rng.uniform(2.0, 3.3)
     psi = 0.4 * v_dc / base_speed
     l_d = psi / i_max * 10.0 ** rng.uniform(-1.5, 0.0)
-    l_q = l_d * (rng.uniform(1.5, 3.0) if table else 10.0 ** rng.uniform(-0.1, 0.5))
+    l_q = l_d * (rng.uniform(1.5, 3.0) if table else 10.0 ** max(0.0, rng.uniform(-0.3, 0.5)))
     f_sw = float(rng.choice([8e3, 10e3, 16e3, 20e3, 40e3, 100e3]))
     pairs = int(rng.integers(1, 12))
     machine = LinearMachine(

@@ -35,6 +35,8 @@ class DriveValues:
         Of the inverter, in V, Hz and s.
     t_s, t_speed:
         Periods in s with which the current and the speed controller run.
+    shunt, sense_gain, sense_reference:
+        Of the current measurement, in Ohm, V/V and V, where a firmware counts in integers.
     """
 
     pole_pairs: int | None = None
@@ -51,6 +53,9 @@ class DriveValues:
     dead_time: float | None = None
     t_s: float | None = None
     t_speed: float | None = None
+    shunt: float | None = None
+    sense_gain: float | None = None
+    sense_reference: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.design.numerical import numerical_errors
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
 from dqforge.optimizer.firmware.judge import (
     JudgedFirmware,
@@ -27,6 +28,12 @@ from dqforge.optimizer.firmware.solve import Methods, method_of
 OF_MACHINE = ("pole_pairs", "r_s", "l_d", "l_q", "psi_pm", "inertia", "viscous")
 
 """Fields of `DriveValues` that say what machine it is."""
+
+
+_NO_SPEED = (
+    "the speed loop is not judged: a header does not say the inertia; name the design of the "
+    "machine"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,13 +98,14 @@ def explain(
     drive = on_machine(configuration.drive, machine)
     # What the file says counts for what the firmware computes from it; the machine completes it.
     told = on_machine(drive, configuration.drive)
+    method, profile = method_of(configuration.firmware, methods), None
     try:
-        profile = method_of(configuration.firmware, methods).profile(
-            replace(configuration, drive=told)
-        )
-    except InputError as error:
-        return Explained(configuration, drive, None, _nothing(error.message))
-    return Explained(configuration, drive, profile, judge(profile, drive))
+        with numerical_errors():
+            profile = method.profile(replace(configuration, drive=told))
+            judged = judge(profile, drive)
+    except (InputError, NoSolutionError) as error:
+        judged = _nothing(error.message)
+    return Explained(configuration, drive, profile, judged)
 
 
 def _nothing(remark: str) -> JudgedFirmware:
@@ -121,7 +129,9 @@ def explain_own(gains: OwnGains, machine: DriveValues | None = None) -> JudgedFi
         return _nothing(f"without the {missing} no loop can be judged")
     d = _own_current(gains.current_d, drive, drive.l_d)
     q = _own_current(gains.current_q, drive, drive.l_q)
-    return JudgedFirmware(d, q, _own_speed(gains, drive), None, ())
+    speed = _own_speed(gains, drive)
+    lacking = () if speed is not None or gains.speed is None else (_NO_SPEED,)
+    return JudgedFirmware(d, q, speed, None, lacking)
 
 
 def _own_current(

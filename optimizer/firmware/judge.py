@@ -1,7 +1,8 @@
 """What the loops of a firmware make of a machine: crossovers, margins, damping, and what is wrong.
 
-The axes are taken as decoupled and the inverter as linear; where the firmware feeds the back-EMF
-forward, as exactly cancelled. The speed loop runs at no d current.
+Each loop alone takes the axes as decoupled, the inverter as linear, and the back-EMF, where the
+firmware feeds it forward, as exactly cancelled; `turning` is what the coupling makes of both
+current loops. The speed loop runs at no d current.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from dqforge.optimizer.firmware.sampled_structure import (
     current_loop,
     speed_loop,
 )
+from dqforge.optimizer.firmware.turning_axes import TurningAxes, turning_axes
 from dqforge.optimizer.loops.plants import PiLoop
 from dqforge.optimizer.sampled_systems import (
     ComplexArray,
@@ -99,6 +101,8 @@ class JudgedFirmware:
         without one.
     remarks:
         What is wrong, what limits, and what is left out, one sentence each.
+    turning:
+        Both current loops together up to the largest speed, None where that is not known.
     """
 
     current_d: JudgedLoop | None
@@ -106,6 +110,7 @@ class JudgedFirmware:
     speed: JudgedLoop | None
     pll_poles: tuple[complex, complex] | None
     remarks: tuple[str, ...]
+    turning: TurningAxes | None = None
 
 
 def judge(profile: LoopProfile, drive: DriveValues) -> JudgedFirmware:
@@ -132,13 +137,15 @@ def judge(profile: LoopProfile, drive: DriveValues) -> JudgedFirmware:
             speed_loop(Winding(drive.r_s, l_q), mechanics_of(drive, current), current, speed)
         )
     poles = None if speed is None else pll_poles(speed.feedback)
+    turning = _turning(drive, l_d, l_q, current)
     remarks = (
         *_unstable(profile, (("d", judged_d), ("q", judged_q), ("speed", judged_speed))),
+        *_unstable_together(profile, turning, (judged_d, judged_q)),
         *_of_pll(profile, judged_speed, poles),
         *_of_observer(profile, judged_speed),
         *_left_out(missing, judged_q),
     )
-    return JudgedFirmware(judged_d, judged_q, judged_speed, poles, remarks)
+    return JudgedFirmware(judged_d, judged_q, judged_speed, poles, remarks, turning)
 
 
 def judged_loop(loop: PiLoop) -> JudgedLoop:
@@ -268,6 +275,30 @@ def _unstable(
     return tuple(found)
 
 
+def _turning(
+    drive: DriveValues, l_d: float | None, l_q: float | None, loops: CurrentLoops
+) -> TurningAxes | None:
+    if drive.r_s is None or not l_d or not l_q or not drive.pole_pairs or not drive.omega_m_max:
+        return None
+    return turning_axes(drive.r_s, (l_d, l_q), loops, drive.pole_pairs, drive.omega_m_max)
+
+
+def _unstable_together(
+    profile: LoopProfile, turning: TurningAxes | None, axes: tuple[JudgedLoop | None, ...]
+) -> tuple[str, ...]:
+    """That the axes are unstable together where each alone is not."""
+    alone = all(axis is not None and axis.stable for axis in axes)
+    if turning is None or turning.unstable_from is None or not alone:
+        return ()
+    left = "" if profile.current.cross else ", with no feedforward of the other axis' current"
+    words = (
+        f"both current loops together are unstable as {profile.firmware} runs them from about "
+        f"{turning.unstable_from * 30.0 / math.pi:.4g} rpm{left}: largest pole modulus "
+        f"{turning.radius:.4g} at {turning.omega_m * 30.0 / math.pi:.4g} rpm"
+    )
+    return (words,)
+
+
 def _of_pll(
     profile: LoopProfile, speed: JudgedLoop | None, poles: tuple[complex, complex] | None
 ) -> tuple[str, ...]:
@@ -287,7 +318,7 @@ def _of_pll(
     remedy = (
         f"ki = kp^2/4 = {double:.6g} puts both poles at {0.5 * feedback.kp:.6g} rad/s"
         if apart
-        else "a larger kp, with ki = kp^2/4, makes it faster"
+        else "a larger kp, with ki = kp^2/4, makes it faster where the format permits it"
     )
     words = (
         f"the PLL of {profile.firmware} (kp {feedback.kp:.6g}, ki {feedback.ki:.6g}) has a pole at "
@@ -305,8 +336,8 @@ def _of_observer(profile: LoopProfile, speed: JudgedLoop | None) -> tuple[str, .
     if observer.rate is None:
         return (f"{made} own lag is not in the margins of the speed loop",)
     words = (
-        f"{made} errors decay with {_rate(observer.rate)}; with the right resistance, inductance "
-        "and flux linkage they are not part of the speed loop, with wrong ones they are"
+        f"{made} errors decay with {observer.rate:.4g} rad/s; with the right resistance, "
+        "inductance and flux linkage they are not part of the speed loop, with wrong ones they are"
     )
     return (words,)
 

@@ -227,7 +227,7 @@ def _estimate(feedback: SpeedEstimate, n: int, speed: int, angle: int, t_e: floa
         made = made.filtered(filter_share(feedback.filter_time, t_e))
     if feedback.kind == "difference":
         made = made.averaged(feedback.samples)
-    return made.averaged(feedback.averaged).held()
+    return made.held()
 
 
 def _tracked(feedback: SpeedEstimate, n: int, angle: int, t_e: float) -> _Estimate:
@@ -284,10 +284,48 @@ def speed_plant(
     wide = SampledSystem(a, b, _first_row(size, estimate.place), np.zeros((1, 2)), t_c)
     steps = lift(wide, every)
     stepped = replace(steps, a=estimate.step @ steps.a, b=estimate.step @ steps.b)
-    whole = lift(stepped, whole_ratio(speed.pi.t_s, t_c) // every)
+    ratio = whole_ratio(speed.pi.t_s, t_c) // every
+    whole = _lifted_average(stepped, ratio, speed.feedback.averaged)
     if speed.feedback.kind == "ideal":
         whole = _without(whole, 3)  # nothing sees the angle
     return _filtered(whole, speed.pi.filter_time)
+
+
+def _lifted_average(system: SampledSystem, ratio: int, count: int) -> SampledSystem:
+    """Seen every ``ratio``-th step, with the mean of the last ``count`` outputs as its output.
+
+    Of each period between two looks only the sum of its outputs is kept, and the sum of those at
+    its end that the oldest period still gives: count = whole ratio + rest.
+    """
+    found = lift(system, ratio)
+    if count <= 1:
+        return found
+    n, (whole, rest) = len(system.a), divmod(count, ratio)
+    sums = np.zeros((2, n + system.b.shape[1]))  # of all, and of the last ones
+    a, b = np.eye(n), np.zeros_like(system.b)
+    for step in range(ratio):
+        a, b = system.a @ a, system.a @ b + system.b
+        row = np.hstack([system.c @ a, system.c @ b])[0]
+        sums[0] += row
+        sums[1] += row * (step >= ratio - rest)
+    lengths = (whole, whole + 1 if rest else 0)
+    size = n + sum(lengths) + 1
+    wide_a, wide_b = np.zeros((size, size)), np.zeros((size, system.b.shape[1]))
+    wide_a[:n, :n], wide_b[:n] = found.a, found.b
+    start, weights = n, np.zeros(size)
+    for kept, length in zip(sums, lengths, strict=True):
+        if length:
+            wide_a[start, :n], wide_b[start] = kept[:n], kept[n:]
+            for place in range(start + 1, start + length):
+                wide_a[place, place - 1] = 1.0
+            start += length
+    weights[n : n + whole] = 1.0 / count
+    if rest:
+        weights[start - 1] = 1.0 / count
+    wide_a[-1], wide_b[-1] = weights @ wide_a, weights @ wide_b
+    return SampledSystem(
+        wide_a, wide_b, _first_row(size, size - 1), np.zeros((1, system.b.shape[1])), found.t_s
+    )
 
 
 def _without(system: SampledSystem, place: int) -> SampledSystem:

@@ -122,12 +122,17 @@ def method_of(
     return found
 
 
-def _fit(design: Design, gains: Gains | None, method: FirmwareMethod) -> FirmwareFit:
+def check_drivable(design: Design, name: str) -> None:
+    """Refuse a machine of a kind that no firmware of others drives; raises InputError."""
     if design.phase_machine is not None:
         raise InputError(
-            f"export.firmware: {method.name} drives machines with a sinusoidal back-EMF, and this "
-            "one has model: waveform; leave it out"
+            f"export.firmware: {name} drives machines with a sinusoidal back-EMF, and this one has "
+            "model: waveform; leave it out"
         )
+
+
+def _fit(design: Design, gains: Gains | None, method: FirmwareMethod) -> FirmwareFit:
+    check_drivable(design, method.name)
     if gains is None:
         raise InputError(
             f"export.firmware: {method.name} needs gains, and the design has none; write control: "

@@ -12,6 +12,7 @@ the bound of M_s in this structure.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import get_args
 
@@ -22,7 +23,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import VendorMethod
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
-from dqforge.optimizer.firmware.profile import LoopProfile, PiController
+from dqforge.optimizer.firmware.profile import CurrentLoops, LoopProfile, PiController
 from dqforge.optimizer.firmware.sampled_structure import added_gain
 from dqforge.optimizer.firmware.structure_box import (
     Bounds,
@@ -30,6 +31,7 @@ from dqforge.optimizer.firmware.structure_box import (
     axis_plants,
     speed_plants_over,
 )
+from dqforge.optimizer.firmware.turning_axes import turning_axes
 from dqforge.optimizer.loops.gains import speed_delay
 from dqforge.optimizer.loops.loop_batch import PlantBatch
 from dqforge.optimizer.loops.loop_gains import LoopGains
@@ -51,6 +53,10 @@ _SHRUNK = (1.0, 0.999, 0.99, 0.95, 0.9, 0.8, 0.6)
 
 _NAMED = ("bandwidth", "damping", "given", *get_args(VendorMethod))
 """Methods whose numbers the design names."""
+
+
+_WORTH = 1.02
+"""What a faster phase-locked loop must bring in integral gain to be taken."""
 
 
 _PLL_STEPS = 7
@@ -140,7 +146,23 @@ class CurrentSearch:
             found = axis_plants(self.box, axis, loops).fault(pi, self.bounds)
             if found is not None:
                 return f"the {axis} loop {found}"
-        return None
+        return self._turning_fault(loops)
+
+    def _turning_fault(self, loops: CurrentLoops) -> str | None:
+        """That both loops together are unstable at a speed that the machine reaches, in words."""
+        machine = self.box.design.machine
+        if machine.omega_m_max is None:
+            return None
+        found = turning_axes(
+            machine.r_s, self.box.nominal, loops, machine.pole_pairs, machine.omega_m_max
+        )
+        if found.unstable_from is None:
+            return None
+        return (
+            "both current loops together are unstable from about "
+            f"{found.unstable_from * 30.0 / math.pi:.4g} rpm (largest pole modulus "
+            f"{found.radius:.4g})"
+        )
 
     def holds(self, asked: Asked) -> bool:
         """Whether gains can be held and keep the bounds."""
@@ -319,8 +341,10 @@ class SpeedSearch:
         if factor > 0.0 and self.settings.method not in _NAMED:
             found = self._made(pll, self.by(calmer(family, factor)))
             assert found is not None
-            words = _lowered("the speed loop", f"it {fault}", factor, self.method)
-            return replace(found, words=(*self.current.words, words))
+            words = [_lowered("the speed loop", f"it {fault}", factor, self.method)]
+            if pll is not None and pll != self.asked.pll:
+                words.append(f"the PLL gets kp {pll.kp:.6g} and ki {pll.ki:.6g}")
+            return replace(found, words=(*self.current.words, *words))
         raise NoSolutionError(self._refusal(fault, family, factor))
 
     def _largest(
@@ -364,8 +388,11 @@ class SpeedSearch:
         for pll in self.plls():
             start = self._made(pll, self.asked.speed)
             found = None if start is None else self._optimised(start, pll)
-            if found is not None and (best is None or _ki(found) > _ki(best) * 1.02):
-                best = found
+            if found is None:
+                continue
+            if best is not None and _ki(found) <= _ki(best) * _WORTH:
+                break
+            best = found
         if best is not None:
             return replace(best, words=self.current.words)
         return self._slower(fault or "keeps its bounds by no gains of this search")

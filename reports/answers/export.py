@@ -10,9 +10,15 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.firmware.solve import FirmwareFit, method_of, solve_firmware
+from dqforge.optimizer.firmware.solve import FirmwareFit, check_drivable, method_of, solve_firmware
+from dqforge.reports.firmware.registry import TARGETS
 from dqforge.reports.firmware.text_file import read_text_file
-from dqforge.reports.firmware_files.exported import firmware_files, read_files, target_named
+from dqforge.reports.firmware_files.exported import (
+    check_existing,
+    firmware_files,
+    read_files,
+    target_named,
+)
 from dqforge.reports.firmware_files.plain import plain_fit
 from dqforge.reports.firmware_files.settled import require_settling
 from dqforge.reports.firmware_files.tables import fit_tables
@@ -51,6 +57,10 @@ def answer_export_for(
     if into is not None and len(chosen) != 1:
         raise InputError("--into: a file is one firmware's; write a single --for NAME with it")
     existing = None if into is None else read_text_file(into)
+    for name in chosen:
+        check_drivable(design, name)
+    if existing is not None:
+        check_existing(existing, TARGETS[chosen[0]])
     wanted = replace(design, export=replace(design.export, firmware=chosen))
     stage("tuning")
     fits = solve_firmware(wanted, solve_gains(wanted))

@@ -16,7 +16,7 @@ from dqforge.optimizer.firmware.judge import JudgedLoop
 from dqforge.reports.comparison.sources import Side
 from dqforge.reports.firmware.text_file import MOST_BYTES, decoded_file
 from dqforge.reports.firmware_files.plain import plain_drive_values, plain_loop, plain_pi
-from dqforge.reports.firmware_files.recognised import recognised
+from dqforge.reports.firmware_files.recognised import read_file, recognised
 from dqforge.reports.output.manifest import sha256
 from dqforge.reports.plain_data import PlainData
 
@@ -47,7 +47,7 @@ def firmware_side(name: str) -> Side | None:
     target = recognised(file)
     if target is None:
         return None
-    found = explain(target.read(file.text, name))
+    found = explain(read_file(target, file))
     return Side(name, _plain(found, target.title, sha256(content)), None, foreign=True)
 
 

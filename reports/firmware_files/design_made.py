@@ -59,10 +59,8 @@ def design_from_files(files: Sequence[Path], settings: Sequence[str] = ()) -> De
             f"the file does not say all that a design needs; give {also} as well",
             source=str(files[0]),
         )
-    if settings:
-        _, text = overridden(parse_yaml(text.encode("utf-8"), _SOURCE), text, settings)
     if not made.missing:
-        _check(text, made, configuration, str(files[0]))
+        text = _checked(text, settings, made, configuration, str(files[0]))
     return DesignFromFiles(text, configuration, made.missing, made.wanted)
 
 
@@ -75,9 +73,19 @@ def _pll(configuration: Configuration) -> PiGains | None:
     return PiGains(profile.speed.feedback.kp, profile.speed.feedback.ki)
 
 
-def _check(text: str, made: MadeDesign, configuration: Configuration, file: str) -> None:
-    """Refuse what is no design, in the place of the file that says it."""
+def _checked(
+    text: str,
+    settings: Sequence[str],
+    made: MadeDesign,
+    configuration: Configuration,
+    file: str,
+) -> str:
+    """The text with keys set; what is no design is refused in the place of the file that says
+    it.
+    """
     try:
+        if settings:
+            _, text = overridden(parse_yaml(text.encode("utf-8"), _SOURCE), text, settings)
         load_text(text.encode("utf-8"), _SOURCE)
     except InputError as error:
         if error.source != _SOURCE:
@@ -88,3 +96,4 @@ def _check(text: str, made: MadeDesign, configuration: Configuration, file: str)
             raise InputError(error.message, source=file) from None
         message = f"{origin.key} {origin.text}: {error.message}"
         raise InputError(message, source=file, line=origin.line) from None
+    return text

@@ -55,6 +55,11 @@ _INVERTER = (
 )
 
 
+_USUAL_REFERENCE = 3.3
+
+"""Reference of the converter in V where a file does not say it."""
+
+
 _KINDS = {
     "resistance": "phase",
     "inductance_d": "phase",
@@ -176,6 +181,26 @@ class _Writer:
         self.lines += ["", "inverter:", "  topology: three-wire"]
         for key in _INVERTER:
             self._quantity("inverter", key)
+        self._sensing()
+
+    def _sensing(self) -> None:
+        """The current measurement, where the file says shunt and gain."""
+        drive = self.found.drive
+        if drive.shunt is None or drive.sense_gain is None:
+            return
+        reference = drive.sense_reference or _USUAL_REFERENCE
+        said = [
+            ("shunt", "shunt", exact_text(drive.shunt, "Ohm", "resistance")),
+            ("gain", "sense_gain", f"{drive.sense_gain!r}"),
+            ("reference", "sense_reference", exact_text(reference, "V", "voltage")),
+        ]
+        self.lines.append("  current_sensing:")
+        for key, field, text in said:
+            stated = getattr(drive, field) is not None
+            entry = self._entry(field, text) if stated else f"{text}   # the usual one, not said"
+            self.lines.append(f"    {key}: {entry}")
+            if stated:
+                self.origins[f"inverter.current_sensing.{key}"] = field
 
     def _quantity(self, section: str, key: _Key) -> None:
         """A value of the configuration, or the question for it."""

@@ -9,12 +9,12 @@ from pathlib import PurePath
 from dqforge import __version__
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.firmware.configuration import Configuration
+from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
 from dqforge.optimizer.firmware.solve import FirmwareFit
 from dqforge.reports.firmware.registry import TARGETS
 from dqforge.reports.firmware.target import FileTitle, Target
 from dqforge.reports.firmware.text_file import TextFile, decoded_file
-from dqforge.reports.firmware_files.recognised import Targets
+from dqforge.reports.firmware_files.recognised import Targets, read_file, together
 
 
 def file_title(design: Design, fit: FirmwareFit) -> FileTitle:
@@ -74,12 +74,8 @@ def firmware_files(
 
 def _into(design: Design, fit: FirmwareFit, existing: TextFile, target: Target) -> dict[str, bytes]:
     """The existing file with the values of the design, and no other file."""
+    check_existing(existing, target)
     own = PurePath(existing.source).name
-    if not target.recognise(own, existing.text):
-        raise InputError(
-            f"is no file of {target.title}; name one that it writes", source=existing.source
-        )
-    target.read(existing.text, existing.source)  # its faults are named by it, not by the result
     files = target.write(fit.configuration, file_title(design, fit), existing.text)
     alike = [name for name in files if PurePath(name).suffix == PurePath(own).suffix]
     readable = [name for name in alike or files if _recognised(target, own, files[name])]
@@ -90,6 +86,21 @@ def _into(design: Design, fit: FirmwareFit, existing: TextFile, target: Target) 
         )
     text = files[readable[0]].decode("utf-8")
     return {own: existing.encoded(text.replace("\r\n", "\n"))}
+
+
+def check_existing(existing: TextFile, target: Target) -> None:
+    """Refuse a file whose fields cannot be kept.
+
+    Raises
+    ------
+    InputError
+        It is not one of the firmware, or not what that writes; with the line.
+    """
+    if not target.recognise(PurePath(existing.source).name, existing.text):
+        raise InputError(
+            f"is no file of {target.title}; name one that it writes", source=existing.source
+        )
+    read_file(target, existing)
 
 
 def _recognised(target: Target, name: str, content: bytes) -> bool:
@@ -122,30 +133,42 @@ def read_back(
     VerificationError
         One of them says something else, or none is known.
     """
-    names = []
-    for name, content in files.items():
-        file = decoded_file(content, name)
-        if not target.recognise(PurePath(name).name, file.text):
-            continue
-        names.append(name)
-        found = target.read(file.text, name)
-        difference = differing(configuration, found, whole=whole)
+    known = _known(files, target)
+    names, found = ", ".join(file.source for file in known), together(target, known)
+    if not whole and target.read_several is not None:
+        differences = [(names, contradicting(_own(configuration), _own(found)))]
+    else:
+        differences = [
+            (file.source, contradicting(configuration, read_file(target, file))) for file in known
+        ]
+        differences.append((names, differing(configuration, found, whole=whole)))
+    for source, difference in differences:
         if difference:
-            raise VerificationError(f"{name}: reads back as something else: {difference}")
-    if not names:
+            raise VerificationError(f"{source}: reads back as something else: {difference}")
+    return tuple(file.source for file in known)
+
+
+def _own(configuration: Configuration) -> Configuration:
+    """What a file says by its own names, without what is worked out of several of them: one file
+    of several, in which values of others stand, says that only with the others.
+    """
+    return replace(configuration, drive=DriveValues(), current_d=None, current_q=None, speed=None)
+
+
+def _known(files: Mapping[str, bytes], target: Target) -> list[TextFile]:
+    """Those of the files that the target's reader knows."""
+    decoded = [decoded_file(content, name) for name, content in files.items()]
+    known = [file for file in decoded if target.recognise(PurePath(file.source).name, file.text)]
+    if not known:
         raise VerificationError(
             f"{', '.join(files)}: the reader of {target.method.name} does not know its own files"
         )
-    return tuple(names)
+    return known
 
 
 def read_files(files: Mapping[str, bytes], target: Target) -> Configuration:
-    """What the first file that a reader knows says, with the places of its values."""
-    for name, content in files.items():
-        file = decoded_file(content, name)
-        if target.recognise(PurePath(name).name, file.text):
-            return target.read(file.text, name)
-    raise VerificationError(f"{', '.join(files)}: none is a file of {target.method.name}")
+    """What the files that a reader knows say together, with the places of the values."""
+    return together(target, _known(files, target))
 
 
 def differing(wanted: Configuration, found: Configuration, *, whole: bool = True) -> str:
@@ -160,6 +183,15 @@ def differing(wanted: Configuration, found: Configuration, *, whole: bool = True
     for key in [*one, *(key for key in other if key not in one)]:
         if one.get(key) != other.get(key):
             return f"{key} is {other.get(key)}, not {one.get(key)}"
+    return ""
+
+
+def contradicting(wanted: Configuration, found: Configuration) -> str:
+    """The first value that both state, and state differently; "" where there is none."""
+    one, other = _values(wanted), _values(found)
+    for key, value in one.items():
+        if value is not None and other.get(key) is not None and other[key] != value:
+            return f"{key} is {other[key]}, not {value}"
     return ""
 
 

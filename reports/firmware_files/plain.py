@@ -28,6 +28,9 @@ DRIVE_KEYS = {
     "dead_time": "dead_time_s",
     "t_s": "t_s_s",
     "t_speed": "t_speed_s",
+    "shunt": "shunt_Ohm",
+    "sense_gain": "sense_gain",
+    "sense_reference": "sense_reference_V",
 }
 
 """Keys of the fields of `DriveValues`, as under ``drive`` of ``result.json``."""

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.design.numerical import numerical_errors
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Firmware
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
 from dqforge.reports.firmware.registry import TARGETS
@@ -63,12 +64,39 @@ def read_configuration(
                 "files of one firmware"
             )
             raise InputError(message, source=file.source)
+    return together(target, files), files
+
+
+def together(target: Target, files: Sequence[TextFile]) -> Configuration:
+    """The configuration that several files of one firmware state together.
+
+    Raises
+    ------
+    InputError
+        As `read_file`.
+    """
     if target.read_several is not None and len(files) > 1:
-        return target.read_several([(file.text, file.source) for file in files]), files
-    found = target.read(files[0].text, files[0].source)
+        with numerical_errors():
+            return target.read_several([(file.text, file.source) for file in files])
+    found = read_file(target, files[0])
     for file in files[1:]:
-        found = merged(found, target.read(file.text, file.source))
-    return found, files
+        found = merged(found, read_file(target, file))
+    return found
+
+
+def read_file(target: Target, file: TextFile) -> Configuration:
+    """The configuration in one file.
+
+    Raises
+    ------
+    InputError
+        It is not what the firmware writes, or its numbers are beyond all bounds.
+    """
+    try:
+        with numerical_errors():
+            return target.read(file.text, file.source)
+    except NoSolutionError as error:
+        raise InputError(error.message, source=file.source) from None
 
 
 def merged(first: Configuration, second: Configuration) -> Configuration:

@@ -6,7 +6,12 @@ import math
 from collections.abc import Iterator
 
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
+from dqforge.optimizer.firmware.configuration import (
+    Configuration,
+    DriveValues,
+    Origin,
+    PiGains,
+)
 from dqforge.optimizer.firmware.explained import Explained, OwnGains
 from dqforge.optimizer.firmware.firmware_method import Shortfall
 from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop
@@ -29,6 +34,9 @@ FIELDS = (
     ("dead_time", "dead time", "s"),
     ("t_s", "period of the current control", "s"),
     ("t_speed", "period of the speed control", "s"),
+    ("shunt", "shunt of the current measurement", "Ohm"),
+    ("sense_gain", "its amplifier", ""),
+    ("sense_reference", "reference of the converter", "V"),
 )
 
 """Fields of `DriveValues` with their names and units."""
@@ -80,27 +88,32 @@ def _gain_rows(found: Configuration) -> Iterator[tuple[str, str, str]]:
 
 def configuration_table(found: Configuration, title: str) -> Table:
     """Every value: in SI, as it is written in the file and where, and how it was converted."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
+    shown: set[str] = set()
     for name, label, text in (*value_rows(found.drive), *_gain_rows(found)):
         origin = found.origins.get(name)
-        if origin is None:
-            rows.append((label, text, "", "", ""))
-        else:
-            line = "" if origin.line is None else str(origin.line)
-            written = f"{origin.key} {origin.text}".strip()
-            rows.append((label, text, written, line, origin.conversion))
-    shown = tuple(origin.key for origin in found.origins.values())
-    rows += [
-        (key, "", f"{value:.9g}" if isinstance(value, float) else str(value), "", "")
-        for key, value in found.own.items()
-        if not any(other == key or other.endswith(f".{key}") for other in shown)
-    ]
+        shown.add("" if origin is None else origin.key)
+        rows.append((label, text, *_placed(origin)))
+    for key, value in found.own.items():
+        origin = found.origins.get(key)
+        if key in shown or (origin is not None and origin.key in shown):
+            continue
+        text = f"{value:.9g}" if isinstance(value, float) else str(value)
+        rows.append((key, "", *((text, "", "") if origin is None else _placed(origin))))
     columns = ("", "value", "in the file", "line", "conversion")
     notes = (
         *(f"convention: {sentence}" for sentence in found.conventions),
         *(f"contradiction: {sentence}" for sentence in found.contradictions),
     )
     return Table(title, columns, tuple(rows), notes)
+
+
+def _placed(origin: Origin | None) -> tuple[str, str, str]:
+    """What stands in the file, its line, and how it was converted."""
+    if origin is None:
+        return "", "", ""
+    line = "" if origin.line is None else str(origin.line)
+    return f"{origin.key} {origin.text}".strip(), line, origin.conversion
 
 
 def loops_table(found: JudgedFirmware, title: str, profile: LoopProfile | None = None) -> Table:

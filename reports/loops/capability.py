@@ -129,6 +129,26 @@ def _loop_quantities(loop: str, kp: str, ki: str) -> tuple[Quantity, ...]:
     )
 
 
+def _firmware_quantities(loop: str, kp: str, ki: str) -> tuple[Quantity, ...]:
+    section, path = f"{loop} loop as its firmware runs it", ("gains", "firmware", loop)
+    return (
+        Quantity(section, "kp", kp, (*path, "kp")),
+        Quantity(section, "ki", ki, (*path, "ki")),
+        Quantity(section, "bandwidth (crossover)", "Hz", (*path, "crossover_rad_per_s"), _hertz),
+        Quantity(section, "phase margin", "deg", (*path, "phase_margin_rad")),
+        Quantity(section, "gain margin (factor)", "", (*path, "gain_margin")),
+        Quantity(section, "M_s", "", (*path, "max_sensitivity")),
+        Quantity(section, "damping", "", (*path, "damping")),
+    )
+
+
+_FIRMWARE_UNITS = {
+    "i_d": ("V/A", "V/(A s)"),
+    "i_q": ("V/A", "V/(A s)"),
+    "speed": ("A s/rad", "A/rad"),
+}
+
+
 LOOPS = Capability(
     name="gains",
     title="control loops",
@@ -142,6 +162,11 @@ LOOPS = Capability(
     parts=_parts,
     quantities=(
         *(row for loop, units in _GAIN_UNITS.items() for row in _loop_quantities(loop, *units)),
+        *(
+            row
+            for loop, units in _FIRMWARE_UNITS.items()
+            for row in _firmware_quantities(loop, *units)
+        ),
         Quantity("currents together", "radius per sample", "", ("gains", "currents", "radius")),
         *(
             Quantity("observer", label, unit, ("gains", "observer", key))

@@ -11,6 +11,7 @@ from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.firmware_loops import FirmwareLoop, FirmwareLoops
 from dqforge.optimizer.firmware.firmware_method import Price, Shortfall
 from dqforge.optimizer.firmware.judge import JudgedLoop
+from dqforge.optimizer.firmware.turning_axes import TurningAxes
 from dqforge.optimizer.loops.robustness import LoopRobustness
 from dqforge.reports.loops.robustness_text import plain_loop_robustness
 from dqforge.reports.plain_data import PlainData
@@ -120,6 +121,12 @@ def firmware_notes(firmware: FirmwareLoops) -> tuple[str, ...]:
             f"PLL of the speed: kp {feedback.kp:.6g} 1/s, ki {feedback.ki:.6g} 1/s^2, poles at "
             f"{' and '.join(map(_pole, poles))} rad/s"
         )
+    turning = firmware.judged.turning
+    if turning is not None:
+        notes.append(
+            f"both current loops together up to the largest speed: largest pole modulus "
+            f"{turning.radius:.5f}, at {turning.omega_m * 30.0 / math.pi:.4g} rpm"
+        )
     notes += firmware.judged.remarks
     notes += [f"cannot be held: {_shortfall(found)}" for found in firmware.shortfalls]
     return tuple(notes)
@@ -174,6 +181,16 @@ def _plain_loop(found: FirmwareLoop) -> PlainData:
     }
 
 
+def _plain_turning(found: TurningAxes | None) -> PlainData | None:
+    if found is None:
+        return None
+    return {
+        "largest_pole": found.radius,
+        "omega_m_rad_per_s": found.omega_m,
+        "unstable_from_rad_per_s": found.unstable_from,
+    }
+
+
 def plain_firmware(gains: GainSet) -> PlainData:
     """The loops of the firmware as plain data, in SI units; an empty mapping without one."""
     firmware = gains.firmware
@@ -192,6 +209,7 @@ def plain_firmware(gains: GainSet) -> PlainData:
             "speed": _plain_loop(loops["speed"]) if "speed" in loops else None,
             "pll": None if feedback is None else {"kp": feedback.kp, "ki": feedback.ki},
             "pll_poles": None if poles is None else [[pole.real, pole.imag] for pole in poles],
+            "turning": _plain_turning(firmware.judged.turning),
             "remarks": list(firmware.judged.remarks),
             "changes": list(firmware.changes),
             "shortfalls": [

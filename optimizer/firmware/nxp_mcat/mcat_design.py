@@ -34,6 +34,11 @@ MOST_ALIGN = 65535
 """Largest count of a duration: 16 bits."""
 
 
+INPUT_DIGITS = 12
+
+"""Significant digits of the inputs: their constants have six."""
+
+
 Values = dict[str, float]
 
 
@@ -62,7 +67,7 @@ def own_values(asked: Asked, edition: Edition) -> dict[str, OwnValue]:
 
 def _inputs(asked: Asked, edition: Edition) -> Values:
     drive = asked.drive
-    return {
+    found = {
         **_machine(asked, drive, edition),
         **_scales(asked, drive, edition),
         **_procedures(drive),
@@ -70,6 +75,7 @@ def _inputs(asked: Asked, edition: Edition) -> Values:
         **_speed(asked, edition),
         **_observer(asked),
     }
+    return {key: float(f"{value:.{INPUT_DIGITS}g}") for key, value in found.items()}
 
 
 def _needed(value: float | None, key: str, what: str) -> float:

@@ -20,6 +20,7 @@ from dqforge.optimizer.firmware.configuration import (
 from dqforge.optimizer.firmware.nxp_mcat.mcat_constants import (
     SPEED_I,
     SPEED_P,
+    constants,
     numbers,
     torque_constant,
 )
@@ -159,8 +160,15 @@ class McatSheet:
         scale = amperes * pairs / full
         return PiGains(k_p * scale, k_i * scale / (self.edition.speed_share * self.t_speed))
 
+    def meant(self, macro: str) -> bool:
+        """Whether a constant is what MCAT makes of the inputs beside it, which say it unrounded."""
+        made = constants(self.edition, self.own).get(macro)
+        return made is not None and made == self.number(macro)
+
     def current_limit(self) -> float | None:
         """Largest q current that the speed controller asks for, in A."""
+        if self.meant("M1_SPEED_LOOP_HIGH_LIMIT"):
+            return self.number("speedLoopUpperLimit")
         value, amperes = self.constant("M1_SPEED_LOOP_HIGH_LIMIT"), self.amperes
         return None if value is None or amperes is None else value * amperes
 
@@ -175,6 +183,9 @@ class McatSheet:
 
     def largest_speed(self) -> float | None:
         """Nominal speed in rad/s (mechanical), beyond which no speed is asked for."""
+        rpm = self.number("parametersNnom") if self.meant("M1_N_NOM") else None
+        if rpm is not None:
+            return TURN * rpm / 60.0
         value, full, pairs = self.constant("M1_N_NOM"), self.full_speed, self.pole_pairs
         return None if value is None or full is None or not pairs else value * full / pairs
 

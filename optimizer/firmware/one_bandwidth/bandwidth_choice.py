@@ -19,6 +19,13 @@ from dqforge.optimizer.firmware.sampled_structure import Winding, current_loop
 from dqforge.optimizer.loops.plants import PiLoop
 from dqforge.optimizer.sampled_systems import loop_margins
 
+MOST_SENSITIVITY = 1.6
+
+"""Largest modulus of 1/(1 + L) of current loops whose bandwidth had to be lowered, as that of the
+optimised gains: a phase margin of some 60 deg where the winding's pole is cancelled.
+"""
+
+
 _LEAST_SHARE = 1e-4
 
 
@@ -62,8 +69,9 @@ def drives_over_current(asked: Asked) -> tuple[DriveValues, ...]:
 
 
 def held_bandwidth(wished: float, loops: Callable[[float], LoopProfile], asked: Asked) -> float:
-    """Largest bandwidth, at most the one wished for, with which both current loops are stable and
-    keep the phase margin of the design; four digits, rounded down.
+    """Largest bandwidth, at most the one wished for, with which both current loops keep the phase
+    margin of the design and, at no current, a sensitivity of at most `MOST_SENSITIVITY`; four
+    digits, rounded down.
 
     Parameters
     ----------
@@ -77,7 +85,7 @@ def held_bandwidth(wished: float, loops: Callable[[float], LoopProfile], asked: 
     from scipy.optimize import brentq
 
     least = asked.design.control.current_loop.phase_margin_min
-    windings = [
+    drives = [
         (Winding(drive.r_s, drive.l_d), Winding(drive.r_s, drive.l_q))
         for drive in drives_over_current(asked)
         if drive.r_s is not None and drive.l_d is not None and drive.l_q is not None
@@ -85,11 +93,13 @@ def held_bandwidth(wished: float, loops: Callable[[float], LoopProfile], asked: 
 
     @cache
     def spare(bandwidth: float) -> float:
-        """Least phase margin in rad beyond the one that must be kept."""
+        """What is left of margin and sensitivity, relative to what must hold; below zero where
+        one of them does not.
+        """
         current = loops(bandwidth).current
         return min(
-            _phase_margin(current_loop(winding, pi, current.delay)) - least
-            for pair in windings
+            _spare(current_loop(winding, pi, current.delay), least, damped=index == 0)
+            for index, pair in enumerate(drives)
             for winding, pi in zip(pair, (current.d, current.q), strict=True)
         )
 
@@ -110,11 +120,12 @@ def held_bandwidth(wished: float, loops: Callable[[float], LoopProfile], asked: 
     return edge
 
 
-def _phase_margin(loop: PiLoop) -> float:
-    """In rad; -pi for a loop that is not stable."""
+def _spare(loop: PiLoop, least: float, *, damped: bool) -> float:
     if abs(loop.closed.poles[0]) >= 1.0:
-        return -math.pi
-    return loop_margins(loop.open_loop).phase_margin
+        return -1.0
+    margins = loop_margins(loop.open_loop)
+    margin = margins.phase_margin / least - 1.0
+    return min(margin, MOST_SENSITIVITY / margins.max_sensitivity - 1.0) if damped else margin
 
 
 def rounded_down(value: float) -> float:

@@ -43,8 +43,12 @@ FILTER = "motor_position.sources.0.pll_filter_hz"
 GEAR = "motor_position.rotor_to_output_ratio"
 
 
+SLIP = "servo.max_position_slip"
+
+
 OF_OUTPUT = {
     "servo.max_velocity": 1,
+    SLIP: 1,
     "servo.default_accel_limit": 1,
     "servo.pid_position.kp": -2,
     "servo.pid_position.ki": -2,
@@ -83,6 +87,7 @@ KNOWN = (
     "servo.pid_position.ki",
     "servo.pid_position.ilimit",
     "servo.pid_position.kd",
+    SLIP,
     "servo.voltage_mode_control",
     FILTER,
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping
 
 from dqforge.optimizer.firmware.configuration import (
@@ -11,6 +10,7 @@ from dqforge.optimizer.firmware.configuration import (
     DriveValues,
     Origin,
     OwnValue,
+    PiGains,
 )
 from dqforge.optimizer.firmware.st_format.st_contradictions import contradictions
 from dqforge.optimizer.firmware.st_format.st_gains import current_gains, speed_gains
@@ -30,9 +30,6 @@ CONVENTIONS = (
     "MOTOR_VOLTAGE_CONSTANT is in V r.m.s. line to line per 1000 rpm (mechanical)",
     "LS is the inductance of a phase along q",
 )
-
-
-_WHOLE = re.compile(r"-?\d{1,10}")
 
 
 def st_configuration(
@@ -58,7 +55,7 @@ def st_configuration(
     """
     scale, rate = scales(own), _positive(own, "SPEED_LOOP_FREQUENCY_HZ")
     full = current_scale(own)
-    gains = (None, None)
+    gains: tuple[PiGains | None, PiGains | None] = (None, None)
     if scale is not None:
         gains = current_gains(own, "FLUX", scale), current_gains(own, "TORQUE", scale)
     return Configuration(
@@ -101,11 +98,6 @@ def amperes(own: Mapping[str, OwnValue], name: str) -> float | None:
     return None if counts is None or full is None else counts * full / FULL
 
 
-def integers(text: OwnValue | None) -> tuple[int, ...] | None:
-    """Integers of a table such as ``{0,-12,3}``; None where there is none."""
-    return None if not isinstance(text, str) else tuple(int(part) for part in _WHOLE.findall(text))
-
-
 def _drive(own: Mapping[str, OwnValue]) -> DriveValues:
     pairs, inductance = number(own, "POLE_PAIR_NUM"), number(own, "LS")
     emf, rate = number(own, "MOTOR_VOLTAGE_CONSTANT"), control_rate(own)
@@ -124,9 +116,12 @@ def _drive(own: Mapping[str, OwnValue]) -> DriveValues:
         omega_m_max=None if not rpm else rpm * math.pi / 30.0,
         v_dc=_positive(own, "NOMINAL_BUS_VOLTAGE_V"),
         f_sw=_positive(own, "PWM_FREQUENCY"),
-        dead_time=None if dead_time is None else dead_time * 1e-9,
+        dead_time=None if dead_time is None else dead_time / 1e9,
         t_s=None if rate is None else 1.0 / rate,
         t_speed=None if speed_rate is None else 1.0 / speed_rate,
+        shunt=_positive(own, "RSHUNT"),
+        sense_gain=_positive(own, "AMPLIFICATION_GAIN"),
+        sense_reference=_positive(own, "ADC_REFERENCE_VOLTAGE"),
     )
 
 
@@ -136,4 +131,4 @@ def _positive(own: Mapping[str, OwnValue], name: str) -> float | None:
 
 def _millionths(own: Mapping[str, OwnValue], name: str) -> float | None:
     value = number(own, name)
-    return None if value is None else value * 1e-6
+    return None if value is None else value / 1e6

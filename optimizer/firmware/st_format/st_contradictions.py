@@ -8,6 +8,11 @@ from dataclasses import replace
 
 from dqforge.optimizer.firmware.configuration import OwnValue
 from dqforge.optimizer.firmware.st_format.st_gains import shift
+from dqforge.optimizer.firmware.st_format.st_mtpa import (
+    SEGMENTS,
+    MtpaTable,
+    best_linear_machine,
+)
 from dqforge.optimizer.firmware.st_format.st_observer import (
     constants,
     observed_machine,
@@ -19,8 +24,14 @@ from dqforge.optimizer.firmware.st_format.st_scales import (
     LARGEST,
     control_rate,
     current_scale,
+    integers,
     number,
 )
+
+_STEP = 10
+
+"""Counts of d current from which on a step between segments is told."""
+
 
 _ROUNDED = 2e-3
 
@@ -35,6 +46,7 @@ def contradictions(own: Mapping[str, OwnValue]) -> tuple[str, ...]:
         *_dividers(own),
         *_currents(own),
         *_observer(own),
+        *_table(own),
     )
 
 
@@ -80,6 +92,35 @@ def _currents(own: Mapping[str, OwnValue]) -> Iterator[str]:
             )
 
 
+def _table(own: Mapping[str, OwnValue]) -> Iterator[str]:
+    """Steps between the segments of a table, which the best table hardly has."""
+    width, full = number(own, "SEGDIV"), current_scale(own)
+    slopes, offsets = integers(own.get("ANGC")), integers(own.get("OFST"))
+    if not width or slopes is None or offsets is None or len(slopes) != len(offsets):
+        return
+    largest = own_counts(own, full) or min(LARGEST, int(width) * SEGMENTS - 1)
+    whole = MtpaTable(int(width), slopes, offsets, largest, 0.0, 0)
+    if len(slopes) != SEGMENTS or whole.largest < SEGMENTS:
+        return
+    found = best_linear_machine(whole)
+    if found.jump < _STEP:
+        return
+    in_amperes = "" if full is None else f" ({found.error * full / FULL:.3g} A)"
+    yield (
+        f"ANGC and OFST step by up to {found.jump} counts from one segment to the next, and are "
+        f"off by {found.error:.0f} counts{in_amperes} from the currents of least loss of any "
+        "machine of constant inductances: write the table anew from the machine"
+    )
+
+
+def own_counts(own: Mapping[str, OwnValue], full: float | None) -> int | None:
+    """Counts of the largest q current, None where it is not known."""
+    amperes, counts = number(own, "IQMAX_A"), number(own, "IQMAX")
+    if amperes is not None and full is not None:
+        return min(LARGEST, round(amperes * FULL / full))
+    return None if counts is None else min(LARGEST, int(counts))
+
+
 def _observer(own: Mapping[str, OwnValue]) -> Iterator[str]:
     f1 = number(own, "F1")
     machine = observed_machine(own) or observed_machine(own, 1.0)
@@ -99,15 +140,15 @@ def _observer(own: Mapping[str, OwnValue]) -> Iterator[str]:
         return
     former = observer_integers(replace(machine, room=1.0))
     for name, scale in (("GAIN1", "F1"), ("GAIN2", "F2")):
-        value, factor = number(own, name), number(own, scale)
-        if value is None or not factor:
+        given, factor = number(own, name), number(own, scale)
+        if given is None or not factor:
             continue
         expected = [found[name] * factor / max(found[scale], 1) for found in (wanted, former)]
         room = 1.0 + factor / max(wanted[scale], 1)
-        if all(abs(value - one) > room + _ROUNDED * abs(one) for one in expected):
+        if all(abs(given - one) > room + _ROUNDED * abs(one) for one in expected):
             slow = max(abs(pole) for pole in placed_poles(own, machine))
             yield (
-                f"{name} {value:g} is not Workbench's {expected[0]:.0f} for these R, L and rates: "
+                f"{name} {given:g} is not Workbench's {expected[0]:.0f} for these R, L and rates: "
                 f"the slower pole of the observer is {slow:.3g} per period"
                 + (", unstable" if slow >= 1.0 else "")
             )

@@ -6,7 +6,6 @@ The firmware works out i_d = ((ANGC[s] |i_q|) >> 15) + OFST[s] with s = min(|i_q
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,7 +102,8 @@ def fitted_table(wanted: FloatArray) -> MtpaTable:
 
 
 def _with_width(wanted: FloatArray, width: int) -> MtpaTable:
-    slopes, offsets = [], []
+    slopes: list[int] = []
+    offsets: list[int] = []
     for start, end in _segments(wanted.size, width):
         if start >= end:
             slopes.append(slopes[-1])
@@ -125,6 +125,29 @@ def measured_table(
     jump = int(np.max(np.abs(found[joints] - found[joints - 1]), initial=0))
     error = float(np.max(np.abs(found - wanted)))
     return MtpaTable(width, slopes, offsets, wanted.size - 1, error, jump)
+
+
+def best_linear_machine(table: MtpaTable) -> MtpaTable:
+    """The table measured against the machine of constant inductances that it fits best.
+
+    Its currents of least loss are i_d = s - sqrt(s^2 + i_q^2), with s = psi/(2 (L_q - L_d)).
+    """
+    i_q = np.arange(table.largest + 1.0)
+    low, high = np.log(0.01 * table.largest + 1.0), np.log(100.0 * table.largest + 1.0)
+
+    def against(logarithm: float) -> MtpaTable:
+        scale = np.exp(logarithm)
+        wanted = -i_q * i_q / (scale + np.sqrt(scale * scale + i_q * i_q))
+        return measured_table(table.width, table.slopes, table.offsets, wanted)
+
+    best = low
+    for _ in range(4):
+        tried = np.linspace(low, high, 41)
+        errors = [against(float(one)).error for one in tried]
+        place = int(np.argmin(errors))
+        best = tried[place]
+        low, high = tried[max(place - 1, 0)], tried[min(place + 1, 40)]
+    return against(float(best))
 
 
 def _segments(size: int, width: int) -> list[tuple[int, int]]:
@@ -227,10 +250,8 @@ def _whole_line(i_q: Counts, wanted: FloatArray) -> tuple[int, int]:
     return whole, round(float(wanted[0])) - (whole * int(i_q[0]) >> 15)
 
 
-def locus_counts(
-    i_d: FloatArray, i_q: FloatArray, full_current: float
-) -> tuple[FloatArray, Callable[[FloatArray], FloatArray]]:
-    """Optimal i_d in counts for every count of i_q, and the same curve over i_q in A.
+def locus_counts(i_d: FloatArray, i_q: FloatArray, full_current: float) -> FloatArray:
+    """Optimal i_d in counts for every count of i_q.
 
     Parameters
     ----------
@@ -246,4 +267,4 @@ def locus_counts(
     count = 32768.0 / full_current
     largest = int(np.floor(i_q[rising][-1] * count))
     counts = np.arange(largest + 1, dtype=np.float64)
-    return np.asarray(curve(counts / count)) * count, curve
+    return np.asarray(curve(counts / count)) * count

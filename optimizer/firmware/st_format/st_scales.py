@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -31,6 +32,9 @@ SPEED_UNIT = 0.2 * math.pi
 EMF = math.sqrt(2.0 / 3.0) * 60.0 / (2000.0 * math.pi)
 
 """V s/rad (peak of phase, mechanical) per V r.m.s. line-to-line and 1000 rpm."""
+
+
+_WHOLE = re.compile(r"-?\d{1,10}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +70,11 @@ def number(own: Mapping[str, OwnValue], name: str) -> float | None:
     """A number of a configuration, None where there is none."""
     value = own.get(name)
     return None if value is None or isinstance(value, str) else float(value)
+
+
+def integers(text: OwnValue | None) -> tuple[int, ...] | None:
+    """Integers of a table such as ``{0,-12,3}``; None where there is none."""
+    return None if not isinstance(text, str) else tuple(int(part) for part in _WHOLE.findall(text))
 
 
 def printed(value: float) -> float:

@@ -7,8 +7,14 @@ from collections.abc import Iterator
 
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall
-from dqforge.optimizer.firmware.st_format.st_configuration import integers
-from dqforge.optimizer.firmware.st_format.st_scales import SPEED_UNIT, current_scale, number
+from dqforge.optimizer.firmware.st_format.st_observer import tracking_integers
+from dqforge.optimizer.firmware.st_format.st_scales import (
+    SPEED_UNIT,
+    control_rate,
+    current_scale,
+    integers,
+    number,
+)
 from dqforge.optimizer.firmware.st_format.st_table import table_price
 
 _SEEN = 1e-3
@@ -28,6 +34,7 @@ def shortfalls(asked: Asked, found: Configuration) -> tuple[Shortfall, ...]:
         *_table(asked, found),
         *_rounding(asked, found),
         *_speed(asked, found),
+        *_tracking(found),
     )
 
 
@@ -51,7 +58,7 @@ def _table(asked: Asked, found: Configuration) -> Iterator[Shortfall]:
     price = table_price(asked, full, int(width), slopes, offsets)
     yield Shortfall(
         f"d current by eight segments of integers: off by at most {price.error:.1f} counts "
-        f"({price.error_current:.3g} A) from the currents of least loss, the least that the format "
+        f"({price.error_current:.3f} A) from the currents of least loss, the least that the format "
         f"permits; {100.0 * price.loss:.2g} % more copper loss at most",
         (
             Price("d current", price.error_current, "A"),
@@ -94,4 +101,24 @@ def _speed(asked: Asked, found: Configuration) -> Iterator[Shortfall]:
             f"the speed controller runs at {1.0 / made:g} Hz, a part of its timer of 2000 Hz, "
             f"instead of {1.0 / wanted:.5g} Hz",
             (Price("period of the speed controller", made - wanted, "s"),),
+        )
+
+
+def _tracking(found: Configuration) -> Iterator[Shortfall]:
+    """A phase-locked loop that is faster than Workbench's, for the speed loop's sake."""
+    own = found.own
+    gain, top, rate = (
+        number(own, "PLL_KP_GAIN"),
+        number(own, "MAX_APPLICATION_SPEED_RPM"),
+        control_rate(own),
+    )
+    pairs = number(own, "POLE_PAIR_NUM")
+    if gain is None or top is None or rate is None or pairs is None:
+        return
+    usual = tracking_integers(int(pairs), top, rate)["PLL_KP_GAIN"]
+    if usual and gain > 1.01 * usual:
+        yield Shortfall(
+            f"the speed loop needs PLL_KP_GAIN {gain:g} where Workbench has {usual}: the speed is "
+            f"{gain / usual:.2g} times as noisy",
+            (Price("noise of the speed", gain / usual - 1.0, ""),),
         )

@@ -58,16 +58,17 @@ def table_for(asked: Asked, full_current: float) -> MtpaTable | None:
         return None
     if isinstance(machine, LinearMachine) and machine.l_d == machine.l_q:
         return None
-    wanted, _ = _wanted(asked, full_current)
+    wanted = _wanted(asked, full_current)
     if wanted.size < 16 or float(np.max(np.abs(wanted))) < _NEGLIGIBLE:
         return None
     return fitted_table(wanted)
 
 
-def _wanted(asked: Asked, full_current: float) -> tuple[FloatArray, MtpaLocus]:
+def _wanted(asked: Asked, full_current: float) -> FloatArray:
+    """Optimal i_d in counts at every count of i_q."""
     locus = locus_of(asked)
     i_d, i_q = np.concatenate(([0.0], locus.i_d)), np.concatenate(([0.0], locus.i_q))
-    return locus_counts(i_d, i_q, full_current)[0], locus
+    return locus_counts(i_d, i_q, full_current)
 
 
 def table_price(
@@ -80,18 +81,23 @@ def table_price(
     """What a table costs on the machine of a design, at every count of its q current from a
     twentieth of the largest on.
     """
-    wanted, locus = _wanted(asked, full_current)
+    wanted = _wanted(asked, full_current)
     counts = np.arange(wanted.size)
-    i_d = table_currents(width, slopes, offsets, counts) * full_current / FULL
-    i_q = counts * full_current / FULL
+    count = full_current / FULL
+    i_d = table_currents(width, slopes, offsets, counts).astype(np.float64) * count
+    i_q = counts.astype(np.float64) * count
     error = float(np.max(np.abs(i_d * FULL / full_current - wanted)))
     part = counts >= wanted.size // 20
     machine = asked.design.machine
     torque = np.asarray(machine.torque(i_d[part], i_q[part]))
-    best = np.interp(torque, locus.torque, locus.current)
     square = i_d[part] ** 2 + i_q[part] ** 2
-    within = torque <= locus.torque[-1]
+    # The optimum at every count, too: its points of the locus are too far apart for shares of 1e-4.
+    best_d = wanted * full_current / FULL
+    most = np.asarray(machine.torque(best_d, i_q))
+    least = np.hypot(best_d, i_q)
+    best = np.interp(torque, most, least)
+    within = torque <= most[-1]
     loss = float(np.max(square[within] / best[within] ** 2, initial=1.0)) - 1.0
-    at_current = np.interp(np.sqrt(square), locus.current, locus.torque)
+    at_current = np.interp(np.sqrt(square), least, most)
     lost = float(np.max(1.0 - torque / at_current, initial=0.0))
     return TablePrice(error, error * full_current / FULL, max(0.0, loss), max(0.0, lost))

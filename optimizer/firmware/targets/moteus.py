@@ -25,6 +25,7 @@ from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     FILTER,
     FIRMWARE,
     KV_FLUX,
+    SLIP,
     VERSION,
     as_printed,
     configuration,
@@ -47,6 +48,7 @@ from dqforge.optimizer.firmware.one_bandwidth.torque_rotation import (
     torque_rotation,
 )
 from dqforge.optimizer.firmware.profile import (
+    AntiWindup,
     CurrentLoops,
     LoopProfile,
     PiController,
@@ -77,6 +79,9 @@ _SLOWEST_FILTER = 10.0
 
 
 _LARGEST_POLES = 255
+
+
+_NEARLY = 1.5
 
 
 def configure(asked: Asked) -> Configuration:
@@ -129,7 +134,8 @@ def profile(held: Configuration) -> LoopProfile:
         d=pi,
         q=replace(pi, kp=q.kp, ki=q.ki),
         delay=1.0,
-        cross=bool(held.own.get("servo.cross_coupling_feedforward", 0.0)),
+        # What is fed forward is the coupling of the references, which no loop feels.
+        cross=False,
         order="d-first",
         voltage_share=voltage_share(drive.f_sw),
     )
@@ -218,12 +224,17 @@ def _speed_values(asked: Asked, bandwidth: float) -> dict[str, float | int]:
     assert drive.f_sw is not None
     turn = 2.0 * math.pi * 1.5 * drive.pole_pairs * drive.psi_pm
     rate = 1.0 / control_period(pwm_rate(drive.f_sw))
+    assert drive.i_max is not None
+    stiffness = speed.ki * turn
     values = {
-        "servo.pid_position.kp": speed.ki * turn,
+        "servo.pid_position.kp": stiffness,
         "servo.pid_position.ki": 0.0,
         "servo.pid_position.kd": speed.kp * turn,
         FILTER: rounded_down(min(_FILTER_SHARE * rate, _filter_wished(asked, bandwidth))),
     }
+    if stiffness > 0.0:
+        # How far the position may lag: what the largest current makes up for.
+        values[SLIP] = 1.5 * drive.pole_pairs * drive.psi_pm * drive.i_max / stiffness
     return {key: as_printed(key, value) for key, value in values.items()}
 
 
@@ -243,10 +254,21 @@ def _speed(held: Configuration) -> SpeedController | None:
     if isinstance(bandwidth, float | int) and bandwidth > 0.0:
         kp, ki = filter_gains(float(bandwidth))
         feedback = SpeedEstimate("pll", drive.t_s, kp, ki)
-    pi = PiController(gains.kp, gains.ki, drive.t_s, anti_windup="none", limit=drive.i_max)
+    winds: AntiWindup = "clamp" if _slips(held, gains.ki) else "none"
+    pi = PiController(gains.kp, gains.ki, drive.t_s, anti_windup=winds, limit=drive.i_max)
     slope = held.own.get("servo.default_accel_limit")
     ramp = None if slope is None else 2.0 * math.pi * float(slope)
     return SpeedController(pi, feedback, ramp)
+
+
+def _slips(held: Configuration, ki: float) -> bool:
+    """Whether the lag of the position is limited to about what the largest current makes up for."""
+    slip, i_max = held.own.get(SLIP), held.drive.i_max
+    return (
+        slip is not None
+        and i_max is not None
+        and 2.0 * math.pi * ki * float(slip) <= _NEARLY * i_max
+    )
 
 
 def _inductance_slope(machine: Machine, drive: DriveValues) -> float:

@@ -67,7 +67,9 @@ def configured(asked: Asked, edition: Edition) -> Configuration:
     edition:
         The age of the format, and its arithmetic.
     """
-    return McatFile(asked.design.name, edition, own_values(asked, edition)).configuration()
+    newest = FIXED_2022 if edition.fixed else FLOAT_2025
+    made = McatFile(asked.design.name, newest, own_values(asked, newest))
+    return made.in_edition(edition.version).configuration()
 
 
 def profile(found: Configuration) -> LoopProfile:

@@ -26,7 +26,6 @@ from dqforge.optimizer.firmware.profile import (
 )
 from dqforge.optimizer.firmware.st_format.st_configuration import (
     amperes,
-    integers,
     st_configuration,
 )
 from dqforge.optimizer.firmware.st_format.st_gains import current_integers, speed_integers
@@ -47,6 +46,7 @@ from dqforge.optimizer.firmware.st_format.st_scales import (
     FULL,
     LARGEST,
     current_scale,
+    integers,
     number,
     printed,
     scales,
@@ -166,11 +166,13 @@ def _machine(asked: Asked) -> dict[str, OwnValue]:
         "POLE_PAIR_NUM": pairs,
         "RS": printed(_known(drive.r_s, "machine.resistance")),
         "LS": l_q,
-        "ld_lq_ratio": printed(_known(drive.l_d, "machine.inductance_d") / l_q),
         "MOTOR_VOLTAGE_CONSTANT": printed(emf_of(drive.psi_pm or 0.0, pairs)),
         "NOMINAL_CURRENT_A": i_max,
         "ID_DEMAG_A": -i_max,
     }
+    ratio = printed(_known(drive.l_d, "machine.inductance_d") / l_q)
+    if ratio != 1.0:
+        own["ld_lq_ratio"] = ratio
     if drive.omega_m_max:
         rpm = round(drive.omega_m_max * 30.0 / math.pi)
         own |= {"MOTOR_MAX_SPEED_RPM": rpm, "MAX_APPLICATION_SPEED_RPM": rpm}

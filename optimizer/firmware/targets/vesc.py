@@ -106,8 +106,7 @@ def configure(asked: Asked) -> Configuration:
     own |= _structure(asked)
     if asked.speed is not None:
         own |= _speed(drive, asked.speed)
-    if asked.pll is not None:
-        own |= _tracking(asked.pll)
+    own |= _tracking(asked)
     own["si_motor_poles"] = kept(
         "si_motor_poles", 2 * _known(drive.pole_pairs), "machine.pole_pairs"
     )
@@ -223,18 +222,13 @@ def _structure(asked: Asked) -> dict[str, Number]:
 
 
 def _speed(drive: DriveValues, asked: PiGains) -> dict[str, Number]:
-    """Speed gains, without derivative, on the speed of a tracking loop whose poles are both fast.
-
-    VESC's default of foc_pll_ki puts one of them at 15 rad/s.
-    """
+    """Speed gains, without derivative, on the speed of the tracking loop."""
     scale = speed_scale(_known(drive.pole_pairs), drive.i_max or math.nan)
     rate = 1.0 / drive.t_speed if drive.t_speed else 1000.0
     not_slower = [index for index, found in enumerate(LOOP_RATES) if found >= rate / _SAME]
     number_of_rate = min(not_slower, default=len(LOOP_RATES) - 1)
     key = "control.speed_loop"
     return {
-        "foc_pll_kp": kept("foc_pll_kp", TRACKING_GAIN, key),
-        "foc_pll_ki": kept("foc_pll_ki", 0.25 * TRACKING_GAIN * TRACKING_GAIN, key),
         "sp_pid_loop_rate": kept("sp_pid_loop_rate", number_of_rate, key),
         "s_pid_kp": kept("s_pid_kp", asked.kp / scale, key),
         "s_pid_ki": kept("s_pid_ki", asked.ki / scale, key),
@@ -243,11 +237,18 @@ def _speed(drive: DriveValues, asked: PiGains) -> dict[str, Number]:
     }
 
 
-def _tracking(pll: PiGains) -> dict[str, Number]:
-    """Gains of the tracking loop as they are asked for."""
+def _tracking(asked: Asked) -> dict[str, Number]:
+    """The tracking loop where it is asked for, or makes the speed that is controlled: then both of
+    its poles are fast, while VESC's default of foc_pll_ki puts one of them at 15 rad/s.
+    """
+    wanted = asked.pll
+    if wanted is None and asked.speed is not None:
+        wanted = PiGains(TRACKING_GAIN, 0.25 * TRACKING_GAIN * TRACKING_GAIN)
+    if wanted is None:
+        return {}
     return {
-        "foc_pll_kp": kept("foc_pll_kp", pll.kp, "control.firmware.pll_kp"),
-        "foc_pll_ki": kept("foc_pll_ki", pll.ki, "control.firmware.pll_ki"),
+        "foc_pll_kp": kept("foc_pll_kp", wanted.kp, "control.firmware.pll_kp"),
+        "foc_pll_ki": kept("foc_pll_ki", wanted.ki, "control.firmware.pll_ki"),
     }
 
 

@@ -19,6 +19,14 @@ _NOTICED = 1e-3
 _BACK_EMF_SHARE = 0.98
 
 
+_MUCH = 0.01
+
+
+FAST_SHARE = 0.01
+
+"""Share of the newest value in the speed that is fed forward (mcpwm_foc.c, m_speed_est_fast)."""
+
+
 def shortfalls(asked: Asked, held: Configuration, runs: LoopProfile) -> tuple[Shortfall, ...]:
     """What the configuration does not hold of what was asked, each with its price.
 
@@ -37,6 +45,7 @@ def shortfalls(asked: Asked, held: Configuration, runs: LoopProfile) -> tuple[Sh
         *_periods(asked, held),
         *_voltage(asked, held),
         *_dead_time(asked, held),
+        *_feed_forward(asked, runs),
     )
 
 
@@ -144,6 +153,23 @@ def _dead_time(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
             f"VESC's observer takes off 4/3 of the voltage of the dead time foc_dt_us: "
             f"{volts:.3g} V too much; {0.75e6 * held.drive.dead_time:.4g} us would be exact",
             (Price("voltage in the observer", volts, "V"),),
+        )
+
+
+def _feed_forward(asked: Asked, runs: LoopProfile) -> Iterator[Shortfall]:
+    """The speed that the back-EMF is fed forward with lags behind an acceleration."""
+    drive, design = asked.drive, asked.design
+    if not (runs.current.back_emf and drive.inertia and drive.pole_pairs and drive.psi_pm):
+        return
+    lag = runs.current.d.t_s * (1.0 - FAST_SHARE) / FAST_SHARE
+    acceleration = 1.5 * drive.pole_pairs * drive.psi_pm * design.i_max / drive.inertia
+    volts = drive.pole_pairs * drive.psi_pm * acceleration * lag
+    if volts > _MUCH * design.v_max:
+        yield Shortfall(
+            f"VESC feeds the back-EMF forward by a speed that lags {1e3 * lag:.3g} ms: at "
+            f"{acceleration:.4g} rad/s^2, the most that the current limit gives without load, "
+            f"{volts:.3g} V are missing, which the integrals make up for",
+            (Price("voltage of the feed-forward", volts, "V"),),
         )
 
 

@@ -13,6 +13,7 @@ from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     GEAR,
     KNOWN,
     OF_OUTPUT,
+    SLIP,
     WHOLE,
     configuration,
 )
@@ -39,7 +40,12 @@ _SIX_DECIMALS = re.compile(r"0\.(?=\d{6}$)0*([1-9]\d*)")
 _ENOUGH_DIGITS = 3
 
 
-_UNLIMITED = ("servo.max_velocity", "servo.default_accel_limit", "servo.max_current_desired_rate")
+_UNLIMITED = (
+    "servo.max_velocity",
+    "servo.default_accel_limit",
+    "servo.max_current_desired_rate",
+    SLIP,
+)
 
 """What may be nan or inf: there is no such limit then."""
 

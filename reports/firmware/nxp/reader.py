@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import PurePath
 
 from dqforge.machines.errors import InputError
@@ -96,7 +97,8 @@ def read_file(text: str, place: str) -> McatFile:
     _constants(macros, prefix, own, origins)
     fixed = _is_fixed(macros, prefix)
     old = commented or (inputs is None and _has_many_digits(macros, prefix))
-    return McatFile.read(name, own, _by_field(origins), fixed=fixed, commented=old)
+    file = McatFile.read(name, own, origins, fixed=fixed, commented=old)
+    return replace(file, origins=_by_field(origins, file))
 
 
 def _constants(
@@ -128,9 +130,12 @@ def _has_many_digits(macros: Macros, prefix: str) -> bool:
     return False
 
 
-def _by_field(origins: dict[str, Origin]) -> dict[str, Origin]:
+def _by_field(origins: dict[str, Origin], file: McatFile) -> dict[str, Origin]:
     """Origins of the fields of a drive and of its gains, beside those of the file's own names."""
     named = {field: origins[key] for field, key in _FIELDS.items() if key in origins}
+    for field, key in _UNROUNDED.items():
+        if key in origins and file.sheet.meant(_FIELDS[field]):
+            named[field] = origins[key]
     if "psi_pm" not in named and "parametersKe" in origins:
         named["psi_pm"] = origins["parametersKe"]
     return {**origins, **named}
@@ -155,3 +160,5 @@ _FIELDS = {
     "speed.kp": "M1_SPEED_PI_PROP_GAIN",
     "speed.ki": "M1_SPEED_PI_INTEG_GAIN",
 }
+
+_UNROUNDED = {"i_max": "speedLoopUpperLimit", "omega_m_max": "parametersNnom"}

@@ -80,9 +80,7 @@ def _anew(file: McatFile, title: FileTitle) -> str:
 
 
 def _text(file: McatFile, macro: str) -> str:
-    value = file.own[macro]
-    assert not isinstance(value, str)
-    return constant_text(float(value), file.kind(macro), commented=file.edition.commented)
+    return constant_text(float(file.own[macro]), file.kind(macro), commented=file.edition.commented)
 
 
 def _value(key: str, value: OwnValue) -> OwnValue:

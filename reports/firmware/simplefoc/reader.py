@@ -49,7 +49,7 @@ def read(text: str, place: str) -> Configuration:
     found = sketch.sketch_of(text, place)
     own, origins = sketch.members_of(found)
     own = _with_voltages(own)
-    remarks = ()
+    remarks: tuple[str, ...] = ()
     if found.others:
         others = ", ".join(found.others)
         remarks = (f"of several motors the first, {found.motor}, is read; {others} are not",)

@@ -149,6 +149,9 @@ FIELDS = {
     "dead_time": ("SW_DEADTIME_NS", "ns to s"),
     "t_s": ("REGULATION_EXECUTION_RATE", "over PWM_FREQUENCY"),
     "t_speed": ("SPEED_LOOP_FREQUENCY_HZ", "its reciprocal"),
+    "shunt": ("RSHUNT", ""),
+    "sense_gain": ("AMPLIFICATION_GAIN", ""),
+    "sense_reference": ("ADC_REFERENCE_VOLTAGE", ""),
     "current_q.kp": ("PID_TORQUE_KP_DEFAULT", "over TF_KPDIV, times v_dc/sqrt(3) over full scale"),
     "current_q.ki": (
         "PID_TORQUE_KI_DEFAULT",

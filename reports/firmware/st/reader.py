@@ -12,7 +12,6 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
 from dqforge.optimizer.firmware.st_format.st_configuration import (
     CONVENTIONS,
-    integers,
     joined,
     st_configuration,
 )
@@ -26,7 +25,7 @@ from dqforge.optimizer.firmware.st_format.st_keys import (
     VERSION,
     WHOLE,
 )
-from dqforge.optimizer.firmware.st_format.st_scales import number, printed
+from dqforge.optimizer.firmware.st_format.st_scales import integers, number, printed
 from dqforge.reports.firmware.c_macros import Definition, Macros, read_macros
 from dqforge.reports.firmware.json_text import JsonText, parsed_json
 from dqforge.reports.firmware.st.names import BEYOND, FIELDS, POSSIBLE
@@ -85,10 +84,12 @@ def read_several(files: Sequence[tuple[str, str]]) -> Configuration:
 
 
 def parameter_macros(text: str, place: str) -> Macros:
-    """Macros of a header, those of the firmware that stand behind them known."""
+    """Macros of a header, with those of the firmware that they use: speeds count in tenths of a
+    hertz, whatever unit the header chooses, so that gains are those that were divided by it.
+    """
     found = read_macros(text, place, known=KNOWN)
     known = {name: Definition(name, value, 0, 0, 0) for name, value in KNOWN.items()}
-    return replace(found, by_name=known | dict(found.by_name))
+    return replace(found, by_name=dict(found.by_name) | known)
 
 
 def origins(
@@ -193,7 +194,7 @@ def _motor_file(found: JsonText, place: str) -> Configuration:
     if ratio is not None:
         path = ("magneticStructure", "ld_lq_ratio")
         own["ld_lq_ratio"] = _number_of(found, path, "ld_lq_ratio", ratio)
-    conventions = CONVENTIONS
+    conventions: tuple[str, ...] = CONVENTIONS
     inductance = found.number("ls")
     if inductance is not None:
         henries, words = _inductance(inductance, number(own, "RS"), found.value("description"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 
 from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
@@ -37,16 +36,6 @@ _GROUPS = (
 )
 
 
-_KINDS = {
-    "DRIVE_PARAMETERS_H": "drive_parameters.h",
-    "PMSM_MOTOR_PARAMETERS_H": "pmsm_motor_parameters.h",
-    "POWER_STAGE_PARAMETERS_H": "power_stage_parameters.h",
-}
-
-
-_SALIENT = 1e-6
-
-
 def write(found: Configuration, title: FileTitle, existing_text: str | None) -> dict[str, bytes]:
     """``<prefix>_st_parameters.h`` and ``<prefix>_st_motor.json``.
 
@@ -57,9 +46,9 @@ def write(found: Configuration, title: FileTitle, existing_text: str | None) -> 
     title:
         What stands at the head of the header.
     existing_text:
-        A header of a project (by its guard drive_parameters.h and the like, and then under that
-        name), a motor file, or a project of Workbench 5 (``<prefix>_st.stmcx``) whose other values
-        and comments stay; None without one. Only macros and variables that it has are changed.
+        A header of a project, a motor file, or a project of Workbench 5 (then a further file,
+        ``<prefix>_st.stmcx``) whose other values and comments stay; None without one. Only macros
+        and variables that it has are changed.
     """
     files = {
         f"{title.prefix}_st_parameters.h": _header(found, title),
@@ -74,10 +63,7 @@ def write(found: Configuration, title: FileTitle, existing_text: str | None) -> 
         merged = with_json_values(existing_text, _EXISTING, _kept(existing_text, values, found))
         files[f"{title.prefix}_st_motor.json"] = merged
     else:
-        merged = _with_macros(existing_text, found.own)
-        named = [name for guard, name in _KINDS.items() if re.search(rf"\b_*{guard}\b", merged)]
-        name = named[0] if len(named) == 1 else f"{title.prefix}_st_parameters.h"
-        files[name] = merged
+        files[f"{title.prefix}_st_parameters.h"] = _with_macros(existing_text, found.own)
     return {name: text.encode("utf-8") for name, text in files.items()}
 
 
@@ -158,10 +144,9 @@ def _motor_values(found: Configuration) -> dict[tuple[str, ...], object]:
         if value is not None:
             scaled = printed(1e3 * value) if key == "ls" else value
             values[(key,)] = int(scaled) if float(scaled).is_integer() else scaled
-    ratio = number(found.own, "ld_lq_ratio") or 1.0
-    salient = abs(ratio - 1.0) > _SALIENT
-    values[("magneticStructure", "type")] = "I-PMSM" if salient else "SM-PMSM"
-    if salient:
+    ratio = number(found.own, "ld_lq_ratio")
+    values[("magneticStructure", "type")] = "SM-PMSM" if ratio is None else "I-PMSM"
+    if ratio is not None:
         values[("magneticStructure", "ld_lq_ratio")] = ratio
     return values
 

@@ -135,7 +135,9 @@ STRUCTURES = {
     "slow pll": profile(SpeedEstimate("pll", T_C, 2000.0, 30000.0)),
     "pll at the speed's rate": profile(SpeedEstimate("pll", T_N, 900.0, 90000.0), 60.0),
     "ideal": profile(SpeedEstimate("ideal", T_C)),
-    "averaged": profile(SpeedEstimate("ideal", 2.0 * T_C, averaged=30)),
+    "averaged": profile(SpeedEstimate("ideal", 2.0 * T_C, averaged=34)),
+    "averaged a little": profile(SpeedEstimate("difference", T_C, samples=2, averaged=7)),
+    "averaged over whole periods": profile(SpeedEstimate("ideal", 2.0 * T_C, averaged=20)),
     "whole pll": profile(SpeedEstimate("pll", T_C, 2000.0, 30000.0, whole=True)),
     "everything": profile(
         SpeedEstimate("pll", 4.0 * T_C, 900.0, 2e5, filter_time=1e-3, averaged=6, whole=True)

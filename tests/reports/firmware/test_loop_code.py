@@ -5,16 +5,29 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from firmware_loops import EVERY, INVERTER, MACHINE, VALUES, infineon, odrive, st, ti, vesc
+from firmware_loops import (
+    EVERY,
+    INVERTER,
+    MACHINE,
+    VALUES,
+    configured,
+    infineon,
+    odrive,
+    st,
+    ti,
+    vesc,
+)
 from firmware_recursion import Estimate, recursion
 from scipy.optimize import brentq
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError
+from dqforge.machines.names import Firmware
 from dqforge.machines.plants.scenario import ControlMode, Profile, Scenario, Sensorless, constant
 from dqforge.optimizer.firmware.configuration import DriveValues
 from dqforge.optimizer.firmware.judge import judge, mechanics_of
@@ -25,6 +38,7 @@ from dqforge.optimizer.firmware.profile import (
     SpeedController,
     SpeedEstimate,
 )
+from dqforge.optimizer.firmware.registry import METHODS
 from dqforge.optimizer.firmware.sampled_structure import Winding, current_loop, speed_loop
 from dqforge.optimizer.sampled_systems import SampledSystem
 from dqforge.reports.firmware.loop_code import loop_bytes, loop_files
@@ -192,6 +206,11 @@ def filtered(value: FloatArray, share: float) -> FloatArray:
     return found
 
 
+def named(name: Firmware) -> LoopProfile:
+    """The loops of a firmware as it is configured for the scooter."""
+    return configured(name)[0]
+
+
 @pytest.mark.parametrize("make", EVERY)
 def test_small_steps_of_the_current_are_those_of_the_judged_loop(
     program: Simulator, make: Callable[[], LoopProfile]
@@ -208,15 +227,15 @@ def test_small_steps_of_the_current_are_those_of_the_judged_loop(
     np.testing.assert_allclose(filtered(run.i_q, share), wanted, atol=2e-5)
 
 
-@pytest.mark.parametrize("make", EVERY)
+@pytest.mark.parametrize("make", [*EVERY, *(partial(named, name) for name in METHODS)])
 def test_small_steps_of_the_speed_are_those_of_the_judged_loop(
     program: Simulator, make: Callable[[], LoopProfile]
 ) -> None:
     """As the firmware's own estimate sees it; the axes are taken as decoupled in the judgement."""
     profile = make()
     assert profile.speed is not None
-    profile = replace(profile, reference="id-zero", speed=replace(profile.speed, ramp=None))
-    speed, t_c = profile.speed, profile.current.q.t_s
+    speed, t_c = replace(profile.speed, ramp=None), profile.current.q.t_s
+    profile = replace(profile, reference="id-zero", speed=speed)
     ratio, step = max(1, round(speed.pi.t_s / t_c)), 0.5
     count = int(0.12 / (ratio * t_c))
     scenario = Scenario(count * ratio * t_c, "speed", constant(step), dead_time=0.0)
@@ -228,7 +247,8 @@ def test_small_steps_of_the_speed_are_those_of_the_judged_loop(
         Winding(0.05, 1e-4), mechanics_of(VALUES, profile.current), profile.current, speed
     )
     wanted = closed_answer(loop.closed, np.full(count + 1, step))
-    np.testing.assert_allclose(seen[::ratio], wanted, atol=0.01 * step)
+    share = ratio * t_c / (ratio * t_c + speed.pi.filter_time)
+    np.testing.assert_allclose(filtered(seen[::ratio], share), wanted, atol=0.01 * step)
     assert np.max(wanted) > 0.5 * step
 
 

@@ -5,17 +5,25 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from drives import RELUCTANCE, make_design
-from firmware_loops import EVERY, MACHINE, VALUES, current_pi, scooter, speed_pi, vesc
+from firmware_loops import (
+    EVERY,
+    MACHINE,
+    VALUES,
+    configured,
+    current_pi,
+    scooter,
+    speed_pi,
+    vesc,
+)
 
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.names import Firmware
 from dqforge.machines.plants.scenario import Profile, Scenario
-from dqforge.optimizer.control_design.gain_set import gains_or_reason
-from dqforge.optimizer.firmware.asked import asked
 from dqforge.optimizer.firmware.profile import LoopProfile
 from dqforge.optimizer.firmware.registry import METHODS
 from dqforge.reports.firmware.loop_run import (
@@ -64,16 +72,9 @@ def test_every_structure_settles_with_sound_gains(
 def test_every_known_firmware_settles_as_it_is_configured(
     program: Simulator, name: Firmware
 ) -> None:
-    design = scooter()
-    loops = replace(
-        design.control.speed_loop, method="bandwidth", bandwidth=150.0, ratio=20, filter_time=0.0
-    )
-    design = replace(design, control=replace(design.control, speed_loop=loops, observer=None))
-    gains, reason = gains_or_reason(design)
-    assert gains is not None, reason
-    method = METHODS[name]
-    configuration = method.configure(asked(design, gains.i_d, gains.i_q, gains.speed))
-    found = settles(method.profile(configuration), design, configuration.drive, program=program)
+    profile, told = configured(name)
+    found = settles(profile, scooter(), told, program=program)
+    assert [step.name for step in found.tried] == NAMES
     assert found.settles, found.reason
 
 
@@ -100,7 +101,7 @@ def test_a_limit_cycle_is_named_with_its_ends(program: Simulator) -> None:
     assert len(found.failures) == 3
 
 
-def changed(**changes: object) -> LoopProfile:
+def changed(**changes: Any) -> LoopProfile:
     """VESC's structure with another q controller."""
     profile = vesc(1e6)
     return replace(
@@ -163,7 +164,8 @@ def test_what_cannot_be_tried_is_said(program: Simulator) -> None:
 
 def test_the_base_speed_takes_the_whole_voltage() -> None:
     profile = vesc()
-    omega = base_speed(profile, MACHINE, 20.0, 48.0)
+    machine = replace(MACHINE, omega_m_max=None)
+    omega = base_speed(profile, machine, 20.0, 48.0)
     v_d, v_q = MACHINE.voltage(np.array([0.0]), np.array([20.0]), np.array([15.0 * omega]))
     assert float(np.hypot(v_d, v_q)[0]) == pytest.approx(0.95 * 48.0 / 3.0**0.5)
     assert base_speed(profile, replace(MACHINE, omega_m_max=50.0), 20.0, 48.0) == 50.0

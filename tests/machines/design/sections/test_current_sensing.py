@@ -36,7 +36,8 @@ def test_an_offset_leaves_the_smaller_direction() -> None:
         "{shunt: 10 mOhm, gain: 10, reference: 3.3 V, offset: 1.9 V}"
     ).inverter.current_sensing
     assert sensing is not None
-    assert (sensing.bits, sensing.full_scale) == (12, pytest.approx(14.0))
+    assert sensing.bits == 12
+    assert sensing.full_scale == pytest.approx(14.0)
 
 
 def test_without_the_key_nothing_is_known() -> None:

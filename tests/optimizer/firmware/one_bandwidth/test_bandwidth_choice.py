@@ -13,6 +13,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.firmware.firmware_method import Asked
 from dqforge.optimizer.firmware.judge import judge
 from dqforge.optimizer.firmware.one_bandwidth.bandwidth_choice import (
+    MOST_SENSITIVITY,
     bandwidth_asked,
     drives_over_current,
     held_bandwidth,
@@ -42,15 +43,26 @@ def margins(asked: Asked, bandwidth: float) -> list[float]:
     return found
 
 
-def test_what_holds_is_taken_and_what_does_not_is_lowered_to_the_margin() -> None:
+def test_what_holds_is_taken_and_what_rings_is_lowered() -> None:
     asked = scooter()
-    least = asked.design.control.current_loop.phase_margin_min
     slow = held_bandwidth(1000.0, lambda bandwidth: loops_of(asked, bandwidth), asked)
     assert slow == 1000.0
     found = held_bandwidth(2e4, lambda bandwidth: loops_of(asked, bandwidth), asked)
-    assert found < 2e4
-    assert min(margins(asked, found)) == pytest.approx(least, abs=0.02)
-    assert min(margins(asked, found)) >= least
+    judged = judge(loops_of(asked, found), asked.drive)
+    assert judged.current_q is not None
+    assert judged.current_q.max_sensitivity == pytest.approx(MOST_SENSITIVITY, rel=5e-3)
+    assert judged.current_q.max_sensitivity <= MOST_SENSITIVITY
+
+
+def test_a_larger_phase_margin_of_the_design_is_kept() -> None:
+    asked = scooter()
+    loop = replace(asked.design.control.current_loop, phase_margin_min=1.3)
+    design = replace(asked.design, control=replace(asked.design.control, current_loop=loop))
+    found = held_bandwidth(
+        2e4, lambda bandwidth: loops_of(asked, bandwidth), replace(asked, design=design)
+    )
+    assert min(margins(asked, found)) == pytest.approx(1.3, abs=0.01)
+    assert min(margins(asked, found)) >= 1.3
 
 
 def test_margins_hold_where_the_machine_saturates_too() -> None:

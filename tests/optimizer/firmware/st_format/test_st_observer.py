@@ -22,7 +22,8 @@ from dqforge.optimizer.firmware.st_format.st_observer import (
 # Machine, pole pairs, F1, F2, GAIN1, GAIN2, PLL_KP_GAIN, PLL_KI_GAIN; gains of the amplifiers with
 # the digits that the headers cut off (9.14, 7.33, 4.57).
 BUS = 3.3 / math.sqrt(3.0) / 0.09625565501973242
-PROJECTS = (
+Project = tuple[ObservedMachine, int, int, int, int, int, int, int]
+PROJECTS: tuple[Project, ...] = (
     (
         ObservedMachine(0.35, 0.0006, 4.0, 4000, 1.65 / (0.003 * 9.1361), BUS, 20e3),
         *(2, 16384, 1024, -24217, 26260, 213, 8),
@@ -39,11 +40,15 @@ PROJECTS = (
         ObservedMachine(0.14, 0.000021, 1.0, 7500, 1.65 / (0.003 * 9.1356), BUS, 20e3),
         *(7, 16384, 8192, -20480, 18494, 1397, 49),
     ),
+    (
+        ObservedMachine(0.1, 0.00002, 0.4, 10002, 1.65 / (0.003 * 9.1361), BUS, 16e3),
+        *(7, 16384, 8192, -20736, 24504, 2328, 103),
+    ),
 )
 
 
-@pytest.mark.parametrize("project", PROJECTS, ids=("g431", "car", "wireless", "demo"))
-def test_integers_of_projects(project: tuple[ObservedMachine, int]) -> None:
+@pytest.mark.parametrize("project", PROJECTS, ids=("g431", "car", "wireless", "demo", "servo"))
+def test_integers_of_projects(project: Project) -> None:
     machine, pairs, f1, f2, gain_1, gain_2, kp, ki = project
     found = observer_integers(machine)
     assert (found["F1"], found["F2"]) == (f1, f2)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from drives import RELUCTANCE
-from firmware_asked import SCOOTER, TWO_PI, asked_of, scooter
+from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
 from saturated import ArctanMachine
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
+from dqforge.optimizer.firmware.firmware_method import Asked
 from dqforge.optimizer.firmware.judge import judge
 from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import configuration, pwm_rate
 from dqforge.optimizer.firmware.targets.moteus import MOTEUS
@@ -67,6 +69,21 @@ def test_speed_gains_are_those_of_position_and_its_rate() -> None:
     )
 
 
+def test_the_lag_of_the_position_ends_where_the_current_does() -> None:
+    """kp times it is the largest torque: the integral of the speed loop is clamped there."""
+    held = configure(scooter())
+    own, constant = held.own, 1.5 * 15 * SCOOTER.psi_pm
+    lag = float(own["servo.max_position_slip"]) * float(own["servo.pid_position.kp"])
+    assert lag == pytest.approx(constant * SCOOTER.i_max, rel=1e-5)
+    loops = profile(held)
+    assert loops.speed is not None
+    assert loops.speed.pi.anti_windup == "clamp"
+    free = {key: float(value) for key, value in own.items() if key != "servo.max_position_slip"}
+    loose = profile(configuration("drive", free)).speed
+    assert loose is not None
+    assert loose.pi.anti_windup == "none"
+
+
 def test_a_wish_for_the_filter_is_its_bandwidth() -> None:
     asked = replace(scooter(), pll=PiGains(800.0, 160000.0))
     loops = profile(configure(asked))
@@ -97,8 +114,8 @@ def test_the_slope_of_the_d_inductance_is_that_of_the_chord() -> None:
         def l_d(self) -> float:
             return l_d
 
-        def flux(self, i_d: np.ndarray, i_q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return self.psi_m + (l_d + slope * i_d) * i_d, 2e-3 * i_q
+        def flux(self, i_d: Any, i_q: Any, lib: Any = np) -> tuple[Any, Any]:
+            return self.psi_m + (l_d + slope * i_d) * i_d, 2e-3 * lib.asarray(i_q)
 
     held = configure(asked_of(Straight(), v_dc=500.0))
     assert held.own["motor.inductance_d_scale"] == pytest.approx(slope, rel=1e-6)
@@ -116,6 +133,16 @@ def test_saturation_is_fitted_and_its_error_told() -> None:
     assert prices["phase margin (q) at i_max"].unit == "rad"
     assert prices["phase margin (q) at i_max"].value >= 0.5235
     assert prices["copper loss"].value > 0.0
+
+
+@pytest.mark.parametrize("asked", list(random_asked(6, seed=3)))
+def test_loops_of_any_machine_hold(asked: Asked) -> None:
+    held = configure(asked)
+    judged = judge(profile(replace(held, speed=None)), asked.drive)
+    for loop in (judged.current_d, judged.current_q):
+        assert loop is not None
+        assert loop.stable
+        assert loop.phase_margin >= asked.design.control.current_loop.phase_margin_min
 
 
 def test_machines_without_magnets_are_refused() -> None:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import pytest
 from drives import RELUCTANCE
-from firmware_asked import SCOOTER, TWO_PI, asked_of, scooter
+from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
+from dqforge.optimizer.firmware.firmware_method import Asked
 from dqforge.optimizer.firmware.judge import judge
+from dqforge.optimizer.firmware.one_bandwidth.bandwidth_choice import MOST_SENSITIVITY
 from dqforge.optimizer.firmware.one_bandwidth.odrive_keys import configuration
 from dqforge.optimizer.firmware.targets.odrive import ODRIVE
 
@@ -54,9 +55,15 @@ def test_the_loops_of_the_scooter() -> None:
 
 
 def test_too_fast_a_wish_is_lowered_to_what_8_khz_hold() -> None:
-    """pi/2 - 1.5 T w = 30 deg leaves 5585 rad/s; the forward rule of the integral takes some."""
-    held = configure(asked_of(SCOOTER, crossover=2e4))
-    assert 4500.0 < float(held.own[BANDWIDTH]) < 0.5 * math.pi / (1.5 * 125e-6)
+    asked = asked_of(SCOOTER, crossover=2e4)
+    held = configure(asked)
+    judged = judge(profile(held), asked.drive).current_q
+    assert judged is not None
+    assert judged.max_sensitivity <= MOST_SENSITIVITY
+    # pi/2 - 1.5 T w is 61 deg there.
+    assert float(held.own[BANDWIDTH]) == pytest.approx(2710.0, rel=0.02)
+    words = " ".join(entry.words for entry in shortfalls(asked, held))
+    assert f"current_control_bandwidth {held.own[BANDWIDTH]:g} rad/s is all that" in words
 
 
 def test_the_pll_never_comes_where_the_firmware_refuses_it() -> None:
@@ -90,6 +97,16 @@ def test_inductances_that_its_calibration_refuses_are_told() -> None:
     asked = asked_of(replace(SCOOTER, l_d=5e-3, l_q=5e-3, r_s=1.0))
     words = " ".join(entry.words for entry in shortfalls(asked, configure(asked)))
     assert "5000 uH is outside 2 to 4000 uH" in words
+
+
+@pytest.mark.parametrize("asked", list(random_asked(6, seed=3)))
+def test_loops_of_any_machine_hold(asked: Asked) -> None:
+    held = configure(asked)
+    judged = judge(profile(replace(held, speed=None)), asked.drive)
+    for loop in (judged.current_d, judged.current_q):
+        assert loop is not None
+        assert loop.stable
+        assert loop.phase_margin >= asked.design.control.current_loop.phase_margin_min
 
 
 def test_machines_without_magnets_are_refused() -> None:

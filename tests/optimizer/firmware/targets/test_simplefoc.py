@@ -96,7 +96,8 @@ def test_the_loops_have_the_structure_of_the_library() -> None:
         27.7128,
     )
     assert (current.order, current.cross, current.back_emf) == ("axes", True, False)
-    assert (current.modulation, current.voltage_share) == ("svpwm", pytest.approx(1.0))
+    assert current.modulation == "svpwm"
+    assert current.voltage_share == pytest.approx(1.0)
     assert speed is not None
     assert (speed.pi.rule, speed.pi.t_s, speed.pi.limit) == ("trapezoid", 1e-3, 56.5685)
     assert (speed.feedback.kind, speed.feedback.t_s) == ("low-pass", 1e-3)

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from random_st_drives import base_design, random_asked
+from random_st_drives import base_design, random_asked, value
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.devices.current_sensing import CurrentSensing
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.asked import drive_values
-from dqforge.optimizer.firmware.configuration import PiGains
+from dqforge.optimizer.firmware.configuration import OwnValue, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked
 from dqforge.optimizer.firmware.judge import judge
 from dqforge.optimizer.firmware.st_format.st_configuration import joined, st_configuration
@@ -21,7 +21,7 @@ from dqforge.optimizer.firmware.st_format.st_table import locus_of
 from dqforge.optimizer.firmware.targets.st import ST
 
 # A motor in a project of Workbench 6.1 (dronectl/g431-mcsdk): macros of its three headers.
-PROJECT = {
+PROJECT: dict[str, OwnValue] = {
     "POLE_PAIR_NUM": 2,
     "RS": 0.35,
     "LS": 0.0006,
@@ -110,7 +110,7 @@ def test_its_loops() -> None:
         ({"LS": 3e-6, "RS": 0.0018}, "C5 of the observer is"),
     ],
 )
-def test_contradictions_are_named(change: dict[str, float], words: str) -> None:
+def test_contradictions_are_named(change: dict[str, OwnValue], words: str) -> None:
     found = st_configuration("motor", PROJECT | change)
     assert any(words in sentence for sentence in found.contradictions), found.contradictions
     assert not any("\n" in sentence for sentence in found.contradictions)
@@ -118,12 +118,29 @@ def test_contradictions_are_named(change: dict[str, float], words: str) -> None:
 
 def test_rounded_inputs_are_no_contradiction() -> None:
     """One count more or less, and a gain of the amplifier within its printed digits."""
-    for change in (
+    changes: tuple[dict[str, OwnValue], ...] = (
         {"PID_TORQUE_KI_DEFAULT": 2159},
         {"AMPLIFICATION_GAIN": 9.1356},
         {"GAIN2": 26248},
-    ):
+    )
+    for change in changes:
         assert st_configuration("motor", PROJECT | change).contradictions == ()
+
+
+def test_a_table_with_steps_is_named_and_ours_is_not() -> None:
+    published: dict[str, OwnValue] = {
+        "IQMAX": 23687,
+        "SEGDIV": 2921,
+        "ANGC": "{-1412,-2572,-4576,-5200,-5564,-10551,-12664,-15567}",
+        "OFST": "{0,105,463,632,764,3012,4162,5997}",
+    }
+    (words,) = st_configuration("", published).contradictions
+    assert "step by up to 25 counts" in words
+    assert "off by 261 counts" in words
+    for wish in random_asked(3, 5, tables=3):
+        found = ST.configure(wish)
+        assert "ANGC" in found.own
+        assert not any("ANGC" in sentence for sentence in found.contradictions)
 
 
 def test_files_of_one_drive_count_together() -> None:
@@ -142,9 +159,9 @@ def test_gains_that_are_asked_for_come_back_within_their_integers() -> None:
             assert other is not None
             assert other.kp == pytest.approx(one.kp, rel=2e-3)
             assert other.ki == pytest.approx(one.ki, rel=3e-2)
-        loops = ST.profile(found)
-        assert loops.current.q.kp == found.current_q.kp
-        assert all(abs(value) <= 65536 for name, value in found.own.items() if "GAIN" in name)
+        assert found.current_q is not None
+        assert ST.profile(found).current.q.kp == found.current_q.kp
+        assert all(abs(value(found, name)) <= 65536 for name in found.own if "GAIN" in name)
         assert not any("wraps" in words for words in found.contradictions)
 
 
@@ -156,10 +173,8 @@ def test_the_table_is_as_good_as_it_says() -> None:
     prices = {price.of: price.value for price in table.prices}
     slopes = [int(x) for x in str(found.own["ANGC"]).strip("{}").split(",")]
     offsets = [int(x) for x in str(found.own["OFST"]).strip("{}").split(",")]
-    width, full = (
-        int(found.own["SEGDIV"]),
-        1.65 / (found.own["RSHUNT"] * found.own["AMPLIFICATION_GAIN"]),
-    )
+    width = int(value(found, "SEGDIV"))
+    full = 1.65 / (value(found, "RSHUNT") * value(found, "AMPLIFICATION_GAIN"))
     machine, locus = wish.design.machine, locus_of(wish)
     count = int(locus.i_q[-1] * 32768 / full)
     worst, loss = 0.0, 0.0

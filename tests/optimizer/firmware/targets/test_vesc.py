@@ -135,6 +135,16 @@ def test_the_tracking_loop_is_fast_where_the_speed_is_controlled() -> None:
     assert "foc_pll_ki" not in configure(scooter(with_speed=False)).own
 
 
+def test_a_tracking_loop_that_is_asked_for_is_written() -> None:
+    held = configure(replace(scooter(), pll=PiGains(1500.0, 4e5)))
+    assert (held.own["foc_pll_kp"], held.own["foc_pll_ki"]) == (1500.0, 4e5)
+    speed = profile(held).speed
+    assert speed is not None
+    assert (speed.feedback.kp, speed.feedback.ki) == (1500.0, 4e5)
+    with pytest.raises(InputError, match=r"control\.firmware\.pll_ki"):
+        configure(replace(scooter(), pll=PiGains(4000.0, 4e6)))
+
+
 def test_the_default_of_the_tracking_loop_is_named_and_oscillates() -> None:
     asked, held = scooter(), configure(scooter())
     slow = replace(held, own={**held.own, "foc_pll_kp": 2000.0, "foc_pll_ki": 30000.0})
@@ -218,11 +228,27 @@ def test_currents_of_a_linear_machine_cost_nothing_on_a_linear_machine() -> None
 
 
 def test_a_surface_magnet_machine_at_its_rates_is_held_but_for_voltage() -> None:
-    asked = asked_of(SCOOTER, v_dc=96.0)
+    asked = asked_of(replace(SCOOTER, inertia=0.2), v_dc=96.0)
     (voltage,) = shortfalls(asked, configure(asked))
     assert "l_max_duty" in voltage.words
     (price,) = voltage.prices
     assert price.value == pytest.approx(0.05)
+
+
+def test_a_light_rotor_outruns_the_speed_that_is_fed_forward() -> None:
+    light = replace(SCOOTER, inertia=1e-3)
+    asked = asked_of(light)
+    (lags,) = [one for one in shortfalls(asked, configure(asked)) if "lags" in one.words]
+    # A ramp of slope a through the filter y += 0.01 (x - y) is 99 steps behind.
+    constant = light.pole_pairs * light.psi_pm
+    acceleration = 1.5 * constant * light.i_max / 1e-3
+    speed = filtered = 0.0
+    for _ in range(5000):
+        speed += acceleration * 50e-6
+        filtered += 0.01 * (speed - filtered)
+    assert lags.prices[0].value == pytest.approx(constant * (speed - filtered), rel=1e-3)
+    heavy = asked_of(replace(SCOOTER, inertia=0.2))
+    assert not [one for one in shortfalls(heavy, configure(heavy)) if "lags" in one.words]
 
 
 def test_rates_that_the_firmware_has_not_are_named() -> None:

@@ -49,6 +49,7 @@ KINDS: dict[str, type] = {
             "servo.default_accel_limit",
             "servo.max_current_A",
             "servo.max_velocity",
+            "servo.max_position_slip",
             "servo.pid_position.kp",
             "servo.pid_position.ki",
             "servo.pid_position.kd",
@@ -77,6 +78,7 @@ servo.current_feedforward 1.000000
 servo.max_current_A 60.000000
 servo.max_velocity 500.000000
 servo.default_accel_limit nan
+servo.max_position_slip nan
 servo.inertia_feedforward 0.000000
 servo.pid_position.kp 4.000000
 servo.pid_position.ki 1.000000
@@ -223,6 +225,9 @@ def test_a_gear_moves_what_is_meant_at_its_output() -> None:
     assert values["servo.max_velocity"] == pytest.approx(
         0.1 * float(found.own["servo.max_velocity"]), rel=1e-6
     )
+    assert values["servo.max_position_slip"] == pytest.approx(
+        0.1 * float(found.own["servo.max_position_slip"]), rel=1e-6
+    )
     assert values["servo.pid_position.kd"] == pytest.approx(
         100.0 * float(found.own["servo.pid_position.kd"]), rel=1e-6
     )
@@ -249,6 +254,7 @@ def test_a_dump_of_a_drive() -> None:
     loops = TARGET.method.profile(found)
     assert loops.speed is not None
     assert loops.speed.ramp is None
+    assert loops.speed.pi.anti_windup == "none"  # nothing keeps the position from lagging
 
 
 def test_configurations_of_older_firmware() -> None:

@@ -79,7 +79,8 @@ def test_both_formats_amount_to_the_same(name: str, text: str) -> None:
     found = read(text, name)
     drive = found.drive
     assert (drive.pole_pairs, drive.r_s, drive.psi_pm) == (7, 0.011, 0.005)
-    assert (drive.l_d, drive.l_q) == (pytest.approx(18e-6), pytest.approx(22e-6))
+    assert drive.l_d == pytest.approx(18e-6)
+    assert drive.l_q == pytest.approx(22e-6)
     assert (drive.i_max, drive.f_sw) == (60.0, 15e3)
     assert drive.t_s == pytest.approx(1.0 / 15e3)
     assert drive.omega_m_max == pytest.approx(60000.0 / 7 * 2.0 * 3.141592653589793 / 60.0)
