@@ -191,6 +191,8 @@ def test_every_header_is_named_read_back_and_gives_its_model(name: str) -> None:
     kinds, parts = programmes(json.loads(output.files["result.json"]))
     wanted = {f"{prefix}.h", f"{prefix}_vectors.h", "result.json"}
     wanted |= {file for kind in kinds.values() for file in kind.file_names(prefix)}
+    for capability, found in asked_for(CAPABILITIES, outcome_of(name)):
+        wanted |= set(capability.emitted(output.solution, found))
     assert set(output.files) == wanted
     rows = [replace(part, inputs=part.inputs[:500], model=part.model[:500]) for part in parts]
     checked = verify_files(output.files, prefix, solution.reference, 256, rows)
