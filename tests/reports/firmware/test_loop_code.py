@@ -344,6 +344,10 @@ def test_what_cannot_run_is_refused(program: Simulator) -> None:
     unknown = replace(profile, current=replace(profile.current, modulation="nothing"))
     with pytest.raises(InputError, match="'nothing'"):
         loop_files(unknown, VALUES)
+    for wrong in (1e39, math.inf, math.nan):
+        q = replace(profile.current.q, kp=wrong)
+        huge = replace(profile, current=replace(profile.current, q=q))
+        assert "kp = " in refused(huge, steps)
     table = replace(profile, reference="table", table=((0.0, 0.0, 0.0),))
     assert "1 points" in refused(table, steps)
 
