@@ -90,7 +90,9 @@ def without_loops() -> Design:
 
 
 def beyond() -> Design:
-    """Voltages beyond the linear range, with float32 control whose references move slowly."""
+    """Voltages beyond the linear range, with float32 control whose references move slowly, and the
+    file of another firmware.
+    """
     design = without_loops()
     references = ReferenceSettings(torque_slope=50.0, current_slope=5e3)
     return replace(
@@ -98,6 +100,7 @@ def beyond() -> Design:
         control=replace(design.control, references=references),
         inverter=replace(design.inverter, overmodulation="least-phase-error"),
         operation=replace(design.operation, overmodulation="least-phase-error"),
+        export=replace(design.export, firmware=("odrive",)),
     )
 
 
@@ -134,7 +137,7 @@ def outcome_of(name: str) -> Outcome:
 ASKED = {
     "bare": {"mtpa", "fit", "gains"},
     "small": {"mtpa", "fit", "gains", "losses", "speed_observer"},
-    "beyond": {"mtpa", "fit", "gains", "overmodulation", "dynamic_references"},
+    "beyond": {"mtpa", "fit", "gains", "overmodulation", "dynamic_references"} | {"firmware"},
     "everything": {"mtpa", "fit", "gains", "losses", "control", "control_fixed", "reference_fixed"}
     | {"position_observer", "observer_fixed"},
     "sections": {"mtpa", "fit", "gains", "losses", "speed_observer", "weakening"}
