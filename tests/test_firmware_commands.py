@@ -450,15 +450,27 @@ def test_gains_of_ours_have_the_margins_of_tune(call: Call, tmp_path: Path) -> N
     assert "the speed loop is not judged" in out
 
 
-@pytest.mark.parametrize("suffix", ["_vectors.h", ".h"])
-def test_headers_without_gains_are_refused(call: Call, tmp_path: Path, suffix: str) -> None:
+def test_files_of_ours_without_gains_are_refused(call: Call, tmp_path: Path) -> None:
     words = ("--set", "control.gains=false", "--no-verify", "-o", "o")
-    assert call("export", "paper001-pmsm-bench", *words)[0] in (0, 2)
-    path = tmp_path / f"a{suffix}"
-    path.write_text("/* a.h - something made by dqforge */\n#ifndef A_H\n#define A_H\n#endif\n")
-    code, _, err = call("explain", path)
-    assert code == 2
-    assert err.count("\n") == 1
+    bare = ("--set", "control.speed_loop={method: symmetrical-optimum, ratio: 20}")
+    assert call("export", "scooter.yaml", *bare, "--no-verify", "-o", "p")[0] == 0
+    assert call("export", "scooter.yaml", *words)[0] == 0
+    for path, message in (
+        ("p/scooter_vectors.h", "give <prefix>.h or the result.json beside it"),
+        ("o/scooter.h", "holds no gains"),
+        ("o/result.json", "gains: is missing"),
+    ):
+        code, _, err = call("explain", path)
+        assert code == 2
+        assert message in err
+        assert err.count("\n") == 1
+
+
+def test_the_lag_of_an_observer_is_told(call: Call) -> None:
+    assert call("export", "paper001-pmsm-bench", "--no-verify", "-o", "o")[0] == 0
+    for words in (["o/result.json"], ["o/bench001.h", "--machine", "paper001-pmsm-bench"]):
+        remarks = answered(call, "explain", *words)["explained"]["loops"]["remarks"]
+        assert any("it runs on an observer" in remark for remark in remarks)
 
 
 # compare

@@ -36,6 +36,12 @@ _NO_SPEED = (
 )
 
 
+_OBSERVED = (
+    "the speed loop is judged with the speed as it is; it runs on an observer, whose lag is in the "
+    "margins that 'dqforge tune' shows"
+)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Explained:
     """A configuration on a machine.
@@ -58,12 +64,16 @@ class Explained:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnGains:
-    """Gains that dqforge wrote, of a header or a result: the speed's in N m s/rad and N m/rad."""
+    """Gains that dqforge wrote, of a header or a result: the speed's in N m s/rad and N m/rad.
+
+    ``observed`` says that the speed is that of an observer.
+    """
 
     drive: DriveValues
     current_d: PiGains | None
     current_q: PiGains | None
     speed: PiGains | None
+    observed: bool = False
 
 
 def on_machine(drive: DriveValues, machine: DriveValues | None) -> DriveValues:
@@ -130,8 +140,10 @@ def explain_own(gains: OwnGains, machine: DriveValues | None = None) -> JudgedFi
     d = _own_current(gains.current_d, drive, drive.l_d)
     q = _own_current(gains.current_q, drive, drive.l_q)
     speed = _own_speed(gains, drive)
-    lacking = () if speed is not None or gains.speed is None else (_NO_SPEED,)
-    return JudgedFirmware(d, q, speed, None, lacking)
+    remarks = () if speed is not None or gains.speed is None else (_NO_SPEED,)
+    if speed is not None and gains.observed:
+        remarks = (_OBSERVED,)
+    return JudgedFirmware(d, q, speed, None, remarks)
 
 
 def _own_current(

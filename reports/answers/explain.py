@@ -25,6 +25,13 @@ from dqforge.reports.firmware_files.recognised import known_files, read_configur
 from dqforge.reports.firmware_files.tables import explained_tables, own_tables
 from dqforge.reports.pages.answer import Answer
 
+_MADE_HERE = "made by dqforge"
+
+
+_HEAD = 2000
+
+"""Characters at the begin of a file in which it says who made it."""
+
 
 def answer_explain(files: Sequence[Path], machine: str | None) -> Answer:
     """What the configuration in files of a firmware, or a header or result of ours, amounts to.
@@ -63,6 +70,12 @@ def answer_explain(files: Sequence[Path], machine: str | None) -> Answer:
 def _own_or_refused(file: TextFile, machine: DriveValues | None) -> Answer:
     if is_own(file):
         return _own(file.source, machine)
+    if _MADE_HERE in file.text[:_HEAD].lower():
+        raise InputError(
+            "is a file of dqforge without the constants of the loops; give <prefix>.h or the "
+            "result.json beside it",
+            source=file.source,
+        )
     raise InputError(
         f"no firmware is known that writes this; known are: {known_files()}; header and "
         "result.json of dqforge",

@@ -69,7 +69,8 @@ def _of_result(side: Side) -> OwnGains:
         _pair(_number(side, "gains", name, "kp"), _number(side, "gains", name, "ki"))
         for name in ("i_d", "i_q", "speed")
     ]
-    return OwnGains(_drive(drive), *loops)
+    observed = any(side.value("gains", key) is not None for key in ("observer", "position"))
+    return OwnGains(_drive(drive), *loops, observed=observed)
 
 
 def _number(side: Side, *path: str) -> float | None:
@@ -102,7 +103,9 @@ def _of_macros(side: Side) -> OwnGains:
     ratio = value("SPEED_RATIO")
     if ratio is not None and drive["t_s"] is not None:
         drive["t_speed"] = ratio * drive["t_s"]
-    return OwnGains(_drive(drive), *(_pair(value(kp), value(ki)) for kp, ki in _LOOPS.values()))
+    loops = [_pair(value(kp), value(ki)) for kp, ki in _LOOPS.values()]
+    observed = any(name.startswith("OBSERVER_") for name in macros)
+    return OwnGains(_drive(drive), *loops, observed=observed)
 
 
 def _pair(kp: float | None, ki: float | None) -> PiGains | None:
