@@ -9,11 +9,9 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from dqforge import __version__
 from dqforge.reports import answers
 from dqforge.reports.command_line import flags as given
 from dqforge.reports.command_line.designs import forget, load, locate
@@ -34,19 +32,8 @@ app = typer.Typer(
 _OUT = Path("out")
 
 
-def _print_version(value: bool) -> None:
-    if value:
-        typer.echo(f"dqforge {__version__}")
-        raise typer.Exit
-
-
-_Version = typer.Option(
-    "--version", callback=_print_version, is_eager=True, help="Print the version."
-)
-
-
 @app.callback()
-def _root(context: typer.Context, _version: Annotated[bool, _Version] = False) -> None:
+def _root(context: typer.Context, _version: given.Version = False) -> None:
     if context.invoked_subcommand is None:
         typer.echo(context.get_help(), err=True)
         raise typer.Exit(2)
@@ -119,11 +106,7 @@ def compare(
     first: given.SideA, second: given.SideB, sets: given.SetOfB = None, json: given.Json = False
 ) -> None:
     """Compare two designs or results: machine, limits, references, gains, losses, macros."""
-    respond(
-        "compare",
-        lambda: answers.compare.answer_compare(first, second, sets),
-        json,
-    )
+    respond("compare", lambda: answers.compare.answer_compare(first, second, sets), json)
 
 
 @app.command()

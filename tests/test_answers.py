@@ -82,7 +82,7 @@ def test_every_command_has_json_and_short_help(call: Call, command: str) -> None
     assert "--json" in out
     assert "-h, --help" in out
     assert call(command, "--help")[1] == out
-    assert ("--set KEY=VALUE" in out) == (command in OF_A_DESIGN or command == "compare")
+    assert ("--set KEY=VALUE" in out) == (command in (*OF_A_DESIGN, "compare", "new"))
     assert ("{DESIGN}" in out) == (command in OF_A_DESIGN)
 
 

@@ -89,9 +89,9 @@ def test_export_writes_what_its_reader_reads(call: Call, name: Any, tmp_path: Pa
     assert differing(scooter_fit(name).configuration, found) == ""
     loops = document["firmware"][name]["loops"]
     assert loops["i_q"]["stable"] is True
-    assert loops["i_q"]["phase_margin_rad"] == pytest.approx(
-        scooter_fit(name).judged.current_q.phase_margin
-    )
+    judged = scooter_fit(name).judged.current_q
+    assert judged is not None
+    assert loops["i_q"]["phase_margin_rad"] == pytest.approx(judged.phase_margin)
 
 
 def test_the_table_of_an_export_has_keys_values_and_units(call: Call) -> None:
@@ -195,6 +195,18 @@ def test_machines_that_no_firmware_drives_are_refused(call: Call) -> None:
     code, _, err = call("export", "vdyno-trampa-6340", "--for", "vesc")
     assert code == 2
     assert "model: waveform" in err
+
+
+def test_nothing_is_replaced_where_one_of_the_files_cannot_be(call: Call, tmp_path: Path) -> None:
+    xml, header = (tmp_path / f"scooter_mcconf{suffix}" for suffix in (".xml", ".h"))
+    xml.write_text("old\n")
+    header.mkdir()
+    words = ("--for", "vesc", "-o", tmp_path, "--no-verify")
+    code, _, err = call("export", "scooter.yaml", *words)
+    assert code == 2
+    assert "it is a folder" in err
+    assert xml.read_text() == "old\n"
+    assert {path.name for path in tmp_path.iterdir()} == {"scooter.yaml", xml.name, header.name}
 
 
 # export.firmware, run and verify

@@ -20,7 +20,7 @@ from dqforge.reports.firmware_files.exported import (
     target_named,
 )
 from dqforge.reports.firmware_files.plain import plain_fit
-from dqforge.reports.firmware_files.settled import require_settling
+from dqforge.reports.firmware_files.settled import require_settling, settling_text
 from dqforge.reports.firmware_files.tables import fit_tables
 from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import stage
@@ -67,18 +67,20 @@ def answer_export_for(
     files: dict[str, bytes] = {}
     tables: list[Table] = []
     plain: PlainData = {}
+    notes: list[str] = []
     for fit in fits:
         made = firmware_files(wanted, fit, existing)
         if verify:
             stage(f"running the loops of {fit.name}")
-            require_settling(wanted, fit)
+            notes.append(settling_text(require_settling(wanted, fit)))
         _check_names(files, made, fit)
         files |= made
         read = read_files(made, target_named(fit))
         title = f"{target_named(fit).title}: {', '.join(made)}"
         tables += fit_tables(fit, read, title)
         plain[fit.name] = plain_fit(fit) | {"files": list(made)}
-    return Answer(design.name, tables, {"firmware": plain}, files=Files(files, "", design))
+    written = Files(files, "", design)
+    return Answer(design.name, tables, {"firmware": plain}, files=written, notes=tuple(notes))
 
 
 def _check_names(files: dict[str, bytes], made: dict[str, bytes], fit: FirmwareFit) -> None:

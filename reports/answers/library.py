@@ -43,8 +43,8 @@ def answer_new(
     if path.exists():
         raise InputError(f"{path} exists already and is kept; choose another folder")
     note = f"{path} written; next: dqforge check {path}"
-    files = Files({_FILE: content}, "", named=False)
-    return Answer(machine or "", (), {"next": f"dqforge check {path}"}, files=files, notes=(note,))
+    made = Files({_FILE: content}, "", named=False)
+    return Answer(machine or "", (), {"next": f"dqforge check {path}"}, files=made, notes=(note,))
 
 
 def answer_new_from(

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from typer import Argument, Option
+from typer import Argument, Exit, Option, echo
+
+from dqforge import __version__
 
 
 def _text(flag: str, metavar: str, words: str) -> Any:
@@ -14,6 +16,17 @@ def _text(flag: str, metavar: str, words: str) -> Any:
 
 def _argument(metavar: str, words: str) -> Any:
     return Argument(metavar=metavar, help=words)
+
+
+def _print_version(value: bool) -> None:
+    if value:
+        echo(f"dqforge {__version__}")
+        raise Exit
+
+
+Version = Annotated[
+    bool, Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+]
 
 
 _SET = "Set a key of the design, e.g. machine.resistance='12 mOhm'; repeatable"

@@ -29,7 +29,7 @@ def written_firmware(folder: Path, solution: Solution) -> dict[str, tuple[str, .
     VerificationError
         A file says something else.
     """
-    found = {}
+    found: dict[str, tuple[str, ...]] = {}
     for fit in solution.firmware:
         names = firmware_files(solution.design, fit)
         contents = {name: read_output(folder / name, _WRITTEN) for name in names}

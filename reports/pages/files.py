@@ -48,6 +48,20 @@ def write_atomically(path: Path, content: bytes) -> None:
     InputError
         The folder cannot be written.
     """
+    temporary = _beside(path, content)
+    try:
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise _refusal(path, error) from error
+
+
+def _refusal(path: Path, error: OSError) -> InputError:
+    return InputError(f"cannot write {path}: {error.strerror}; choose another file with -o")
+
+
+def _beside(path: Path, content: bytes) -> Path:
+    """A temporary file beside a path with its content, flushed to disk."""
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
@@ -61,12 +75,10 @@ def write_atomically(path: Path, content: bytes) -> None:
             stream.flush()
             os.fsync(stream.fileno())
         temporary.chmod(0o644)
-        temporary.replace(path)
     except OSError as error:
         temporary.unlink(missing_ok=True)
-        raise InputError(
-            f"cannot write {path}: {error.strerror}; choose another file with -o"
-        ) from error
+        raise _refusal(path, error) from error
+    return temporary
 
 
 FIGURE_SUFFIXES = (".svg", ".png", ".pdf")
@@ -100,7 +112,7 @@ def check_figure_path(path: Path, made: Path | None = None) -> None:
 def write_all(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     """Write several files into a folder, which is made if missing.
 
-    Nothing is written when the folder cannot be made.
+    Nothing is replaced before all of them lie beside their places, flushed to disk.
 
     Raises
     ------
@@ -114,6 +126,17 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
             f"cannot make the folder {folder}: {error.strerror}; choose another one with -o"
         ) from error
     paths = [folder / name for name in contents]
-    for path, content in zip(paths, contents.values(), strict=True):
-        write_atomically(path, content)
+    made: list[Path] = []
+    try:
+        for path, content in zip(paths, contents.values(), strict=True):
+            if path.is_dir():
+                raise InputError(f"cannot write {path}: it is a folder; choose another with -o")
+            made.append(_beside(path, content))
+        for temporary, path in zip(made, paths, strict=True):
+            temporary.replace(path)
+    except OSError as error:
+        raise _refusal(folder, error) from error
+    finally:
+        for temporary in made:
+            temporary.unlink(missing_ok=True)
     return paths

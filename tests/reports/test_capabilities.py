@@ -90,7 +90,9 @@ def without_loops() -> Design:
 
 
 def beyond() -> Design:
-    """Voltages beyond the linear range, with float32 control whose references move slowly."""
+    """Voltages beyond the linear range, with float32 control whose references move slowly, and the
+    file of another firmware.
+    """
     design = without_loops()
     references = ReferenceSettings(torque_slope=50.0, current_slope=5e3)
     return replace(
@@ -98,6 +100,7 @@ def beyond() -> Design:
         control=replace(design.control, references=references),
         inverter=replace(design.inverter, overmodulation="least-phase-error"),
         operation=replace(design.operation, overmodulation="least-phase-error"),
+        export=replace(design.export, firmware=("odrive",)),
     )
 
 
@@ -134,7 +137,7 @@ def outcome_of(name: str) -> Outcome:
 ASKED = {
     "bare": {"mtpa", "fit", "gains"},
     "small": {"mtpa", "fit", "gains", "losses", "speed_observer"},
-    "beyond": {"mtpa", "fit", "gains", "overmodulation", "dynamic_references"},
+    "beyond": {"mtpa", "fit", "gains", "overmodulation", "dynamic_references"} | {"firmware"},
     "everything": {"mtpa", "fit", "gains", "losses", "control", "control_fixed", "reference_fixed"}
     | {"position_observer", "observer_fixed"},
     "sections": {"mtpa", "fit", "gains", "losses", "speed_observer", "weakening"}
@@ -188,6 +191,8 @@ def test_every_header_is_named_read_back_and_gives_its_model(name: str) -> None:
     kinds, parts = programmes(json.loads(output.files["result.json"]))
     wanted = {f"{prefix}.h", f"{prefix}_vectors.h", "result.json"}
     wanted |= {file for kind in kinds.values() for file in kind.file_names(prefix)}
+    for capability, found in asked_for(CAPABILITIES, outcome_of(name)):
+        wanted |= set(capability.emitted(output.solution, found))
     assert set(output.files) == wanted
     rows = [replace(part, inputs=part.inputs[:500], model=part.model[:500]) for part in parts]
     checked = verify_files(output.files, prefix, solution.reference, 256, rows)
