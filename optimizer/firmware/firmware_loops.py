@@ -16,11 +16,17 @@ from dqforge.optimizer.firmware.firmware_method import (
     FreeGains,
     Shortfall,
 )
+from dqforge.optimizer.firmware.gain_search.chosen import Chosen
+from dqforge.optimizer.firmware.gain_search.current_gains import CurrentSearch
+from dqforge.optimizer.firmware.gain_search.speed_gains import speed_search
+from dqforge.optimizer.firmware.gain_search.structure_box import (
+    AXES,
+    axis_plants,
+    speed_plants_over,
+)
 from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop, judge, judged_loop
 from dqforge.optimizer.firmware.profile import LoopProfile, PiController
 from dqforge.optimizer.firmware.registry import METHODS
-from dqforge.optimizer.firmware.structure_box import axis_plants, speed_plants_over
-from dqforge.optimizer.firmware.structured_gains import Chosen, CurrentSearch, speed_search
 from dqforge.optimizer.loops.loop_gains import LoopGains, LoopName
 from dqforge.optimizer.loops.plants import SpeedLoop
 from dqforge.optimizer.loops.robustness import LoopRobustness
@@ -166,10 +172,8 @@ def _loops(
 ) -> tuple[FirmwareLoop, ...]:
     named, found = box.design.control.tolerances is not None, []
     current, speed = profile.current, profile.speed
-    for axis, pi, loop, header in (
-        ("i_d", current.d, judged.current_d, own[0]),
-        ("i_q", current.q, judged.current_q, own[1]),
-    ):
+    controllers, alone = (current.d, current.q), (judged.current_d, judged.current_q)
+    for axis, pi, loop, header in zip(AXES, controllers, alone, own[:2], strict=True):
         assert loop is not None
         worst = axis_plants(box, axis, current).kept(pi) if named else None
         found.append(_beside(pi, loop, header, worst))

@@ -14,7 +14,7 @@ from dqforge.machines.plants.scenario import Scenario
 from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.firmware.loop_run import firmware_drive, simulate_profile
-from dqforge.reports.simulation.compiled_plant import require_compiler
+from dqforge.reports.simulation.compiled_plant import Simulator, require_compiler
 from dqforge.reports.simulation.design_run import (
     DriveSimulation,
     evaluate,
@@ -72,7 +72,12 @@ def simulate_with_firmware(
 
 
 def simulate_loops(
-    design: Design, loops: FirmwareLoops, scenario: Scenario, progress: Progress | None = None
+    design: Design,
+    loops: FirmwareLoops,
+    scenario: Scenario,
+    progress: Progress | None = None,
+    *,
+    program: Simulator | None = None,
 ) -> DriveSimulation:
     """Run a firmware's loops alone through a scenario.
 
@@ -86,6 +91,8 @@ def simulate_loops(
         What the drive goes through; what the loops have not is left out, and said in the remarks.
     progress:
         Called with the share that is done.
+    program:
+        That of `dqforge.reports.firmware.loop_run.firmware_simulator`, where it is there already.
 
     Raises
     ------
@@ -103,6 +110,7 @@ def simulate_loops(
             drive,
             possible,
             stride=recorded_stride(possible, drive.t_s),
+            program=program,
             progress=progress,
         )
     except InputError as error:

@@ -53,6 +53,9 @@ Member = tuple[str, float | int]
 """A member of the C structure: its comment, and its value (a whole number is an unsigned one)."""
 
 
+_LARGEST = 3.4e38
+
+
 _REFERENCES = ("id-zero", "mtpa-linear", "table")
 
 
@@ -116,7 +119,9 @@ def loop_numbers(profile: LoopProfile, values: DriveValues) -> LoopNumbers:
     )
     controllers = (current.d, current.q, idle if speed is None else speed.pi)
     periods = (t_s, t_s, ratio * t_s)
-    return LoopNumbers(tuple(map(_pi_numbers, controllers, periods)), numbers, profile.table)
+    found = LoopNumbers(tuple(map(_pi_numbers, controllers, periods)), numbers, profile.table)
+    _require_single(found)
+    return found
 
 
 def sampling_period(profile: LoopProfile) -> float:
@@ -194,6 +199,18 @@ def modulation_of(profile: LoopProfile) -> ModulationName:
         f"{profile.firmware} cannot be simulated with the modulation "
         f"{profile.current.modulation!r}; known are {', '.join(MODULATORS)}"
     )
+
+
+def _require_single(found: LoopNumbers) -> None:
+    """Refuse what single precision does not hold."""
+    members = [member for part in (*found.controllers, found.numbers) for member in part]
+    members += [("table", value) for point in found.table for value in point]
+    for name, value in members:
+        if not abs(value) <= _LARGEST:
+            raise InputError(
+                f"the loops of a firmware cannot be simulated with {name} = {value:g}; single "
+                "precision does not hold it"
+            )
 
 
 def _needed(value: float | None, name: str) -> float:

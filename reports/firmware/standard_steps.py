@@ -62,7 +62,7 @@ def standard_steps(
     v_dc:
         Voltage of the dc link in V.
     """
-    base = base_speed(profile, machine, CURRENT_SHARE * i_max, v_dc)
+    base = base_speed(profile, machine, i_max, v_dc)
     left_out: list[str] = []
     speeds = (0.0, 0.5 * base) if base > 0.0 else (0.0,)
     steps = [_driven(profile, machine, "current", CURRENT_SHARE * i_max, speed) for speed in speeds]

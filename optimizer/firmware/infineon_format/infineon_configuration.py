@@ -92,23 +92,29 @@ def configuration(
     )
 
 
+def _positive(own: Mapping[str, OwnValue], name: str) -> float | None:
+    """A member as a number, None where it is missing or no magnitude."""
+    value = number(own, name)
+    return value if value is not None and value > 0.0 else None
+
+
 def _drive(own: Mapping[str, OwnValue]) -> DriveValues:
-    poles, most = number(own, "motor.P"), number(own, "motor.w_max.elec")
+    poles, most = number(own, "motor.P"), _positive(own, "motor.w_max.elec")
     pairs = None if not poles or poles % 2 else int(poles) // 2
-    rate = number(own, "sys.samp.fs0")
+    rate = _positive(own, "sys.samp.fs0")
     ratio = number(own, "sys.samp.fpwm_fs0_ratio") or 1.0
     t_s = None if not rate else 1.0 / rate
     return DriveValues(
         pole_pairs=pairs,
-        r_s=number(own, "motor.r"),
-        l_d=number(own, "motor.ld"),
-        l_q=number(own, "motor.lq"),
-        psi_pm=number(own, "motor.lam"),
-        inertia=number(own, "mech.inertia"),
+        r_s=_positive(own, "motor.r"),
+        l_d=_positive(own, "motor.ld"),
+        l_q=_positive(own, "motor.lq"),
+        psi_pm=_positive(own, "motor.lam"),
+        inertia=_positive(own, "mech.inertia"),
         viscous=number(own, "mech.viscous"),
-        i_max=number(own, "motor.i_peak"),
+        i_max=_positive(own, "motor.i_peak"),
         omega_m_max=None if most is None or pairs is None else most / pairs,
-        v_dc=number(own, "sys.vdc_nom"),
+        v_dc=_positive(own, "sys.vdc_nom"),
         f_sw=None if not rate else rate * ratio,
         t_s=t_s,
         t_speed=t_s,

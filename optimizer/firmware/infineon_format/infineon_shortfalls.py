@@ -49,8 +49,13 @@ def _rule_of_currents(held: Configuration) -> Iterator[Shortfall]:
         f"the library's own integral gain is bw r = {rule.ki:.4g} V/(A s); the "
         f"{gains.ki:.4g} V/(A s) asked for hold only where the second function is called after "
         f"PARAMS_InitAutoCalc",
-        (Price("q integral gain of the library's own rule", rule.ki / gains.ki - 1.0, ""),),
+        _off("q integral gain of the library's own rule", rule.ki, gains.ki),
     )
+
+
+def _off(of: str, its: float, wished: float) -> tuple[Price, ...]:
+    """Share by which a gain differs; no price where none was asked for."""
+    return (Price(of, its / wished - 1.0, ""),) if wished else ()
 
 
 def _rule_of_speed(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
@@ -67,13 +72,7 @@ def _rule_of_speed(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
         f"the library's own integral gain of the speed is viscous friction times bw = "
         f"{rule.ki:.4g} A/rad instead of {asked.speed.ki:.4g} A/rad: without the second function "
         f"the speed sinks by {1.0 / max(rule.kp, 1e-30):.3g} rad/s per ampere of load",
-        (
-            Price(
-                "integral gain of the speed by the library's own rule",
-                rule.ki / asked.speed.ki - 1.0 if asked.speed.ki else 0.0,
-                "",
-            ),
-        ),
+        _off("integral gain of the speed by the library's own rule", rule.ki, asked.speed.ki),
     )
 
 

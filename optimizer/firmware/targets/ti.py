@@ -142,7 +142,7 @@ def profile(found: Configuration) -> LoopProfile:
             q=_current(found.current_q, t_s, wind_up),
             delay=1.0,
             order="d-first",
-            voltage_share=known(found.own, "M1_MAX_VS_MAG_PU", VOLTAGE_PU) * math.sqrt(3.0),
+            voltage_share=_given(found, "M1_MAX_VS_MAG_PU", VOLTAGE_PU) * math.sqrt(3.0),
             modulation="dpwmmin" if found.version == VERSION else "svpwm",
         ),
         speed=_speed_loop(found, t_s, wind_up),
@@ -257,6 +257,8 @@ def _speed_rule(drive: DriveValues, own: Bandwidths) -> PiGains:
 def _pair(
     loop: str, places: tuple[str, ...], wished: PiGains, rule: PiGains, key: str
 ) -> dict[str, OwnValue]:
+    if not wished.kp > 0.0:
+        raise InputError(f"{key}: TI's lab multiplies the integral by kp, which must not be 0")
     kp = kept(wished.kp / rule.kp, key)
     ki = kept(wished.ki / wished.kp / (rule.ki / rule.kp), key)
     return {
@@ -266,6 +268,12 @@ def _pair(
     }
 
 
+def _given(found: Configuration, name: str, otherwise: float) -> float:
+    """A positive value of the file, or TI's own."""
+    value = known(found.own, name, otherwise)
+    return value if value > 0.0 else otherwise
+
+
 def _current(gains: PiGains, t_s: float, wind_up: AntiWindup) -> PiController:
     return PiController(gains.kp, gains.ki, t_s, rule="integral-first", anti_windup=wind_up)
 
@@ -273,7 +281,7 @@ def _current(gains: PiGains, t_s: float, wind_up: AntiWindup) -> PiController:
 def _speed_loop(found: Configuration, t_s: float, wind_up: AntiWindup) -> SpeedController | None:
     if found.speed is None or found.drive.t_speed is None:
         return None
-    corner = known(found.own, "SPEED_LPF_FC_Hz", SPEED_CORNER)
+    corner = _given(found, "SPEED_LPF_FC_Hz", SPEED_CORNER)
     slope, pairs = number(found.own, "ACCEL_MAX_Hzps"), found.drive.pole_pairs
     pi = PiController(
         found.speed.kp,

@@ -158,12 +158,13 @@ def _positive(value: float | None) -> float | None:
 
 def _drive(own: Mapping[str, OwnValue]) -> DriveValues:
     pairs = number(own, "NUM_POLE_PAIRS")
-    flux, most = _positive(number(own, "RATED_FLUX_VpHz")), number(own, "FREQ_MAX_Hz")
+    flux = _positive(number(own, "RATED_FLUX_VpHz"))
+    most = _positive(number(own, "FREQ_MAX_Hz"))
     pwm = _positive(number(own, "M1_PWM_FREQ_kHz"))
-    t_s = t_speed = None
-    if pwm is not None:
-        t_s = known(own, "M1_NUM_PWM_TICKS_PER_ISR_TICK", 1) / (1e3 * pwm)
-        t_speed = t_s * known(own, "M1_NUM_ISR_TICKS_PER_SPEED_TICK", SPEED_TICKS)
+    ticks = known(own, "M1_NUM_PWM_TICKS_PER_ISR_TICK", 1)
+    steps = known(own, "M1_NUM_ISR_TICKS_PER_SPEED_TICK", SPEED_TICKS)
+    t_s = ticks / (1e3 * pwm) if pwm is not None and ticks >= 1 else None
+    t_speed = t_s * steps if t_s is not None and steps >= 1 else None
     return DriveValues(
         pole_pairs=None if not pairs else int(pairs),
         r_s=_positive(number(own, "Rs_Ohm")),

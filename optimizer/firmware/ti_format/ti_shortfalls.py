@@ -57,8 +57,12 @@ def _fixed_bandwidth(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
     if _alike(gains, rule):
         return
     prices = [
-        Price("q gain of the firmware's own rule", rule.kp / gains.kp - 1.0, ""),
-        Price("q integral gain of the firmware's own rule", rule.ki / gains.ki - 1.0, ""),
+        Price(f"{of} of the firmware's own rule", its / ours - 1.0, "")
+        for of, its, ours in (
+            ("q gain", rule.kp, gains.kp),
+            ("q integral gain", rule.ki, gains.ki),
+        )
+        if ours
     ]
     words = (
         f"TI's lab fixes its bandwidth at {own.current / (2.0 * math.pi):.4g} Hz and its integral "

@@ -96,10 +96,12 @@ def _members(found: Macros) -> tuple[dict[str, OwnValue], dict[str, Origin]]:
         value = _value(definition.text, values)
         if isinstance(value, (int, float)):
             values[name or definition.name] = value
-        if name in KINDS and value is not None:
+        if name is None or name not in KINDS:
+            continue
+        if value is not None:
             own[name] = _as_kind(found, definition, name, value)
             origins[name] = Origin(definition.name, definition.text, definition.line)
-        elif name in KINDS:
+        else:
             _refuse_unless_open(found, definition)
     return own, origins
 

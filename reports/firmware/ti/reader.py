@@ -145,16 +145,16 @@ def _values(
             "this file has no values of the motor that it chooses; name a whole user_mtr1.h",
             source=place,
         )
-    kind = own.get("USER_MOTOR1_TYPE")
-    if kind is not None and str(kind).upper() != _PERMANENT_MAGNETS:
+    machine = own.get("USER_MOTOR1_TYPE")
+    if machine is not None and str(machine).upper() != _PERMANENT_MAGNETS:
         origin = origins["USER_MOTOR1_TYPE"]
         raise InputError(
-            f"{origin.key} is {shown(kind)}: only machines with permanent magnets "
+            f"{origin.key} is {shown(machine)}: only machines with permanent magnets "
             f"({_PERMANENT_MAGNETS}) are read; choose one",
             source=place,
             line=origin.line,
         )
-    if kind is not None:
+    if machine is not None:
         own["USER_MOTOR1_TYPE"] = _PERMANENT_MAGNETS
     return own, origins
 

@@ -52,20 +52,25 @@ def write(found: Configuration, title: FileTitle, existing_text: str | None) -> 
             "guard": f"{title.prefix.upper()}_USER_MTR1_H",
             "slot": SLOT,
             "sections": [
-                (words, [line for line in lines if belongs(line[0], line[3])])
-                for words, belongs in _SECTIONS
+                (words, [line for line in lines if section == _section(line[0], line[3])])
+                for section, words in _SECTIONS.items()
             ],
         },
     )
     return {name: text.encode("utf-8")}
 
 
-_SECTIONS = (
-    ("The machine", lambda macro, by: macro.startswith(MOTOR_PREFIX) and by == "design"),
-    ("Timing and voltage", lambda macro, _by: macro.startswith(BOARD_PREFIX)),
-    ("Gains, as multiples of those that the lab works out", lambda _macro, by: by == "gains"),
-    ("Starting the motor: rules to begin with", lambda _macro, by: by == "start"),
-)
+_SECTIONS = {
+    "design": "The machine",
+    "board": "Timing and voltage",
+    "gains": "Gains, as multiples of those that the lab works out",
+    "start": "Starting the motor: rules to begin with",
+}
+
+
+def _section(macro: str, decided: str) -> str:
+    """Part of the file in which a macro stands."""
+    return "board" if macro.startswith(BOARD_PREFIX) else decided
 
 
 def printed(value: OwnValue) -> str:

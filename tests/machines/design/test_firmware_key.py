@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from dqforge.machines.design import catalogue
 from dqforge.machines.design.loader import load_design
 from dqforge.machines.design.settings import FirmwareSettings
 from dqforge.machines.errors import InputError
@@ -69,3 +70,8 @@ def test_what_it_cannot_be_is_refused_where_it_stands(text: str, said: str, tmp_
 def test_it_needs_gains(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"control\.firmware needs gains"):
         load_design(write(tmp_path, "gains: false", "firmware: vesc"))
+
+
+def test_machines_of_any_back_emf_are_refused() -> None:
+    with pytest.raises(InputError, match=r"machines of model: waveform"):
+        catalogue.load("paper002-phase-waveforms", ["control.firmware=vesc"])

@@ -17,7 +17,7 @@ from dqforge.machines.design.settings import FirmwareSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.firmware.firmware_loops import FirmwareLoop, FirmwareLoops, firmware_loops
-from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
+from dqforge.optimizer.firmware.firmware_method import FirmwareMethod, FreeGains
 from dqforge.optimizer.firmware.judge import judge
 from dqforge.optimizer.loops.inductances import inductance_range
 from dqforge.optimizer.loops.tolerance_box import drive_box
@@ -158,8 +158,8 @@ def test_a_formula_without_a_number_is_slowed_down() -> None:
 
 
 @pytest.mark.parametrize("free", ["axes", "one-pair", "bandwidth"])
-def test_optimised_gains_use_the_bound_and_no_more(free: str) -> None:
-    method = toy_method(free, delay=0.5, rule="trapezoid", pll=None)  # type: ignore[arg-type]
+def test_optimised_gains_use_the_bound_and_no_more(free: FreeGains) -> None:
+    method = toy_method(free, delay=0.5, rule="trapezoid", pll=None)
     _, found = solve(design("method: optimised", "method: optimised", l_q="240 uH"), method)
     largest = max(loop_of(found, axis).judged.max_sensitivity for axis in ("i_d", "i_q"))
     assert 1.59 < largest <= 1.6 + 1e-9

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from dqforge.optimizer.firmware.profile import (
     FluxObserver,
     LoopProfile,
     PiController,
+    PiRule,
     SpeedController,
     SpeedEstimate,
 )
@@ -34,7 +36,7 @@ CURRENT = CurrentLoops(
 )
 
 
-def profile(feedback: SpeedEstimate, omega: float = 194.0, **changes: object) -> LoopProfile:
+def profile(feedback: SpeedEstimate, omega: float = 194.0, **changes: Any) -> LoopProfile:
     """The scooter's loops with a speed loop that crosses over near ``omega`` rad/s."""
     constant = 1.5 * PAIRS * PSI
     kp = omega * INERTIA / constant
@@ -171,12 +173,12 @@ def test_the_gain_margin_is_where_the_recursion_begins_to_grow(name: str) -> Non
     made = STRUCTURES[name]
     judged = judge(made, SCOOTER).speed
     assert judged is not None
-    assert made.speed is not None
+    speed = made.speed
+    assert speed is not None
 
     def grows(factor: float) -> bool:
-        pi = made.speed.pi
-        louder = replace(pi, kp=pi.kp * factor, ki=pi.ki * factor)
-        samples = np.abs(free_response(replace(made, speed=replace(made.speed, pi=louder)), 400))
+        louder = replace(speed.pi, kp=speed.pi.kp * factor, ki=speed.pi.ki * factor)
+        samples = np.abs(free_response(replace(made, speed=replace(speed, pi=louder)), 400))
         return bool(np.max(samples[-40:]) > np.max(samples[-200:-160]))
 
     assert not grows(0.97 * judged.gain_margin)
@@ -184,7 +186,7 @@ def test_the_gain_margin_is_where_the_recursion_begins_to_grow(name: str) -> Non
 
 
 @pytest.mark.parametrize("rule", ["integral-first", "trapezoid", "integral-last"])
-def test_each_rule_has_the_poles_of_its_own_recursion(rule: str) -> None:
+def test_each_rule_has_the_poles_of_its_own_recursion(rule: PiRule) -> None:
     pi = replace(CURRENT.q, rule=rule, ki=40.0 * CURRENT.q.ki)
     judged = judge(replace(STRUCTURES["ideal"], current=replace(CURRENT, q=pi)), SCOOTER).current_q
     assert judged is not None

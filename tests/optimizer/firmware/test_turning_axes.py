@@ -7,6 +7,7 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ R, L_D, L_Q, T = 0.05, 8e-5, 1.4e-4, 5e-5
 KP, KI = (0.35, 0.6), (300.0, 320.0)
 
 
-def loops(**changes: object) -> CurrentLoops:
+def loops(**changes: Any) -> CurrentLoops:
     d, q = (PiController(kp, ki, T) for kp, ki in zip(KP, KI, strict=True))
     return replace(CurrentLoops(d, q, 1.0, cross=True, angle_advance=1.5), **changes)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from dqforge.machines.plants.scenario import Scenario, Sensorless
 from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.firmware.design_simulation import simulate_loops, simulate_with_firmware
+from dqforge.reports.firmware.loop_run import firmware_simulator
+from dqforge.reports.simulation.compiled_plant import Simulator
 from dqforge.reports.simulation.design_run import DriveSimulation, npz_bytes, simulate_design
 from dqforge.reports.simulation.tables import (
     plain_simulation,
@@ -124,18 +127,28 @@ def loops(solution: Solution) -> FirmwareLoops:
 
 
 @pytest.fixture(scope="module")
+def program(loops: FirmwareLoops) -> Iterator[Simulator]:
+    with firmware_simulator(loops.profile, loops.configuration.drive) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
 def short(design: Design) -> Scenario:
     assert design.simulation is not None
     return replace(design.simulation, duration=0.02)
 
 
 def test_what_is_not_modelled_is_left_out_and_said(
-    design: Design, loops: FirmwareLoops, short: Scenario, found: DriveSimulation
+    design: Design,
+    loops: FirmwareLoops,
+    short: Scenario,
+    found: DriveSimulation,
+    program: Simulator,
 ) -> None:
     scenario = replace(
         short, sensorless=Sensorless(90.0, 80.0), encoder=replace(short.encoder, speed="observer")
     )
-    mine = simulate_loops(design, loops, scenario)
+    mine = simulate_loops(design, loops, scenario, program=program)
     assert "angle of the encoder" in mine.remarks[0]
     assert "without our observer" in mine.remarks[1]
     both = replace(found, others=(mine,))
@@ -144,16 +157,16 @@ def test_what_is_not_modelled_is_left_out_and_said(
 
 
 def test_a_switched_inverter_loads_at_either_peak(
-    design: Design, loops: FirmwareLoops, short: Scenario
+    design: Design, loops: FirmwareLoops, short: Scenario, program: Simulator
 ) -> None:
     switched = replace(short, inverter="switched")
-    mine = simulate_loops(design, loops, switched)
-    averaged = simulate_loops(design, loops, short)
+    mine = simulate_loops(design, loops, switched, program=program)
+    averaged = simulate_loops(design, loops, short, program=program)
     assert mine.run.scenario.inverter == "switched"
     assert mine.run.omega_m[-1] == pytest.approx(averaged.run.omega_m[-1], rel=0.02)
     current = replace(loops.profile.current, delay=0.3)
     odd = replace(loops, profile=replace(loops.profile, current=current))
-    mine = simulate_loops(design, odd, switched)
+    mine = simulate_loops(design, odd, switched, program=program)
     assert mine.run.scenario.inverter == "averaged"
     assert "averaged inverter" in mine.remarks[0]
 

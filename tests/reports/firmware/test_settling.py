@@ -57,6 +57,7 @@ def outcome(found: Verdict, name: str) -> str:
     return next(step.answer.outcome for step in found.tried if step.name == name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", EVERY)
 def test_every_structure_settles_with_sound_gains(
     program: Simulator, make: Callable[[], LoopProfile]
@@ -121,6 +122,7 @@ def test_a_current_controller_without_integral_leaves_an_error(program: Simulato
     assert "i_q stays at" in found.reason
 
 
+@pytest.mark.slow
 def test_an_integral_too_slow_never_reaches(program: Simulator) -> None:
     """Of the speed: the ramp that it is held to is not over after the longest run."""
     profile = vesc(1e6)
@@ -130,6 +132,7 @@ def test_an_integral_too_slow_never_reaches(program: Simulator) -> None:
     assert outcome(found, NAMES[5]) == "never reaches"
 
 
+@pytest.mark.slow
 def test_a_wrong_sign_diverges_or_swings(program: Simulator) -> None:
     found = settles(changed(kp=-0.6, ki=-300.0), scooter(), VALUES, program=program)
     assert not found.settles
@@ -178,6 +181,7 @@ def test_a_compiler_is_asked_for_where_there_is_none(monkeypatch: pytest.MonkeyP
         settles(vesc(1e6), scooter(), VALUES)
 
 
+@pytest.mark.slow
 def test_a_faster_speed_loop_than_the_hand_written_one_still_settles(program: Simulator) -> None:
     profile = vesc(1e6)
     assert profile.speed is not None

@@ -208,6 +208,14 @@ def test_designs_that_say_too_little_are_refused_by_key(change: dict[str, Any], 
     assert str(refused.value).startswith(key)
 
 
+def test_magnitudes_that_are_none_are_not_computed_with() -> None:
+    own = DEFAULTS | {"params.sys.samp.fs0": -1.0, "params.motor.lam": 0.0}
+    found = configuration("x", own)
+    assert (found.drive.t_s, found.drive.psi_pm, found.speed) == (None, None, None)
+    asked = replace(scooter(), current_q=PiGains(0.5, 0.0))
+    assert any("bw r" in entry.words for entry in shortfalls(asked, configure(asked)))
+
+
 def test_parameters_without_currents_have_no_loops() -> None:
     own = {name: value for name, value in DEFAULTS.items() if "curr" not in name}
     with pytest.raises(InputError, match=r"ctrl\.curr\.bw"):

@@ -16,7 +16,7 @@ from dqforge.optimizer.firmware.asked import Asked
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.judge import judge
 from dqforge.optimizer.firmware.nxp_mcat.mcat_constants import constants
-from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import EDITIONS, FLOAT_2022
+from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import EDITIONS, FLOAT_2022, FLOAT_2025
 from dqforge.optimizer.firmware.nxp_mcat.mcat_file import McatFile
 from dqforge.optimizer.firmware.targets.nxp import NXP, configured, profile
 
@@ -182,3 +182,25 @@ def test_a_file_without_gains_is_refused_with_what_it_lacks() -> None:
     found = replace(_published(published.FLOAT_2025), current_d=None)
     with pytest.raises(InputError, match="gains of both axes"):
         profile(found)
+
+
+def test_an_older_age_says_the_same_machine_and_loops(tmp_path: Path) -> None:
+    asked = asked_for(design_of(tmp_path))
+    newest = NXP.configure(asked)
+    for version in ("2022", "2019"):
+        older = configured(asked, EDITIONS[version])
+        assert older.drive.psi_pm == pytest.approx(newest.drive.psi_pm, rel=1e-5)
+        assert older.current_q is not None
+        assert newest.current_q is not None
+        assert older.current_q.ki == pytest.approx(newest.current_q.ki, rel=1e-5)
+        assert older.speed is not None
+        assert newest.speed is not None
+        assert older.speed.ki == pytest.approx(newest.speed.ki, rel=1e-5)
+
+
+def test_inputs_say_the_limits_unrounded(tmp_path: Path) -> None:
+    asked = asked_for(design_of(tmp_path))
+    found = NXP.configure(asked)
+    assert found.drive.i_max == pytest.approx(asked.design.i_max, rel=1e-11)
+    edited = {**found.own, "M1_SPEED_LOOP_HIGH_LIMIT": 5.0}
+    assert McatFile("m", FLOAT_2025, edited).configuration().drive.i_max == 5.0

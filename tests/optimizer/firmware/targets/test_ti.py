@@ -12,6 +12,7 @@ from saturated import ArctanMachine
 
 from dqforge.machines.devices.current_sensing import CurrentSensing
 from dqforge.machines.errors import InputError
+from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.judge import judge
 from dqforge.optimizer.firmware.targets.ti import configure, profile, shortfalls
 from dqforge.optimizer.firmware.ti_format.ti_configuration import (
@@ -207,6 +208,31 @@ def test_a_block_without_timing_has_no_loops() -> None:
     own = {name: value for name, value in TEKNIC.items() if "PWM" not in name}
     with pytest.raises(InputError, match="USER_M1_PWM_FREQ_kHz"):
         profile(configuration("Teknic", own))
+
+
+def test_values_that_are_none_are_not_computed_with() -> None:
+    own = TEKNIC | {
+        "USER_M1_NUM_PWM_TICKS_PER_ISR_TICK": 0,
+        "USER_MOTOR1_SPEED_LPF_FC_Hz": 0.0,
+        "USER_MOTOR1_Ls_d_H": 0.0,
+    }
+    found = configuration("x", own)
+    assert (found.drive.t_s, found.drive.l_d, found.current_d) == (None, None, None)
+    own |= {"USER_M1_NUM_PWM_TICKS_PER_ISR_TICK": 1, "USER_MOTOR1_Ls_d_H": 1e-4}
+    speed = profile(configuration("x", own)).speed
+    assert speed is not None
+    assert speed.feedback.filter_time == pytest.approx(1.0 / (TWO_PI * 200.0))
+
+
+def test_gains_without_an_integral_are_held_and_without_a_proportional_part_refused() -> None:
+    asked = replace(scooter(), current_q=PiGains(0.5, 0.0))
+    found = configure(asked)
+    assert found.current_q is not None
+    assert found.current_q.kp == pytest.approx(0.5, rel=1e-6)
+    assert found.current_q.ki == 0.0
+    assert shortfalls(asked, found)
+    with pytest.raises(InputError, match=r"control\.current_loop"):
+        configure(replace(scooter(), current_q=PiGains(0.0, 1.0)))
 
 
 def test_contradictions_name_both_numbers() -> None:

@@ -10,8 +10,8 @@ from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.firmware.asked import asked
 from dqforge.optimizer.firmware.infineon_format.infineon_keys import KEYS
 from dqforge.optimizer.firmware.targets.infineon import configure
-from dqforge.reports.firmware.target import FileTitle
 from dqforge.reports.firmware.infineon.writer import write
+from dqforge.reports.firmware.target import FileTitle
 
 ROOT = Path(__file__).parents[4]
 PAGE = (ROOT / "docs" / "firmware-infineon.md").read_text(encoding="utf-8")

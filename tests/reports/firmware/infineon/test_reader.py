@@ -136,6 +136,16 @@ def test_bad_files_are_refused_in_one_line(text: str, words: str) -> None:
     assert len(message) < 500
 
 
+@pytest.mark.parametrize(
+    "hostile",
+    ["params.motor.r = " + "a" * 300_000, "params.motor." + "a." * 300_000 + "b = 1;"],
+    ids=["word", "members"],
+)
+def test_what_is_long_is_read_once(hostile: str) -> None:
+    with pytest.raises(InputError, match="assigns no members"):
+        read(hostile, "hostile.c")
+
+
 def test_what_is_of_others_is_not_recognised() -> None:
     assert recognise("ParamsDefault.c", DEFAULTS)
     assert not recognise("a.c", "params.kp = 3;\n")

@@ -8,8 +8,8 @@ from pathlib import Path
 from dqforge.machines.design.loader import load_design
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.firmware.asked import asked
-from dqforge.optimizer.firmware.ti_format.ti_keys import KEYS
 from dqforge.optimizer.firmware.targets.ti import configure
+from dqforge.optimizer.firmware.ti_format.ti_keys import KEYS
 from dqforge.reports.firmware.target import FileTitle
 from dqforge.reports.firmware.ti.writer import write
 

@@ -23,6 +23,9 @@ from dqforge.optimizer.loops.robustness import LoopRobustness, first_fault, summ
 from dqforge.optimizer.loops.tolerance_box import Axis, BoxPoints, DriveBox
 from dqforge.optimizer.sampled_systems import SampledSystem
 
+AXES: tuple[Axis, Axis] = ("i_d", "i_q")
+
+
 _ROUNDING = 1e-9
 
 
