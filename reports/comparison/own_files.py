@@ -70,7 +70,7 @@ def _of_result(side: Side) -> OwnGains:
         for name in ("i_d", "i_q", "speed")
     ]
     observed = any(side.value("gains", key) is not None for key in ("observer", "position"))
-    return OwnGains(_drive(drive), *loops, observed=observed)
+    return OwnGains(_drive(drive), loops[0], loops[1], loops[2], observed)
 
 
 def _number(side: Side, *path: str) -> float | None:
@@ -105,7 +105,7 @@ def _of_macros(side: Side) -> OwnGains:
         drive["t_speed"] = ratio * drive["t_s"]
     loops = [_pair(value(kp), value(ki)) for kp, ki in _LOOPS.values()]
     observed = any(name.startswith("OBSERVER_") for name in macros)
-    return OwnGains(_drive(drive), *loops, observed=observed)
+    return OwnGains(_drive(drive), loops[0], loops[1], loops[2], observed)
 
 
 def _pair(kp: float | None, ki: float | None) -> PiGains | None:
