@@ -12,6 +12,7 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import (
     DEFAULTS,
     FOC_CURRENT,
@@ -19,7 +20,6 @@ from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import (
     V_DC,
     VERSION,
     flux_or_kv,
-    number,
     set_or_default,
 )
 

@@ -17,6 +17,7 @@ from dqforge.optimizer.firmware.infineon_format.flux_table import flux_table
 from dqforge.optimizer.firmware.infineon_format.infineon_configuration import configuration
 from dqforge.optimizer.firmware.infineon_format.infineon_contradictions import filter_time
 from dqforge.optimizer.firmware.infineon_format.infineon_keys import (
+    FIRMWARE,
     KEYS,
     TABLE,
     TABLE_KEYS,
@@ -25,6 +26,7 @@ from dqforge.optimizer.firmware.infineon_format.infineon_keys import (
     kept,
     number,
 )
+from dqforge.optimizer.firmware.own_values import needed
 from dqforge.optimizer.firmware.profile import (
     CurrentLoops,
     FluxObserver,
@@ -116,9 +118,7 @@ def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
 
 
 def _needed(value: float | None, key: str, what: str) -> float:
-    if not value or value < 0.0:
-        raise InputError(f"{key}: Infineon's library needs {what}; give it")
-    return value
+    return needed(value, key, FIRMWARE, what)
 
 
 def _machine(drive: DriveValues) -> dict[str, OwnValue]:

@@ -15,6 +15,7 @@ from dqforge.optimizer.firmware.configuration import (
     PiGains,
 )
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.profile import (
     CurrentLoops,
     FluxObserver,
@@ -47,7 +48,6 @@ from dqforge.optimizer.firmware.st_format.st_scales import (
     LARGEST,
     current_scale,
     integers,
-    number,
     printed,
     scales,
 )

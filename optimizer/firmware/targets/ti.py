@@ -12,6 +12,7 @@ from dqforge.optimizer.firmware.configuration import (
     PiGains,
 )
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
+from dqforge.optimizer.firmware.own_values import needed
 from dqforge.optimizer.firmware.profile import (
     AntiWindup,
     CurrentLoops,
@@ -32,6 +33,7 @@ from dqforge.optimizer.firmware.ti_format.ti_configuration import (
 )
 from dqforge.optimizer.firmware.ti_format.ti_keys import (
     BOARD_PREFIX,
+    FIRMWARE,
     KEYS,
     MOTOR_PREFIX,
     VERSION,
@@ -158,9 +160,7 @@ def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
 
 
 def _needed(value: float | None, key: str, what: str) -> float:
-    if not value or value < 0.0:
-        raise InputError(f"{key}: TI's lab needs {what}; give it")
-    return value
+    return needed(value, key, FIRMWARE, what)
 
 
 def _machine(drive: DriveValues) -> dict[str, OwnValue]:

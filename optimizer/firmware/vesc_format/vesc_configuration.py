@@ -12,8 +12,9 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.vesc_format.vesc_contradictions import contradictions
-from dqforge.optimizer.firmware.vesc_format.vesc_keys import VERSION, loop_number, number
+from dqforge.optimizer.firmware.vesc_format.vesc_keys import VERSION, loop_number
 
 LOOP_RATES = (25.0, 50.0, 100.0, 250.0, 500.0, 1000.0, 2500.0, 5000.0, 10000.0)
 

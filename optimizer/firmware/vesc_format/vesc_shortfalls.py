@@ -10,8 +10,9 @@ from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.current_prices import linear_rule, price_of
 from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall
 from dqforge.optimizer.firmware.judge import judge
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.profile import LoopProfile
-from dqforge.optimizer.firmware.vesc_format.vesc_keys import loop_number, number
+from dqforge.optimizer.firmware.vesc_format.vesc_keys import loop_number
 
 _NOTICED = 1e-3
 

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
 from dqforge.optimizer.firmware.infineon_format.infineon_keys import (
     KEYS,
-    SIGNIFICANT,
     TABLE,
     TABLE_KEYS,
     TABLE_POINTS,
@@ -17,6 +16,7 @@ from dqforge.optimizer.firmware.infineon_format.infineon_keys import (
     Kind,
     Place,
 )
+from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS
 from dqforge.reports.firmware.c_macros import with_values
 from dqforge.reports.firmware.infineon.names import member
 from dqforge.reports.firmware.infineon.reader import assignments
@@ -87,7 +87,7 @@ def printed(value: OwnValue, kind: Kind) -> str:
 
 
 def _float(value: float) -> str:
-    text = f"{value:.{SIGNIFICANT}g}"
+    text = f"{value:.{FLOAT32_DIGITS}g}"
     return f"{text if '.' in text or 'e' in text else text + '.0'}f"
 
 

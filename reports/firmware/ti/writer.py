@@ -5,11 +5,11 @@ values of the motor that an existing file chooses.
 from __future__ import annotations
 
 from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
+from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS
 from dqforge.optimizer.firmware.ti_format.ti_keys import (
     BOARD_PREFIX,
     KEYS,
     MOTOR_PREFIX,
-    SIGNIFICANT,
 )
 from dqforge.reports.firmware.c_macros import Macros, with_values
 from dqforge.reports.firmware.target import FileTitle
@@ -79,7 +79,7 @@ def printed(value: OwnValue) -> str:
         return value
     if isinstance(value, int):
         return f"({value})"
-    text = f"{value:.{SIGNIFICANT}g}"
+    text = f"{value:.{FLOAT32_DIGITS}g}"
     return f"({text if '.' in text or 'e' in text else text + '.0'}f)"
 
 
