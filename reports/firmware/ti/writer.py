@@ -13,6 +13,7 @@ from dqforge.optimizer.firmware.ti_format.ti_keys import (
 )
 from dqforge.reports.firmware.c_macros import Macros, with_values
 from dqforge.reports.firmware.target import FileTitle
+from dqforge.reports.firmware.text_file import c_float
 from dqforge.reports.firmware.ti.names import prefixes_of
 from dqforge.reports.firmware.ti.reader import chosen_motor, found_as
 from dqforge.reports.pages.templating import render
@@ -79,8 +80,7 @@ def printed(value: OwnValue) -> str:
         return value
     if isinstance(value, int):
         return f"({value})"
-    text = f"{value:.{FLOAT32_DIGITS}g}"
-    return f"({text if '.' in text or 'e' in text else text + '.0'}f)"
+    return f"({c_float(value, FLOAT32_DIGITS)})"
 
 
 def _with_macros(text: str, found: Configuration) -> str:
