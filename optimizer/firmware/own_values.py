@@ -52,7 +52,9 @@ def float32_value(value: float, asked_by: str, firmware: str) -> float:
     return printed
 
 
-def needed(value: float | None, key: str, firmware: str, what: str) -> float:
+def needed(
+    value: float | None, key: str, firmware: str, what: str, otherwise: str = "give it"
+) -> float:
     """A positive value of the design.
 
     Parameters
@@ -63,6 +65,8 @@ def needed(value: float | None, key: str, firmware: str, what: str) -> float:
         Key of the design that gives it, for the message.
     firmware, what:
         Who needs it, and what it is, for the message.
+    otherwise:
+        What to do without it, for the message.
 
     Raises
     ------
@@ -70,5 +74,5 @@ def needed(value: float | None, key: str, firmware: str, what: str) -> float:
         It is missing, or not above zero.
     """
     if value is None or not math.isfinite(value) or value <= 0.0:
-        raise InputError(f"{key}: {firmware} needs {what}; give it")
+        raise InputError(f"{key}: {firmware} needs {what}; {otherwise}")
     return float(value)

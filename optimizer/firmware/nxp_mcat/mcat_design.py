@@ -79,8 +79,8 @@ def _inputs(asked: Asked, edition: Edition) -> Values:
     return {key: float(f"{value:.{INPUT_DIGITS}g}") for key, value in found.items()}
 
 
-def _needed(value: float | None, key: str, what: str) -> float:
-    return needed(value, key, "MCAT", what)
+def _needed(value: float | None, key: str, what: str, otherwise: str = "give it") -> float:
+    return needed(value, key, "MCAT", what, otherwise)
 
 
 def _torque_constant(drive: DriveValues) -> float:
