@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO_DESIGN ?= paper000-ipmsm-100kw
 
+# The tests start the package in some hundred processes: its modules are compiled once, not by each of them.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test importers campaign coverage check lint types contracts format figures wheel lock clean
 
 demo: $(VENV)/runtime.stamp
