@@ -51,6 +51,7 @@ def model_of(solution: Solution) -> ControlModel:
     return control_from(plain_control(solution), plain_solution(solution))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("method", "modulation"),
     [
