@@ -117,6 +117,7 @@ def test_rows_turns_limits_and_no_harmonics(
     assert limited[0] == pytest.approx(3.0)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("frame", "feedforward"), [("dq", "references"), ("dq", "measured"), ("table", "references")]
 )
