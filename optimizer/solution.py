@@ -63,8 +63,9 @@ class Solution:
     why. ``negative`` is None where one reference serves torques of both signs; else ``fit`` and
     ``certificate`` are those of positive ones. ``fixed_references`` lead from torque, dc link and
     speed to currents in fixed point. ``frame_tables`` and ``overmodulation`` are None where they
-    are not asked for. ``firmware`` is what each firmware of others is given. ``observer_errors`` are those of the speed observer at half the base speed,
-    without load and with half the largest torque; empty without that observer.
+    are not asked for. ``firmware`` is what each firmware of others is given. ``observer_errors``
+    are those of the speed observer at half the base speed, without load and with half the largest
+    torque; empty without that observer.
     """
 
     design: Design

@@ -451,13 +451,12 @@ def test_gains_of_ours_have_the_margins_of_tune(call: Call, tmp_path: Path) -> N
 
 
 def test_files_of_ours_without_gains_are_refused(call: Call, tmp_path: Path) -> None:
-    words = ("--set", "control.gains=false", "--no-verify", "-o", "o")
-    bare = ("--set", "control.speed_loop={method: symmetrical-optimum, ratio: 20}")
-    assert call("export", "scooter.yaml", *bare, "--no-verify", "-o", "p")[0] == 0
-    assert call("export", "scooter.yaml", *words)[0] == 0
+    head = SCOOTER.partition("control:")[0]
+    (tmp_path / "bare.yaml").write_text(f"{head}control: {{gains: false}}\n")
+    assert call("export", "bare.yaml", "--no-verify", "-o", "o")[0] == 0
     for path, message in (
-        ("p/scooter_vectors.h", "give <prefix>.h or the result.json beside it"),
-        ("o/scooter.h", "holds no gains"),
+        ("o/motor_vectors.h", "give <prefix>.h or the result.json beside it"),
+        ("o/motor.h", "holds no gains"),
         ("o/result.json", "gains: is missing"),
     ):
         code, _, err = call("explain", path)

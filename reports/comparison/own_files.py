@@ -65,12 +65,12 @@ def own_gains(side: Side) -> OwnGains:
 def _of_result(side: Side) -> OwnGains:
     drive = {name: _number(side, "drive", key) for name, key in DRIVE_KEYS.items()}
     drive["t_speed"] = _number(side, "gains", "speed", "t_s")
-    loops = [
+    i_d, i_q, speed = (
         _pair(_number(side, "gains", name, "kp"), _number(side, "gains", name, "ki"))
         for name in ("i_d", "i_q", "speed")
-    ]
+    )
     observed = any(side.value("gains", key) is not None for key in ("observer", "position"))
-    return OwnGains(_drive(drive), *loops, observed=observed)
+    return OwnGains(_drive(drive), i_d, i_q, speed, observed=observed)
 
 
 def _number(side: Side, *path: str) -> float | None:
@@ -103,9 +103,9 @@ def _of_macros(side: Side) -> OwnGains:
     ratio = value("SPEED_RATIO")
     if ratio is not None and drive["t_s"] is not None:
         drive["t_speed"] = ratio * drive["t_s"]
-    loops = [_pair(value(kp), value(ki)) for kp, ki in _LOOPS.values()]
+    i_d, i_q, speed = (_pair(value(kp), value(ki)) for kp, ki in _LOOPS.values())
     observed = any(name.startswith("OBSERVER_") for name in macros)
-    return OwnGains(_drive(drive), *loops, observed=observed)
+    return OwnGains(_drive(drive), i_d, i_q, speed, observed=observed)
 
 
 def _pair(kp: float | None, ki: float | None) -> PiGains | None:

@@ -124,7 +124,7 @@ def _spare(loop: PiLoop, least: float, *, damped: bool) -> float:
     if abs(loop.closed.poles[0]) >= 1.0:
         return -1.0
     margins = loop_margins(loop.open_loop)
-    margin = margins.phase_margin / least - 1.0
+    margin = margins.phase_margin / max(least, 1e-6) - 1.0  # a design may ask for none
     return min(margin, MOST_SENSITIVITY / margins.max_sensitivity - 1.0) if damped else margin
 
 
