@@ -124,6 +124,7 @@ def test_braking_from_beyond_the_base_speed(ipm: Design, programs: Programs) -> 
     assert peak(found["float32"]) < 1.05 * ipm.machine.i_max
 
 
+@pytest.mark.slow
 def test_speed_control_of_the_bench_in_every_format() -> None:
     base = catalogue.load("paper001-pmsm-bench")
     design = replace(base, losses=None, export=replace(base.export, control=ALL))
