@@ -212,7 +212,7 @@ HEADERS: dict[str, Callable[[], Files]] = {
     **{f"weakening {name}": partial(weakening_headers, name) for name in WEAKENED},
     **{f"control {name}": partial(control_headers, name) for name in MODULATORS},
     **{
-        f"control_{name} {kind}": partial(fixed_headers, width, kind) for name, width, kind in FIXED
+        f"control_q{width - 1} {kind}": partial(fixed_headers, width, kind) for width, kind in FIXED
     },
     **{f"modulation {name}": partial(rule_headers, name) for name in RULES},
     **{f"gains {name}": partial(gains_headers, name) for name in SCHEDULED},
