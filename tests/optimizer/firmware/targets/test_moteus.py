@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from drives import RELUCTANCE
 from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
+from firmware_loops import assert_current_loops_hold
 from saturated import ArctanMachine
 
 from dqforge.machines.errors import InputError
@@ -137,12 +138,7 @@ def test_saturation_is_fitted_and_its_error_told() -> None:
 
 @pytest.mark.parametrize("asked", list(random_asked(6, seed=3)))
 def test_loops_of_any_machine_hold(asked: Asked) -> None:
-    held = configure(asked)
-    judged = judge(profile(replace(held, speed=None)), asked.drive)
-    for loop in (judged.current_d, judged.current_q):
-        assert loop is not None
-        assert loop.stable
-        assert loop.phase_margin >= asked.design.control.current_loop.phase_margin_min
+    assert_current_loops_hold(MOTEUS, asked)
 
 
 def test_machines_without_magnets_are_refused() -> None:
