@@ -8,9 +8,7 @@ are listed in docs/header.md and here.
 from __future__ import annotations
 
 import math
-import os
 import re
-import shutil
 import subprocess
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,6 +17,7 @@ from pathlib import Path
 
 import pytest
 from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, make_design
+from static_checks import DEVIATIONS, program
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
@@ -60,14 +59,6 @@ STRICT = [
 ]
 IN_C = ["-Wstrict-prototypes", "-Wmissing-prototypes"]
 Files = dict[str, bytes]
-DEVIATIONS = {
-    "2.5": "macros that a firmware does not use",
-    "8.9": "a table belongs beside its evaluator, not inside it",
-    "10.1": "right shifts of signed numbers, which the header checks to be arithmetic",
-    "12.1": "Horner's rule is read more easily without a parenthesis around every product",
-    "17.7": "memcpy returns what it was given",
-    "21.15": "test vectors are compared as bits",
-}
 
 
 FITS: dict[str, tuple[Machine, FitSettings]] = {
@@ -285,16 +276,6 @@ def written(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     main = {"control": CONTROL_MAIN, "frames": FRAMES_MAIN}.get(kind, main)
     (tmp_path / "main.c").write_text(main, encoding="ascii")
     return tmp_path, name
-
-
-def program(name: str) -> str:
-    """A tool that CI must have; elsewhere its absence skips the test."""
-    path = shutil.which(name)
-    if path is None:
-        if os.environ.get("CI"):
-            pytest.fail(f"{name} is missing; CI needs it")
-        pytest.skip(f"{name} is not installed")
-    return path
 
 
 @pytest.mark.thinned
