@@ -73,7 +73,7 @@ def _cases() -> list[Any]:
         for frame in get_args(CurrentFrame):
             if frame == "dqy" and not TOPOLOGIES[topology].neutral:
                 continue
-            quick = (topology, frame) in (("four-leg", "dqy"), ("split-capacitor", "table"))
+            quick = (topology, frame) == ("four-leg", "dqy")
             marks = () if quick else (pytest.mark.slow,)
             found.append(pytest.param(topology, frame, "references", 16, marks=marks))
             if frame == "table":

@@ -86,6 +86,7 @@ def peak(run: Simulation) -> float:
     return float(run.figures.peak_current[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("i_d", [0.0, -2.0, -5.0])
 def test_currents_that_the_link_cannot_make_stay_as_small_as_in_float32(
     i_d: float, ipm: Design, programs: Programs

@@ -11,6 +11,8 @@ from dqforge.reports.papers.paper001.bench_transients import Reproduction
 from dqforge.reports.papers.paper001.figures import plot_bench
 from dqforge.reports.papers.transients import RPM
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def found(reproduced: Reproduction) -> Reproduction:

@@ -15,6 +15,8 @@ from dqforge.reports.papers.paper001.emitted_control import (
     EmittedRun,
 )
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def found(reproduced: Reproduction) -> EmittedControl:

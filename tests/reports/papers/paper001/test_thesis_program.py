@@ -145,6 +145,7 @@ def test_the_speed_is_that_between_two_lines_of_the_encoder() -> None:
     assert steady == pytest.approx(held_rpm(1200.0), rel=1.0 / delta)
 
 
+@pytest.mark.slow
 def test_start_and_reversal_beside_the_printed_time(found: Program) -> None:
     rows = {(row.name, row.origin): row for row in found.transients}
     for row in found.transients:
@@ -167,6 +168,7 @@ def _value(found: Program, numbers: str, name: str) -> float:
     return next(q.value for q in finding.found if q.name == name)
 
 
+@pytest.mark.slow
 def test_the_current_stays_below_its_reference_by_the_dead_band(found: Program) -> None:
     error = _value(found, "8.8, 8.9", "i_q reference less i_q, mean")
     assert found.dead_band == pytest.approx(12.8 / 26.0)
@@ -176,6 +178,7 @@ def test_the_current_stays_below_its_reference_by_the_dead_band(found: Program) 
     assert _value(found, "8.6", "i_q, mean") == pytest.approx(40e-6 * 125.4 / 0.27, rel=0.1)
 
 
+@pytest.mark.slow
 def test_what_the_figures_state_in_words(found: Program) -> None:
     assert _value(found, "8.3", "steady") == pytest.approx(found.held, abs=0.5)
     # 8.10: back-EMF, friction and the dead time's loss; the voltage vector turns with the rotor
@@ -194,6 +197,7 @@ def test_what_the_figures_state_in_words(found: Program) -> None:
     assert _value(found, "8.28", "within 2 % after at most") < 0.5
 
 
+@pytest.mark.slow
 def test_every_figure_is_found_or_named(found: Program) -> None:
     numbers = {
         part.strip().removeprefix("8.") for row in found.findings for part in row.numbers.split(",")
@@ -202,6 +206,7 @@ def test_every_figure_is_found_or_named(found: Program) -> None:
     assert [row.numbers for row in found.findings if not row.found] == ["8.1, 8.2"]
 
 
+@pytest.mark.slow
 def test_tables_plain_data_and_figures_show_it(found: Program) -> None:
     first, second = program_tables.program_tables(found)
     assert len(first.rows) == len(found.transients)
