@@ -189,11 +189,12 @@ PROJECT_INPUTS = (
 """Inputs that the board and the project decide, not the machine or its loops."""
 
 
-PROJECT_MACROS = tuple(
-    macro
-    for macro in MACROS["PARAMETERS"]
-    if macro not in ("M1_MOTOR_PP", "M1_I_PH_NOM", "M1_N_NOM", "M1_N_ANGULAR_MAX")
-) + (
+PROJECT_MACROS = (
+    *(
+        macro
+        for macro in MACROS["PARAMETERS"]
+        if macro not in ("M1_MOTOR_PP", "M1_I_PH_NOM", "M1_N_NOM", "M1_N_ANGULAR_MAX")
+    ),
     "M1_SPEED_RAMP_UP",
     "M1_SPEED_RAMP_DOWN",
     "M1_OL_START_RAMP_INC",
