@@ -13,6 +13,7 @@ from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import FLOAT_2025, Edition
 from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import FRACTION_BITS, printed
 from dqforge.optimizer.firmware.nxp_mcat.mcat_rules import ROOT_3, TURN
 from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatSheet, kind_of
+from dqforge.optimizer.firmware.own_values import needed
 
 LARGEST_SHARE = 0.9
 
@@ -78,10 +79,8 @@ def _inputs(asked: Asked, edition: Edition) -> Values:
     return {key: float(f"{value:.{INPUT_DIGITS}g}") for key, value in found.items()}
 
 
-def _needed(value: float | None, key: str, what: str) -> float:
-    if value is None or not math.isfinite(value) or value <= 0.0:
-        raise InputError(f"{key}: MCAT needs {what}; give it")
-    return float(value)
+def _needed(value: float | None, key: str, what: str, otherwise: str = "give it") -> float:
+    return needed(value, key, "MCAT", what, otherwise)
 
 
 def _torque_constant(drive: DriveValues) -> float:

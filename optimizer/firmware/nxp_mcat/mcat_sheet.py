@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from dqforge.optimizer.firmware import own_values
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     DriveValues,
@@ -73,8 +74,7 @@ class McatSheet:
 
     def number(self, key: str) -> float | None:
         """A value as it stands there, None where it is missing or no number."""
-        value = self.own.get(key)
-        return None if value is None or isinstance(value, str) else float(value)
+        return own_values.number(self.own, key)
 
     def constant(self, macro: str) -> float | None:
         """A constant as the firmware computes with it: in fixed point what its integer holds."""
