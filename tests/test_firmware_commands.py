@@ -532,3 +532,13 @@ def test_python_has_all_of_it(tmp_path: Path) -> None:
     (vesc,) = [path for path in put("vesc", tmp_path) if path.suffix == ".xml"]
     with pytest.raises(InputError, match=r"give \{'inverter.v_dc': '48 V'\}"):
         dqforge.design_from_firmware(vesc)
+
+
+@pytest.mark.parametrize("name", ["nxp", "ti"])
+def test_a_file_that_holds_less_is_written_into(call: Call, name: Any, tmp_path: Path) -> None:
+    path = next(path for path in put(name, tmp_path) if path.suffix == ".h")
+    words = {"nxp": '"parametersJ"', "ti": "INERTIA"}[name]
+    kept = [line for line in path.read_text().split("\n") if words not in line]
+    path.write_text("\n".join(kept))
+    document = answered(call, "export", "scooter.yaml", "--for", name, "--into", path)
+    assert document["firmware"]
