@@ -9,11 +9,16 @@ from dqforge.optimizer.solution import Solution
 from dqforge.reports.capability import Capability, Outcome, ReportPart, Rows
 from dqforge.reports.firmware_files.exported import firmware_files, read_files, target_named
 from dqforge.reports.firmware_files.plain import plain_fit
-from dqforge.reports.firmware_files.tables import fit_tables
+from dqforge.reports.firmware_files.tables import fit_tables, price_text
 from dqforge.reports.pages.chapters import Chapter
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
+
+_OF_FILE = 2
+
+"""Tables of a file and of its loops; what is lost stands behind them, here as a list."""
+
 
 Fits = tuple[FirmwareFit, ...]
 
@@ -78,7 +83,8 @@ def _parts(solution: Solution, fits: Fits) -> list[ReportPart]:
     made = [
         {
             "title": target_named(fit).title,
-            "tables": [_html(table) for table in _tables_of(solution, fit)],
+            "tables": [_html(table) for table in _tables_of(solution, fit)[:_OF_FILE]],
+            "lost": [(found.words, price_text(found)) for found in fit.shortfalls],
         }
         for fit in fits
     ]

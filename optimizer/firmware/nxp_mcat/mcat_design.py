@@ -78,14 +78,19 @@ def _inputs(asked: Asked, edition: Edition) -> Values:
     return {key: float(f"{value:.{INPUT_DIGITS}g}") for key, value in found.items()}
 
 
-def _needed(value: float | None, key: str, what: str) -> float:
+def _needed(value: float | None, key: str, what: str, otherwise: str = "give it") -> float:
     if value is None or not math.isfinite(value) or value <= 0.0:
-        raise InputError(f"{key}: MCAT needs {what}; give it")
+        raise InputError(f"{key}: MCAT needs {what}; {otherwise}")
     return float(value)
 
 
 def _torque_constant(drive: DriveValues) -> float:
-    psi = _needed(drive.psi_pm, "machine.psi_pm", "the flux linkage of magnets: it finds the rotor")
+    psi = _needed(
+        drive.psi_pm,
+        "machine.magnet_flux",
+        "the flux linkage of magnets, by which it finds the rotor",
+        "a machine without any needs another firmware",
+    )
     return 1.5 * _pairs(drive) * psi
 
 

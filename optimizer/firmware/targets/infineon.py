@@ -115,10 +115,15 @@ def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
     return infineon_shortfalls.shortfalls(asked, held)
 
 
-def _needed(value: float | None, key: str, what: str) -> float:
+def _needed(value: float | None, key: str, what: str, otherwise: str = "give it") -> float:
     if not value or value < 0.0:
-        raise InputError(f"{key}: Infineon's library needs {what}; give it")
+        raise InputError(f"{key}: Infineon's library needs {what}; {otherwise}")
     return value
+
+
+def _magnets(drive: DriveValues) -> float:
+    without = "a machine without any needs another firmware"
+    return _needed(drive.psi_pm, "machine.magnet_flux", "the flux linkage of magnets", without)
 
 
 def _machine(drive: DriveValues) -> dict[str, OwnValue]:
@@ -127,7 +132,7 @@ def _machine(drive: DriveValues) -> dict[str, OwnValue]:
             "machine: Infineon's library needs the number of poles; give poles or pole_pairs"
         )
     r_s = _needed(drive.r_s, "machine.resistance", "a resistance")
-    psi = _needed(drive.psi_pm, "machine.magnet_flux", "the flux linkage of its magnets")
+    psi = _magnets(drive)
     i_max = _needed(drive.i_max, "machine.max_current", "a largest current")
     v_dc = _needed(drive.v_dc, "inverter.v_dc", "the voltage of the dc link")
     f_sw = _needed(drive.f_sw, "inverter.switching_frequency", "a PWM frequency")
