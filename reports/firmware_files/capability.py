@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from dqforge.optimizer.firmware.solve import FirmwareFit
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.capability import Capability, Outcome, ReportPart, Rows
 from dqforge.reports.firmware_files.exported import firmware_files, read_files, target_named
 from dqforge.reports.firmware_files.plain import plain_fit
-from dqforge.reports.firmware_files.tables import fit_tables, price_text
+from dqforge.reports.firmware_files.tables import fit_tables
 from dqforge.reports.pages.chapters import Chapter
 from dqforge.reports.pages.html_table import HtmlTable, Row
+from dqforge.reports.pages.html_text import symbols
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
-
-_OF_FILE = 2
-
-"""Tables of a file and of its loops; what is lost stands behind them, here as a list."""
-
 
 Fits = tuple[FirmwareFit, ...]
 
@@ -72,22 +69,27 @@ def _margins(fit: FirmwareFit) -> str:
     return "; ".join(texts) or "no loop judged"
 
 
-def _html(table: Table) -> PlainData:
+def _html(table: Table, text_columns: int) -> HtmlTable:
     """A table for the report with its notes."""
-    rows = tuple(Row(row) for row in table.rows)
-    made = HtmlTable(table.title, table.columns, rows, len(table.columns)) if rows else None
-    return {"title": table.title, "table": made, "notes": table.notes}
+    rows = tuple(Row(tuple(map(symbols, row))) for row in table.rows)
+    columns, notes = tuple(map(symbols, table.columns)), tuple(map(symbols, table.notes))
+    return HtmlTable(symbols(table.title), columns, rows, text_columns, notes)
+
+
+def _part(solution: Solution, fit: FirmwareFit) -> PlainData:
+    files, (values, loops, *lost) = firmware_files(solution.design, fit), _tables_of(solution, fit)
+    return {
+        "title": target_named(fit).title,
+        "tables": [
+            _html(replace(values, title=", ".join(files)), len(values.columns)),
+            _html(loops, 1),
+            *(_html(table, len(table.columns)) for table in lost),
+        ],
+    }
 
 
 def _parts(solution: Solution, fits: Fits) -> list[ReportPart]:
-    made = [
-        {
-            "title": target_named(fit).title,
-            "tables": [_html(table) for table in _tables_of(solution, fit)[:_OF_FILE]],
-            "lost": [(found.words, price_text(found)) for found in fit.shortfalls],
-        }
-        for fit in fits
-    ]
+    made = [_part(solution, fit) for fit in fits]
     return [ReportPart(CHAPTER, "firmware_files/report.html.j2", {"fits": made})]
 
 

@@ -57,7 +57,7 @@ _COLUMNS = (
     "crossover Hz",
     "bandwidth Hz",
     "phase margin deg",
-    "gain margin",
+    "gain margin dB",
     "delay margin us",
     "M_s",
     "damping",
@@ -134,7 +134,7 @@ def _loop_cells(label: str, loop: JudgedLoop) -> tuple[str, ...]:
         _number(loop.crossover / (2.0 * math.pi)),
         _number(loop.bandwidth / (2.0 * math.pi)),
         _number(math.degrees(loop.phase_margin)),
-        _number(loop.gain_margin),
+        _number(20.0 * math.log10(loop.gain_margin)),
         _number(1e6 * loop.delay_margin),
         _number(loop.max_sensitivity),
         _number(loop.damping),
@@ -143,7 +143,10 @@ def _loop_cells(label: str, loop: JudgedLoop) -> tuple[str, ...]:
 
 
 def _number(value: float) -> str:
-    return f"{value:.4g}" if math.isfinite(value) else "-"
+    if not math.isfinite(value):
+        return "-"
+    text = f"{value:.4g}"
+    return f"{value:.0f}" if "e+" in text and abs(value) < 1e7 else text
 
 
 def _observed(found: JudgedFirmware, profile: LoopProfile | None) -> Iterator[str]:
@@ -169,7 +172,7 @@ def shortfall_table(found: tuple[Shortfall, ...]) -> list[Table]:
     if not found:
         return []
     rows = tuple((shortfall.words, price_text(shortfall)) for shortfall in found)
-    return [Table("what the format cannot hold", ("", "price"), rows)]
+    return [Table("what the format cannot hold", ("what is lost", "price"), rows)]
 
 
 def price_text(shortfall: Shortfall) -> str:

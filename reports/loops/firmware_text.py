@@ -58,6 +58,11 @@ def _decibel(factor: float) -> str:
     return f"{20.0 * math.log10(factor):.1f}" if math.isfinite(factor) else "none"
 
 
+def _microseconds(time: float) -> str:
+    """A time in s in microseconds: three digits, without an exponent."""
+    return f"{float(f'{1e6 * time:.3g}'):.10g}" if math.isfinite(time) else "none"
+
+
 def _row(loop: str, runner: str, gains: PiGains, unit: str, found: JudgedLoop) -> tuple[str, ...]:
     phase = f"{math.degrees(found.phase_margin):.1f}" if found.stable else "unstable"
     return (
@@ -68,7 +73,7 @@ def _row(loop: str, runner: str, gains: PiGains, unit: str, found: JudgedLoop) -
         _number(found.crossover / (2.0 * math.pi)),
         phase,
         _decibel(found.gain_margin),
-        f"{1e6 * found.delay_margin:.3g}" if math.isfinite(found.delay_margin) else "none",
+        _microseconds(found.delay_margin),
         f"{found.max_sensitivity:.2f}",
         f"{found.damping:.2f}",
     )
@@ -83,7 +88,7 @@ def _worst_row(found: LoopRobustness) -> tuple[str, ...]:
         "",
         f"{math.degrees(found.phase_margin.value):.1f}",
         _decibel(found.gain_margin.value),
-        f"{1e6 * found.delay_margin.value:.3g}",
+        _microseconds(found.delay_margin.value),
         f"{found.max_sensitivity.value:.2f}",
         "",
     )

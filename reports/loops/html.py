@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dqforge.optimizer.control_design.gain_set import GainSet
@@ -143,8 +144,10 @@ def firmware_tables(gains: GainSet) -> list[HtmlTable]:
     """The loops as the firmware that the design names runs them; none without one."""
     if gains.firmware is None:
         return []
-    caption = "; ".join((firmware_title(gains.firmware), *firmware_notes(gains.firmware)))
-    return [_table(caption, FIRMWARE_COLUMNS, firmware_rows(gains.firmware), 2)]
+    table = _table(
+        firmware_title(gains.firmware), FIRMWARE_COLUMNS, firmware_rows(gains.firmware), 2
+    )
+    return [replace(table, notes=tuple(map(symbols, firmware_notes(gains.firmware))))]
 
 
 def judged_tables(gains: GainSet) -> list[HtmlTable]:

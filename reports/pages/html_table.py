@@ -29,13 +29,15 @@ class Row:
 class HtmlTable:
     """A table with a caption.
 
-    The first ``text_columns`` columns are text, the others are set as numbers.
+    The first ``text_columns`` columns are text, the others are set as numbers; ``notes`` stand
+    below it, one line each.
     """
 
     caption: str | Markup
     columns: tuple[str | Markup, ...]
     rows: tuple[Row, ...]
     text_columns: int = 1
+    notes: tuple[str | Markup, ...] = ()
 
 
 def heading_cells(*texts: str) -> tuple[Markup, ...]:

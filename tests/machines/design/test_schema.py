@@ -27,7 +27,10 @@ from dqforge.machines.entries.rules import CountRule, EntryError, QuantityRule, 
 
 def _properties(schema: Any, path: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
     for name, section in {"": schema, **schema["$defs"]}.items():
-        for key, value in section["properties"].items():
+        forms = section.get("anyOf", [section])  # a word, or a mapping
+        mappings = [form["properties"] for form in forms if "properties" in form]
+        assert mappings, f"{name} has no keys"
+        for key, value in [entry for mapping in mappings for entry in mapping.items()]:
             yield f"{path}{name}.{key}", value
 
 
