@@ -23,7 +23,8 @@ from dqforge.reports.simulation.compiled_plant import Simulator
 
 def test_all_firmware_shares_one_program(monkeypatch: pytest.MonkeyPatch) -> None:
     names: tuple[Firmware, ...] = ("vesc", "odrive", "infineon")
-    made, told = [], []
+    made: list[str] = []
+    told: list[str] = []
 
     @contextmanager
     def counted(profile: LoopProfile, values: DriveValues) -> Iterator[Simulator]:
