@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO_DESIGN ?= paper000-ipmsm-100kw
 
+# The tests start the package in some hundred processes: its modules are compiled once, not by each of them.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test importers campaign coverage check lint types contracts format figures wheel lock clean
 
 demo: $(VENV)/runtime.stamp
@@ -14,7 +17,7 @@ demo: $(VENV)/runtime.stamp
 
 # One thread per worker: the matrices are small, and threads of the linear algebra get in each other's way.
 test: $(VENV)/dev.stamp
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "not slow and not benchmark"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "not slow and not benchmark"
 
 # Importers of other firmware, which the tests of its files try them with where they are installed. Without
 # dependencies: those that they need stand in the lock.
@@ -22,13 +25,13 @@ importers: $(VENV)/importers.stamp
 
 # Long sweeps, searches over many machines, benchmarks: what CI runs besides.
 campaign: $(VENV)/dev.stamp
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "slow or benchmark"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "slow or benchmark"
 
 # Lines and branches that the default tests run. Every line of the proofs is run; of their branches the
 # last per cent are loops that a return leaves.
 PROOFS := optimizer/certificates/*,optimizer/field_weakening/certificate.py,optimizer/field_weakening/enclosures.py,optimizer/fixed_control/ranges.py,optimizer/observers/methods/lpv_certificate.py
 coverage: $(VENV)/dev.stamp
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "not slow and not benchmark" --cov --cov-report=term
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "not slow and not benchmark" --cov --cov-report=term
 	$(BIN)/coverage report --include='$(PROOFS)' --fail-under=99
 
 check: lint types contracts

@@ -4,10 +4,13 @@ line for every wrong input.
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import io
 import json
 import math
 import re
+import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -76,9 +79,28 @@ def test_help_of_each_command_says_what_it_does(run: Run) -> None:
         assert len(outcome.out.splitlines()) > 4
 
 
-def test_run_writes_everything_and_verify_agrees(run: Run, tmp_path: Path) -> None:
-    outcome = run("run", IPM, "-o", "out")
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
+    """What a run of the shipped drive says, and the folder that it wrote; never to be changed."""
+    folder = tmp_path_factory.mktemp("kept")
+    told, failed = io.StringIO(), io.StringIO()
+    with (
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(told),
+        contextlib.redirect_stderr(failed),
+        pytest.raises(SystemExit) as stop,
+    ):
+        cli.main(["run", IPM, "-o", "out"])
+    assert isinstance(stop.value.code, int)
+    return Outcome(stop.value.code, told.getvalue(), failed.getvalue()), folder / "out"
+
+
+def test_run_writes_everything_and_verify_agrees(
+    run: Run, tmp_path: Path, kept: tuple[Outcome, Path]
+) -> None:
+    outcome, folder = kept
     assert outcome.code == 0, outcome.err
+    shutil.copytree(folder, tmp_path / "out")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "dqforge-input",
         "dqforge-manifest.json",
@@ -100,15 +122,16 @@ def test_run_writes_everything_and_verify_agrees(run: Run, tmp_path: Path) -> No
     )
 
 
-def test_readme_shows_what_a_run_prints(run: Run, tmp_path: Path) -> None:
+def test_readme_shows_what_a_run_prints(kept: tuple[Outcome, Path]) -> None:
     """The summary and the header excerpt of the README are those of the shipped drive."""
     readme = (Path(__file__).parent.parent / "README.md").read_text()
-    printed = " ".join(run("run", IPM, "-o", "out").out.split())
+    outcome, folder = kept
+    printed = " ".join(outcome.out.split())
     block = readme[
         readme.index("    IPMSM 100 kW (paper 000)") : readme.index("## What the header looks like")
     ]
     assert " ".join(block.split()) in printed
-    header = (tmp_path / "out" / "ipm100.h").read_text()
+    header = (folder / "ipm100.h").read_text()
     excerpt = readme[readme.index("```c") : readme.index("```\n", readme.index("```c") + 4)]
     code = [line.strip() for line in excerpt.splitlines()[1:] if line.strip() and "..." not in line]
     assert len(code) > 8
@@ -132,8 +155,10 @@ def test_every_library_drive_exports_and_verifies(run: Run, name: str) -> None:
     assert "bit for bit" in outcome.out
 
 
-def test_changed_header_fails_verification(run: Run, tmp_path: Path) -> None:
-    run("export", IPM, "-o", "out")
+def test_changed_header_fails_verification(
+    run: Run, tmp_path: Path, kept: tuple[Outcome, Path]
+) -> None:
+    shutil.copytree(kept[1], tmp_path / "out")
     header = tmp_path / "out" / "ipm100.h"
     text = header.read_text()
     header.write_text(re.sub(r"0\.6294F", "0.6295F", text, count=1))

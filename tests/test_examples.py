@@ -23,7 +23,12 @@ def test_every_example_is_run() -> None:
     assert {path.stem for path in FOLDER.glob("*.py")} == set(SAID)
 
 
-LONG = {"fit_and_certificate", "machine_from_arrays", "mtpa_and_field_weakening"}
+LONG = {
+    "fit_and_certificate",
+    "loops_and_tolerances",
+    "machine_from_arrays",
+    "mtpa_and_field_weakening",
+}
 """Run with the campaign; the session of the README does by default what the last two do."""
 
 

@@ -4,7 +4,6 @@ that it names.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from dqforge.machines.design.design import Design
@@ -14,17 +13,16 @@ from dqforge.machines.plants.scenario import Scenario
 from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.firmware.loop_run import firmware_drive, simulate_profile
-from dqforge.reports.simulation.compiled_plant import Simulator, require_compiler
+from dqforge.reports.simulation.compiled_plant import Progress, Simulator, require_compiler
 from dqforge.reports.simulation.design_run import (
     DriveSimulation,
     evaluate,
+    part_of,
     recorded_stride,
     require_scenario,
     simulate_design,
 )
 from dqforge.reports.simulation.plant_input import Drive, fits_carrier
-
-Progress = Callable[[float], None]
 
 
 @on_design("simulation")
@@ -63,11 +61,11 @@ def simulate_with_firmware(
     whole = solve(design) if solution is None else solution
     loops = whole.gains.firmware
     found = simulate_design(
-        design, switched=switched, solution=whole, progress=_part(progress, 0, 2)
+        design, switched=switched, solution=whole, progress=part_of(progress, 0, 2)
     )
     if loops is None:
         return found
-    mine = simulate_loops(design, loops, scenario, _part(progress, 1, 2))
+    mine = simulate_loops(design, loops, scenario, part_of(progress, 1, 2))
     return replace(found, others=(*found.others, mine))
 
 
@@ -138,10 +136,3 @@ def _as_it_can_run(
             "on the peaks of the carrier"
         )
     return scenario, tuple(remarks)
-
-
-def _part(progress: Progress | None, place: int, count: int) -> Progress | None:
-    """The progress of one of several runs."""
-    if progress is None:
-        return None
-    return lambda share: progress((place + share) / count)

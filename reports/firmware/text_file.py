@@ -10,6 +10,7 @@ from pathlib import Path
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
+from dqforge.optimizer.firmware.configuration import OwnValue
 
 MOST_BYTES = 8_000_000
 
@@ -113,3 +114,16 @@ def plain_number(text: str) -> float | None:
         return None
     value = float(stripped)
     return value if math.isfinite(value) else None
+
+
+def number_text(value: OwnValue, digits: int) -> str:
+    """A value as plain files hold it: of a float that many significant digits, words and whole
+    numbers as they are.
+    """
+    return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+
+
+def c_float(value: float, digits: int) -> str:
+    """A float constant of C: with a point or an exponent, and the suffix."""
+    text = f"{value:.{digits}g}"
+    return f"{text if '.' in text or 'e' in text else text + '.0'}f"

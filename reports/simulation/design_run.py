@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +29,12 @@ from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
 from dqforge.reports.phase_control.emitted import emitted_control_files, phase_control_of
 from dqforge.reports.phase_control.emitted_integers import integer_files
-from dqforge.reports.simulation.compiled_plant import require_compiler, simulate, simulator
+from dqforge.reports.simulation.compiled_plant import (
+    Progress,
+    require_compiler,
+    simulate,
+    simulator,
+)
 from dqforge.reports.simulation.number_format import not_simulated, simulated
 from dqforge.reports.simulation.plant_input import Drive
 from dqforge.reports.simulation.recorded_run import PhaseRecord, Simulation, Summary
@@ -256,13 +260,20 @@ def in_float32(solution: Solution) -> Solution:
     )
 
 
+def part_of(progress: Progress | None, place: int, count: int) -> Progress | None:
+    """The progress of one of several runs, from 0 on."""
+    if progress is None:
+        return None
+    return lambda share: progress((place + share) / count)
+
+
 @on_design("simulation")
 def simulate_design(
     design: Design,
     *,
     switched: bool = False,
     solution: Solution | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> DriveSimulation:
     """Solve a design, emit its controller in every format that it asks for, compile each with the
     plant, and run the scenario.
@@ -294,7 +305,7 @@ def simulate_design(
     found = [
         replace(
             _simulated_in(
-                design, whole, scenario, number_format, _part(progress, place, len(formats))
+                design, whole, scenario, number_format, part_of(progress, place, len(formats))
             ),
             not_simulated=not_simulated(whole),
         )
@@ -319,7 +330,7 @@ def _simulated_in(
     solution: Solution,
     scenario: Scenario,
     number_format: NumberFormat,
-    progress: Callable[[float], None] | None,
+    progress: Progress | None,
 ) -> DriveSimulation:
     """The run of the control functions in one format."""
     stride = recorded_stride(scenario, design.control.t_s)
@@ -337,15 +348,6 @@ def _simulated_in(
 def recorded_stride(scenario: Scenario, t_s: float) -> int:
     """Samples of ``t_s`` in s per recorded row."""
     return 1 + int(scenario.duration / t_s) // _MOST_ROWS
-
-
-def _part(
-    progress: Callable[[float], None] | None, place: int, count: int
-) -> Callable[[float], None] | None:
-    """The progress of one of several runs."""
-    if progress is None:
-        return None
-    return lambda share: progress((place + share) / count)
 
 
 def evaluate(design: Design, run: Simulation) -> DriveSimulation:

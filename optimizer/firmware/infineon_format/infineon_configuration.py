@@ -13,6 +13,7 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
+from dqforge.optimizer.firmware.field_origins import field_origins
 from dqforge.optimizer.firmware.infineon_format.infineon_contradictions import contradictions
 from dqforge.optimizer.firmware.infineon_format.infineon_keys import VERSION, number
 
@@ -178,10 +179,8 @@ _FIELDS = {
 
 
 def _origins(found: Mapping[str, Origin]) -> dict[str, Origin]:
-    """Origins by the field of the configuration, and by member."""
-    fields = {}
-    for field, (keys, conversion) in _FIELDS.items():
-        origin = next((found[f"params.{key}"] for key in keys if f"params.{key}" in found), None)
-        if origin is not None:
-            fields[field] = Origin(origin.key, origin.text, origin.line, conversion)
-    return fields | dict(found)
+    fields = {
+        field: (tuple(f"params.{key}" for key in keys), conversion)
+        for field, (keys, conversion) in _FIELDS.items()
+    }
+    return field_origins(found, fields)

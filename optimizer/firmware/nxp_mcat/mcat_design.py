@@ -13,6 +13,7 @@ from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import FLOAT_2025, Edition
 from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import FRACTION_BITS, printed
 from dqforge.optimizer.firmware.nxp_mcat.mcat_rules import ROOT_3, TURN
 from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatSheet, kind_of
+from dqforge.optimizer.firmware.own_values import needed
 
 LARGEST_SHARE = 0.9
 
@@ -79,9 +80,7 @@ def _inputs(asked: Asked, edition: Edition) -> Values:
 
 
 def _needed(value: float | None, key: str, what: str, otherwise: str = "give it") -> float:
-    if value is None or not math.isfinite(value) or value <= 0.0:
-        raise InputError(f"{key}: MCAT needs {what}; {otherwise}")
-    return float(value)
+    return needed(value, key, "MCAT", what, otherwise)
 
 
 def _torque_constant(drive: DriveValues) -> float:

@@ -117,6 +117,13 @@ def conventions(sheet: McatSheet) -> tuple[str, ...]:
             "the file does not say the DC-link voltage: sqrt(3) times the nominal phase voltage "
             "parametersUphNom stands for it"
         )
+    elif (phase := sheet.number("parametersUphNom")) is not None:
+        said.append(
+            f"the file does not say the DC-link voltage: sqrt(3) times parametersUphNom "
+            f"{phase:g} V is one at which the firmware switches off, outside of "
+            f"{sheet.number('parametersUdcbUnder') or 0.0:g} to "
+            f"{sheet.number('parametersUdcbOver') or 0.0:g} V: give it"
+        )
     if sheet.own.get("parametersRs") is None and sheet.implied():
         said.append("R, L_d and L_q are those that the constants of the observer are made of")
     return tuple(said)

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from dqforge.optimizer.firmware import own_values
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     DriveValues,
@@ -73,8 +74,7 @@ class McatSheet:
 
     def number(self, key: str) -> float | None:
         """A value as it stands there, None where it is missing or no number."""
-        value = self.own.get(key)
-        return None if value is None or isinstance(value, str) else float(value)
+        return own_values.number(self.own, key)
 
     def constant(self, macro: str) -> float | None:
         """A constant as the firmware computes with it: in fixed point what its integer holds."""
@@ -190,9 +190,15 @@ class McatSheet:
         return None if value is None or full is None or not pairs else value * full / pairs
 
     def link_voltage(self) -> float | None:
-        """DC-link voltage in V whose linear range ends at the nominal phase voltage."""
+        """DC-link voltage in V whose linear range ends at the nominal phase voltage; None where
+        the firmware takes this voltage for a fault.
+        """
         phase = self.number("parametersUphNom")
-        return None if phase is None else ROOT_3 * phase
+        if phase is None:
+            return None
+        lowest = self.number("parametersUdcbUnder") or 0.0
+        largest = self.number("parametersUdcbOver") or math.inf
+        return ROOT_3 * phase if lowest <= ROOT_3 * phase <= largest else None
 
     def drive(self) -> DriveValues:
         """Machine and timing as the file tells them; without inputs what its constants imply."""

@@ -5,16 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from dqforge.optimizer.firmware.common_shortfalls import NOTICED, q_current_alone
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
-from dqforge.optimizer.firmware.current_prices import linear_rule, price_of
 from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall
 from dqforge.optimizer.firmware.nxp_mcat.mcat_constants import constants
 from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import EDITIONS
 from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatSheet
-
-NOTICED = 1e-3
-
-"""Share from which on something is said of it."""
 
 
 def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
@@ -39,20 +35,12 @@ def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
 
 
 def _currents(asked: Asked) -> Iterator[Shortfall]:
-    """The speed controller commands q current alone."""
-    if asked.design.strategy != "mtpa":
-        return
-    psi = asked.drive.psi_pm or 0.0
-    price = price_of(asked.design.machine, asked.design.i_max, linear_rule(psi, 0.0))
-    if price.torque < NOTICED:
-        return
-    yield Shortfall(
-        f"MCAT's controllers ask for no d current: at {asked.design.i_max:.4g} A that makes "
-        f"{100.0 * price.torque:.2g} % less torque than this machine can, or loses "
-        f"{100.0 * price.copper_loss:.2g} % more in copper for the same torque; i_d from the "
-        f"header of current references has to be written to sIDQReq.fltD by the application",
-        (Price("torque", price.torque, ""), Price("copper loss", price.copper_loss, "")),
+    lead = "MCAT's control asks for no d current"
+    tail = (
+        "; i_d from the header of current references has to be written to sIDQReq.fltD by the "
+        "application"
     )
+    return q_current_alone(asked, asked.drive.psi_pm or 0.0, lead, tail=tail)
 
 
 def _inputs_of_d(sheet: McatSheet) -> Iterator[Shortfall]:

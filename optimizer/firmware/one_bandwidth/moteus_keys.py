@@ -19,6 +19,7 @@ from dqforge.optimizer.firmware.configuration import (
     PiGains,
 )
 from dqforge.optimizer.firmware.one_bandwidth.moteus_sentences import contradictions, conventions
+from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS, rounded
 
 FIRMWARE: Firmware = "moteus"
 
@@ -126,7 +127,7 @@ def as_printed(key: str, value: float) -> float | int:
     value:
         In its unit.
     """
-    return round(value) if key in WHOLE else float(f"{value:.7g}")
+    return round(value) if key in WHOLE else rounded(value, FLOAT32_DIGITS)
 
 
 def pwm_rate(wished: float) -> int:

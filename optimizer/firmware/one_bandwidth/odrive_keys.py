@@ -18,6 +18,7 @@ from dqforge.optimizer.firmware.configuration import (
     PiGains,
 )
 from dqforge.optimizer.firmware.one_bandwidth.odrive_sentences import contradictions, conventions
+from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS, rounded
 
 FIRMWARE: Firmware = "odrive"
 
@@ -95,7 +96,7 @@ def as_printed(key: str, value: float | bool) -> float | int | bool:
     """
     kind = KINDS[key]
     if kind is float:
-        return float(f"{value:.7g}")
+        return rounded(value, FLOAT32_DIGITS)
     return bool(value) if kind is bool else round(value)
 
 

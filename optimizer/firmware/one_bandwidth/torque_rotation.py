@@ -13,6 +13,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS, rounded
 
 NEVER = 10000.0
 
@@ -84,7 +85,9 @@ def torque_rotation(machine: Machine, constant: float, i_max: float) -> TorqueRo
         return unused
     cutoff, scale = _best_shape(current, torque, constant)
     weight, error = _best_weight(current, torque, constant, np.array([cutoff]), np.array([scale]))
-    cutoff, scale, torque_scale = (float(f"{value:.7g}") for value in (cutoff, scale, weight[0]))
+    cutoff, scale, torque_scale = (
+        rounded(value, FLOAT32_DIGITS) for value in (cutoff, scale, weight[0])
+    )
     found = TorqueRotation(cutoff, scale, torque_scale, float(error[0]), straight, largest)
     return found if found.torque_scale > 0.0 and found.error < straight else unused
 

@@ -12,6 +12,8 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
+from dqforge.optimizer.firmware.field_origins import field_origins
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import (
     DEFAULTS,
     FOC_CURRENT,
@@ -19,7 +21,6 @@ from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import (
     V_DC,
     VERSION,
     flux_or_kv,
-    number,
     set_or_default,
 )
 
@@ -71,7 +72,7 @@ def configuration(
         current_q=_pair(own, "PID_current_q") if controlled else None,
         speed=_speed(own) if controlled else None,
         own=dict(own),
-        origins=_origins(found),
+        origins=field_origins(found, _FIELDS),
         conventions=(*CONVENTIONS, *assumed, *remarks),
         contradictions=tuple(_contradictions(own)) if controlled else (),
     )
@@ -157,8 +158,8 @@ def _contradictions(own: Mapping[str, OwnValue]) -> Iterator[str]:
 _FIELDS = {
     "pole_pairs": ("pole_pairs", "as it is"),
     "r_s": ("phase_resistance", "as it is, Ohm of a phase"),
-    "l_d": ("axis_inductance.d", "as it is, H of a phase"),
-    "l_q": ("axis_inductance.q", "as it is, H of a phase"),
+    "l_d": (("axis_inductance.d", "phase_inductance"), "as it is, H of a phase"),
+    "l_q": (("axis_inductance.q", "phase_inductance"), "as it is, H of a phase"),
     "psi_pm": ("KV_rating", "60/(sqrt 3 2 pi pole_pairs KV), Wb (peak of phase)"),
     "i_max": ("current_limit", "as it is, A (peak of phase)"),
     "omega_m_max": ("velocity_limit", "as it is, rad/s (mechanical)"),
@@ -172,14 +173,3 @@ _FIELDS = {
     "speed.kp": ("PID_velocity.P", "as it is, A s/rad"),
     "speed.ki": ("PID_velocity.I", "as it is, A/rad"),
 }
-
-
-def _origins(found: Mapping[str, Origin]) -> dict[str, Origin]:
-    """Origins by the field of the configuration, and by the member's own name."""
-    single = found.get("phase_inductance")
-    fields = {}
-    for field, (key, conversion) in _FIELDS.items():
-        origin = found.get(key, single if field in ("l_d", "l_q") else None)
-        if origin is not None:
-            fields[field] = Origin(origin.key, origin.text, origin.line, conversion)
-    return fields | dict(found)

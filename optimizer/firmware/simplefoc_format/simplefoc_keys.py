@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from dqforge.optimizer.firmware.configuration import Number, OwnValue
+from dqforge.optimizer.firmware.own_values import number, rounded
 
 VERSION = "2.4"
 
@@ -97,13 +98,7 @@ period of its loop that its documentation names for them.
 
 def as_printed(value: float) -> float:
     """A number as it comes back from the file."""
-    return float(f"{value:.{SIGNIFICANT}g}")
-
-
-def number(own: Mapping[str, OwnValue], name: str) -> float | None:
-    """A value of the file; None where it is not there."""
-    value = own.get(name)
-    return None if value is None or isinstance(value, str) else float(value)
+    return rounded(value, SIGNIFICANT)
 
 
 def set_or_default(own: Mapping[str, OwnValue], name: str) -> float:

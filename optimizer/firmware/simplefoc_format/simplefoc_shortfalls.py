@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from dqforge.optimizer.firmware.common_shortfalls import q_current_alone
 from dqforge.optimizer.firmware.configuration import Configuration
-from dqforge.optimizer.firmware.current_prices import linear_rule, price_of
 from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall
 from dqforge.optimizer.firmware.profile import LoopProfile
-
-_NOTICED = 1e-3
 
 
 def shortfalls(asked: Asked, held: Configuration, runs: LoopProfile) -> tuple[Shortfall, ...]:
@@ -29,19 +27,12 @@ def shortfalls(asked: Asked, held: Configuration, runs: LoopProfile) -> tuple[Sh
 
 
 def _currents(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
-    """The library commands q current alone."""
     psi = held.drive.psi_pm
-    if asked.design.strategy != "mtpa" or psi is None:
+    if psi is None:
         return
-    price = price_of(asked.design.machine, asked.design.i_max, linear_rule(psi, 0.0))
-    if price.torque >= _NOTICED:
-        yield Shortfall(
-            f"SimpleFOC commands no d current: at {asked.design.i_max:.4g} A it makes "
-            f"{100.0 * price.torque:.2g} % less torque than this machine can, or loses "
-            f"{100.0 * price.copper_loss:.2g} % more in copper for the same torque, unless the "
-            f"sketch sets feed_forward_current.d in every loop",
-            (Price("torque", price.torque, ""), Price("copper loss", price.copper_loss, "")),
-        )
+    lead = "SimpleFOC commands no d current"
+    tail = ", unless the sketch sets feed_forward_current.d in every loop"
+    yield from q_current_alone(asked, psi, lead, tail=tail)
 
 
 def _back_emf(asked: Asked, runs: LoopProfile) -> Iterator[Shortfall]:

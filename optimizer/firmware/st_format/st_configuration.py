@@ -12,17 +12,12 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.st_format.st_contradictions import contradictions
 from dqforge.optimizer.firmware.st_format.st_gains import current_gains, speed_gains
 from dqforge.optimizer.firmware.st_format.st_keys import COUNTED, VERSION
 from dqforge.optimizer.firmware.st_format.st_observer import flux_of
-from dqforge.optimizer.firmware.st_format.st_scales import (
-    FULL,
-    control_rate,
-    current_scale,
-    number,
-    scales,
-)
+from dqforge.optimizer.firmware.st_format.st_scales import FULL, control_rate, current_scale, scales
 
 CONVENTIONS = (
     "currents are peak values of a phase, 32768 counts are reference/2 over shunt and gain",

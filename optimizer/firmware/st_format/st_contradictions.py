@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from dqforge.optimizer.firmware.configuration import OwnValue
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.st_format.st_gains import shift
 from dqforge.optimizer.firmware.st_format.st_mtpa import (
     SEGMENTS,
@@ -25,7 +26,6 @@ from dqforge.optimizer.firmware.st_format.st_scales import (
     control_rate,
     current_scale,
     integers,
-    number,
 )
 
 _STEP = 10

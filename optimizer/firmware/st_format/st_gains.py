@@ -8,12 +8,8 @@ from dataclasses import dataclass
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import OwnValue, PiGains
-from dqforge.optimizer.firmware.st_format.st_scales import (
-    LARGEST,
-    SPEED_UNIT,
-    Scales,
-    number,
-)
+from dqforge.optimizer.firmware.own_values import number
+from dqforge.optimizer.firmware.st_format.st_scales import LARGEST, SPEED_UNIT, Scales
 
 BANDWIDTH = 6000.0
 

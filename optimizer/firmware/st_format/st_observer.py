@@ -8,14 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from dqforge.optimizer.firmware.configuration import Number, OwnValue
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.st_format.st_gains import shift
-from dqforge.optimizer.firmware.st_format.st_scales import (
-    EMF,
-    LARGEST,
-    control_rate,
-    current_scale,
-    number,
-)
+from dqforge.optimizer.firmware.st_format.st_scales import EMF, LARGEST, control_rate, current_scale
 
 _LARGEST_FACTOR = 16384
 

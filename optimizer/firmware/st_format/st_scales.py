@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from dqforge.optimizer.firmware.configuration import OwnValue
+from dqforge.optimizer.firmware.own_values import number, rounded
 
 FULL = 32768.0
 
@@ -66,12 +67,6 @@ class Scales:
         return self.proportional / self.rate
 
 
-def number(own: Mapping[str, OwnValue], name: str) -> float | None:
-    """A number of a configuration, None where there is none."""
-    value = own.get(name)
-    return None if value is None or isinstance(value, str) else float(value)
-
-
 def integers(text: OwnValue | None) -> tuple[int, ...] | None:
     """Integers of a table such as ``{0,-12,3}``; None where there is none."""
     return None if not isinstance(text, str) else tuple(int(part) for part in _WHOLE.findall(text))
@@ -79,7 +74,7 @@ def integers(text: OwnValue | None) -> tuple[int, ...] | None:
 
 def printed(value: float) -> float:
     """A number as it is printed, with six digits."""
-    return float(f"{value:.6g}")
+    return rounded(value, 6)
 
 
 def current_scale(own: Mapping[str, OwnValue]) -> float | None:

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.st_format.st_observer import tracking_integers
 from dqforge.optimizer.firmware.st_format.st_scales import (
     SPEED_UNIT,
     control_rate,
     current_scale,
     integers,
-    number,
 )
 from dqforge.optimizer.firmware.st_format.st_table import table_price
 

@@ -11,12 +11,12 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
-from dqforge.optimizer.firmware.infineon_format import infineon_shortfalls
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
 from dqforge.optimizer.firmware.infineon_format.flux_table import flux_table
 from dqforge.optimizer.firmware.infineon_format.infineon_configuration import configuration
 from dqforge.optimizer.firmware.infineon_format.infineon_contradictions import filter_time
 from dqforge.optimizer.firmware.infineon_format.infineon_keys import (
+    FIRMWARE,
     KEYS,
     TABLE,
     TABLE_KEYS,
@@ -25,6 +25,8 @@ from dqforge.optimizer.firmware.infineon_format.infineon_keys import (
     kept,
     number,
 )
+from dqforge.optimizer.firmware.infineon_format.infineon_shortfalls import shortfalls
+from dqforge.optimizer.firmware.own_values import needed
 from dqforge.optimizer.firmware.profile import (
     CurrentLoops,
     FluxObserver,
@@ -110,15 +112,8 @@ def profile(found: Configuration) -> LoopProfile:
     )
 
 
-def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
-    """What the parameters do not hold of what was asked, each with its price."""
-    return infineon_shortfalls.shortfalls(asked, held)
-
-
 def _needed(value: float | None, key: str, what: str, otherwise: str = "give it") -> float:
-    if not value or value < 0.0:
-        raise InputError(f"{key}: Infineon's library needs {what}; {otherwise}")
-    return value
+    return needed(value, key, FIRMWARE, what, otherwise)
 
 
 def _magnets(drive: DriveValues) -> float:

@@ -14,6 +14,7 @@ from dqforge.optimizer.firmware.configuration import (
     PiGains,
 )
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.profile import (
     CurrentLoops,
     LoopProfile,
@@ -33,7 +34,6 @@ from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import (
     VERSION,
     as_printed,
     flux_or_kv,
-    number,
     set_or_default,
 )
 from dqforge.optimizer.firmware.simplefoc_format.simplefoc_shortfalls import (

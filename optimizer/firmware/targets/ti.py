@@ -11,7 +11,8 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
-from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
+from dqforge.optimizer.firmware.own_values import needed
 from dqforge.optimizer.firmware.profile import (
     AntiWindup,
     CurrentLoops,
@@ -21,7 +22,6 @@ from dqforge.optimizer.firmware.profile import (
     SpeedController,
     SpeedEstimate,
 )
-from dqforge.optimizer.firmware.ti_format import ti_shortfalls
 from dqforge.optimizer.firmware.ti_format.ti_configuration import (
     BANDWIDTHS,
     TWO_PI,
@@ -32,6 +32,7 @@ from dqforge.optimizer.firmware.ti_format.ti_configuration import (
 )
 from dqforge.optimizer.firmware.ti_format.ti_keys import (
     BOARD_PREFIX,
+    FIRMWARE,
     KEYS,
     MOTOR_PREFIX,
     VERSION,
@@ -39,6 +40,7 @@ from dqforge.optimizer.firmware.ti_format.ti_keys import (
     known,
     number,
 )
+from dqforge.optimizer.firmware.ti_format.ti_shortfalls import shortfalls
 
 _LAB = "TexasInstruments/motor-control-sdk tidm_02018_universal_motorcontrol "
 
@@ -152,15 +154,8 @@ def profile(found: Configuration) -> LoopProfile:
     )
 
 
-def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
-    """What the block does not hold of what was asked, each with its price."""
-    return ti_shortfalls.shortfalls(asked, held)
-
-
 def _needed(value: float | None, key: str, what: str, otherwise: str = "give it") -> float:
-    if not value or value < 0.0:
-        raise InputError(f"{key}: TI's lab needs {what}; {otherwise}")
-    return value
+    return needed(value, key, FIRMWARE, what, otherwise)
 
 
 def _magnets(drive: DriveValues) -> float:

@@ -13,6 +13,7 @@ from dqforge.optimizer.firmware.configuration import (
     PiGains,
 )
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.profile import (
     CurrentLoops,
     FluxObserver,
@@ -36,7 +37,6 @@ from dqforge.optimizer.firmware.vesc_format.vesc_keys import (
     VERSION,
     kept,
     loop_number,
-    number,
 )
 from dqforge.optimizer.firmware.vesc_format.vesc_shortfalls import shortfalls as found_shortfalls
 

@@ -15,6 +15,7 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
+from dqforge.optimizer.firmware.field_origins import field_origins
 from dqforge.optimizer.firmware.ti_format.ti_contradictions import contradictions
 from dqforge.optimizer.firmware.ti_format.ti_keys import (
     INSTASPIN,
@@ -207,10 +208,4 @@ _OF_GAINS = {
 
 
 def _origins(found: Mapping[str, Origin], version: str) -> dict[str, Origin]:
-    """Origins by the field of the configuration, and by macro."""
-    fields = _FIELDS if version == INSTASPIN else _FIELDS | _OF_GAINS
-    return {
-        field: Origin(origin.key, origin.text, origin.line, conversion)
-        for field, (key, conversion) in fields.items()
-        if (origin := found.get(key)) is not None
-    } | dict(found)
+    return field_origins(found, _FIELDS if version == INSTASPIN else _FIELDS | _OF_GAINS)

@@ -11,19 +11,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from dqforge.machines.errors import InputError
+from dqforge.optimizer.firmware import own_values
 from dqforge.optimizer.firmware.configuration import Number, OwnValue
+from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS, float32_value, rounded
+
+FIRMWARE = "TI's lab"
+
+"""Its name in messages."""
+
 
 VERSION = "universal lab 2024"
 
 OLDER_LAB = "universal lab 3.03"
 
 INSTASPIN = "user.h of InstaSPIN"
-
-SIGNIFICANT = 7
-
-"""Significant digits that are printed: what a float32 holds."""
-
 
 Decided = Literal["design", "start", "gains"]
 
@@ -124,24 +125,20 @@ READ_ONLY: Mapping[str, Key] = {
 
 def as_printed(value: float) -> float:
     """A number as it comes back from the file."""
-    return float(f"{value:.{SIGNIFICANT}g}")
+    return rounded(value, FLOAT32_DIGITS)
 
 
 def kept(value: float, asked_by: str) -> float:
     """A value as the file holds it; raises InputError, naming the key of the design, where a
     float32 cannot.
     """
-    rounded = as_printed(value)
-    if rounded != 0.0 and not 1e-30 < abs(rounded) < 1e30:
-        raise InputError(f"{asked_by}: TI's lab computes in float32, which {value:g} does not fit")
-    return rounded
+    return float32_value(value, asked_by, FIRMWARE)
 
 
 def number(own: Mapping[str, OwnValue], name: str) -> float | None:
     """A value of the motor (``Rs_Ohm``) or the board (``M1_...``) as a number, None without one."""
     full = f"USER_{name}" if name.startswith("M1_") else MOTOR_PREFIX + name
-    value = own.get(full)
-    return None if value is None or isinstance(value, str) else float(value)
+    return own_values.number(own, full)
 
 
 def known(own: Mapping[str, OwnValue], name: str, otherwise: Number) -> float:

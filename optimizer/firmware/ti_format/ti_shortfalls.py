@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from dqforge.optimizer.firmware.common_shortfalls import closed_form_currents, other_periods
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
-from dqforge.optimizer.firmware.current_prices import linear_rule, price_of
 from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall
 from dqforge.optimizer.firmware.ti_format.ti_configuration import (
     BANDWIDTHS,
@@ -14,10 +14,7 @@ from dqforge.optimizer.firmware.ti_format.ti_configuration import (
     speed_rule,
 )
 from dqforge.optimizer.firmware.ti_format.ti_contradictions import TRIP_SHARE
-from dqforge.optimizer.firmware.ti_format.ti_keys import number
-
-_NOTICED = 1e-3
-
+from dqforge.optimizer.firmware.ti_format.ti_keys import FIRMWARE, number
 
 _ADVISED = (0.1, 10.0)
 
@@ -41,7 +38,7 @@ def shortfalls(asked: Asked, held: Configuration) -> tuple[Shortfall, ...]:
         *_fixed_bandwidth(asked, held),
         *_factors(held),
         *_currents(asked, held),
-        *_periods(asked, held),
+        *other_periods(asked, held, FIRMWARE),
         *_range(held),
         *_field_weakening(held),
     )
@@ -97,35 +94,10 @@ def _factors(held: Configuration) -> Iterator[Shortfall]:
 
 
 def _currents(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
-    """The closed form of linear machines against what the machine needs."""
     drive = held.drive
-    if asked.design.strategy != "mtpa" or drive.psi_pm is None or drive.i_max is None:
-        return
     saliency = (drive.l_q or 0.0) - (drive.l_d or 0.0)
-    i_max = min(drive.i_max, asked.design.i_max)
-    price = price_of(asked.design.machine, i_max, linear_rule(drive.psi_pm, saliency))
-    if price.torque < _NOTICED:
-        return
-    form = "the closed form of a linear machine" if saliency else "no d current"
-    yield Shortfall(
-        f"TI's currents of most torque per ampere (MOTOR1_MTPA) are {form}: at {i_max:.4g} A they "
-        f"make {100.0 * price.torque:.2g} % less torque than this machine can, or lose "
-        f"{100.0 * price.copper_loss:.2g} % more in copper for the same torque",
-        (Price("torque", price.torque, ""), Price("copper loss", price.copper_loss, "")),
-    )
-
-
-def _periods(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
-    for what, wanted, has in (
-        ("control step", asked.drive.t_s, held.drive.t_s),
-        ("speed controller", asked.drive.t_speed, held.drive.t_speed),
-    ):
-        if wanted and has and not math.isclose(wanted, has, rel_tol=1e-4):
-            yield Shortfall(
-                f"TI's lab runs the {what} every {1e6 * has:.4g} us, the design every "
-                f"{1e6 * wanted:.4g} us",
-                (Price(f"period of the {what}", has - wanted, "s"),),
-            )
+    lead = "TI's currents of most torque per ampere (MOTOR1_MTPA)"
+    return closed_form_currents(asked, held, saliency, lead)
 
 
 def _range(held: Configuration) -> Iterator[Shortfall]:

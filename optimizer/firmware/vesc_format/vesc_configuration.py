@@ -12,8 +12,10 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
+from dqforge.optimizer.firmware.field_origins import field_origins
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.vesc_format.vesc_contradictions import contradictions
-from dqforge.optimizer.firmware.vesc_format.vesc_keys import VERSION, loop_number, number
+from dqforge.optimizer.firmware.vesc_format.vesc_keys import VERSION, loop_number
 
 LOOP_RATES = (25.0, 50.0, 100.0, 250.0, 500.0, 1000.0, 2500.0, 5000.0, 10000.0)
 
@@ -64,7 +66,7 @@ def configuration(
         current_q=_pair(own, "foc_current_kp", "foc_current_ki", 1.0),
         speed=_speed(own),
         own=dict(own),
-        origins=_origins(found),
+        origins=field_origins(found, _FIELDS),
         conventions=CONVENTIONS,
         contradictions=contradictions(own),
     )
@@ -151,13 +153,3 @@ _FIELDS = {
     "speed.kp": ("s_pid_kp", "times 30/pi times pole pairs times l_current_max/20, A s/rad"),
     "speed.ki": ("s_pid_ki", "times 30/pi times pole pairs times l_current_max/20, A/rad"),
 }
-
-
-def _origins(found: Mapping[str, Origin]) -> dict[str, Origin]:
-    """Origins by the field of the configuration, and by the file's own name."""
-    fields = {
-        field: Origin(origin.key, origin.text, origin.line, conversion)
-        for field, (key, conversion) in _FIELDS.items()
-        if (origin := found.get(key)) is not None
-    }
-    return fields | dict(found)

@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterator, Mapping
 
 from dqforge.optimizer.firmware.configuration import OwnValue
-from dqforge.optimizer.firmware.vesc_format.vesc_keys import loop_number, number
+from dqforge.optimizer.firmware.own_values import number
+from dqforge.optimizer.firmware.vesc_format.vesc_keys import loop_number
 
 TOLERANCE = 0.01
 

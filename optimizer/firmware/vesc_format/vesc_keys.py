@@ -12,6 +12,7 @@ from typing import Literal
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Number, OwnValue
+from dqforge.optimizer.firmware.own_values import number, rounded
 
 VERSION = "7.01"
 
@@ -90,7 +91,7 @@ LOOP_DEFAULTS: Mapping[str, Number] = {
 
 def as_printed(value: float) -> float:
     """A number as it comes back from the file."""
-    return float(f"{value:.{SIGNIFICANT}g}")
+    return rounded(value, SIGNIFICANT)
 
 
 def kept(name: str, value: float, asked_by: str) -> Number:
@@ -99,19 +100,13 @@ def kept(name: str, value: float, asked_by: str) -> Number:
     Raises InputError, naming the key of the design that asks for it, where it cannot be held.
     """
     key = KEYS[name]
-    rounded = round(value) if key.kind == "whole" else as_printed(value)
-    if not key.least <= rounded <= key.most:
+    held = round(value) if key.kind == "whole" else as_printed(value)
+    if not key.least <= held <= key.most:
         raise InputError(
-            f"{asked_by}: VESC's {name} holds {key.least:g} to {key.most:g}, not {rounded:g}; "
+            f"{asked_by}: VESC's {name} holds {key.least:g} to {key.most:g}, not {held:g}; "
             f"choose a design within that"
         )
-    return rounded
-
-
-def number(own: Mapping[str, OwnValue], name: str) -> float | None:
-    """A value of the file as a number; None where it is not there."""
-    value = own.get(name)
-    return None if value is None or isinstance(value, str) else float(value)
+    return held
 
 
 def loop_number(own: Mapping[str, OwnValue], name: str) -> float:

@@ -6,15 +6,17 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
+from dqforge.optimizer.firmware.common_shortfalls import (
+    NOTICED,
+    closed_form_currents,
+    other_periods,
+)
 from dqforge.optimizer.firmware.configuration import Configuration
-from dqforge.optimizer.firmware.current_prices import linear_rule, price_of
 from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall
 from dqforge.optimizer.firmware.judge import judge
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.profile import LoopProfile
-from dqforge.optimizer.firmware.vesc_format.vesc_keys import loop_number, number
-
-_NOTICED = 1e-3
-
+from dqforge.optimizer.firmware.vesc_format.vesc_keys import loop_number
 
 _BACK_EMF_SHARE = 0.98
 
@@ -42,7 +44,7 @@ def shortfalls(asked: Asked, held: Configuration, runs: LoopProfile) -> tuple[Sh
     return (
         *_one_pair(asked, held, runs),
         *_currents(asked, held),
-        *_periods(asked, held),
+        *other_periods(asked, held, "VESC"),
         *_voltage(asked, held),
         *_dead_time(asked, held),
         *_feed_forward(asked, runs),
@@ -53,7 +55,7 @@ def _one_pair(asked: Asked, held: Configuration, runs: LoopProfile) -> Iterator[
     gains = held.current_q
     if gains is None or (asked.current_d, asked.current_q) == (gains, gains):
         return
-    if _alike(asked.current_d.kp, asked.current_q.kp):
+    if math.isclose(asked.current_d.kp, asked.current_q.kp, rel_tol=1e-4):
         return
     current = runs.current
     wished = replace(
@@ -85,40 +87,10 @@ def _one_pair(asked: Asked, held: Configuration, runs: LoopProfile) -> Iterator[
 
 
 def _currents(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
-    """The closed form of linear machines, or no d current, against what the machine needs."""
-    if asked.design.strategy != "mtpa":
-        return
-    psi, difference = held.drive.psi_pm, number(held.own, "foc_motor_ld_lq_diff") or 0.0
-    if psi is None or held.drive.i_max is None:
-        return
+    difference = number(held.own, "foc_motor_ld_lq_diff") or 0.0
     used = difference if loop_number(held.own, "foc_mtpa_mode") > 0 else 0.0
-    i_max = min(held.drive.i_max, asked.design.i_max)
-    price = price_of(asked.design.machine, i_max, linear_rule(psi, used))
-    if price.torque < _NOTICED:
-        return
-    form = "the closed form of a linear machine" if used else "no d current"
-    yield Shortfall(
-        f"VESC's currents of most torque per ampere are {form}: at {i_max:.4g} A they make "
-        f"{100.0 * price.torque:.2g} % less torque than this machine can, or lose "
-        f"{100.0 * price.copper_loss:.2g} % more in copper for the same torque",
-        (
-            Price("torque", price.torque, ""),
-            Price("copper loss", price.copper_loss, ""),
-        ),
-    )
-
-
-def _periods(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
-    for what, wanted, has in (
-        ("control step", asked.drive.t_s, held.drive.t_s),
-        ("speed controller", asked.drive.t_speed, held.drive.t_speed),
-    ):
-        if wanted and has and not _alike(wanted, has):
-            yield Shortfall(
-                f"VESC runs the {what} every {1e6 * has:.4g} us, the design every "
-                f"{1e6 * wanted:.4g} us",
-                (Price(f"period of the {what}", has - wanted, "s"),),
-            )
+    lead = "VESC's currents of most torque per ampere"
+    return closed_form_currents(asked, held, used, lead)
 
 
 def _voltage(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
@@ -126,7 +98,7 @@ def _voltage(asked: Asked, held: Configuration) -> Iterator[Shortfall]:
     share = loop_number(held.own, "l_max_duty") * loop_number(held.own, "foc_overmod_factor")
     limit = share * asked.design.inverter.v_dc / math.sqrt(3.0)
     lost = 1.0 - limit / asked.design.v_max
-    if lost > _NOTICED:
+    if lost > NOTICED:
         yield Shortfall(
             f"VESC uses {100.0 * share:.3g} % of the linear range (l_max_duty): {limit:.4g} V of "
             f"the {asked.design.v_max:.4g} V that the design counts on",
@@ -171,7 +143,3 @@ def _feed_forward(asked: Asked, runs: LoopProfile) -> Iterator[Shortfall]:
             f"{volts:.3g} V are missing, which the integrals make up for",
             (Price("voltage of the feed-forward", volts, "V"),),
         )
-
-
-def _alike(one: float, other: float) -> bool:
-    return math.isclose(one, other, rel_tol=1e-4)

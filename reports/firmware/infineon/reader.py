@@ -5,6 +5,7 @@ ParamsDefault.c and in those that dqforge writes.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import PurePath
 
 from dqforge.machines.errors import InputError
@@ -32,6 +33,11 @@ _PATH = re.compile(r"[A-Za-z_]\w*(?:(?:->|\.)[A-Za-z_]\w*|\[\d{1,6}\])*", re.ASC
 
 
 _POINTS = re.compile(r"_mtpa_flux_Wb\[\s*\d+U?\s*\]\s*=\s*\{([^{}]{0,20000})\}", re.ASCII)
+
+
+_ELSEWHERE = re.compile(r"[A-Z][A-Z0-9_]*", re.ASCII)
+
+"""Names as headers give them to the constants of a board."""
 
 
 _LONGEST = 500
@@ -65,10 +71,10 @@ def read(text: str, place: str) -> Configuration:
     InputError
         It assigns none of them, or something that is no number; with the line.
     """
-    own, origins = _members(assignments(text, place))
+    own, origins, left = _members(assignments(text, place))
     points = _table(text, place)
     if points is not None:
-        of_table, where = _members(assignments(text, place, STATOR_FRAME))
+        of_table, where, _ = _members(assignments(text, place, STATOR_FRAME))
         own |= {name: of_table[name] for name in TABLE_KEYS if name in of_table}
         origins |= {name: where[name] for name in TABLE_KEYS if name in where}
         own[TABLE] = points
@@ -78,7 +84,8 @@ def read(text: str, place: str) -> Configuration:
             "for it",
             source=place,
         )
-    return configuration(PurePath(place).stem, own, origins)
+    found = configuration(PurePath(place).stem, own, origins)
+    return replace(found, conventions=(*found.conventions, *left))
 
 
 def assignments(text: str, place: str, build: tuple[str, ...] = ROTOR_FRAME) -> Macros:
@@ -86,11 +93,16 @@ def assignments(text: str, place: str, build: tuple[str, ...] = ROTOR_FRAME) -> 
     return read_assignments(kept_by_build(text, place, build), place)
 
 
-def _members(found: Macros) -> tuple[dict[str, OwnValue], dict[str, Origin]]:
-    """Values of the members that are read, and where they stand."""
+def _members(
+    found: Macros,
+) -> tuple[dict[str, OwnValue], dict[str, Origin], tuple[str, ...]]:
+    """Values of the members that are read, where they stand, and sentences on those left out
+    because another header defines what is assigned to them.
+    """
     own: dict[str, OwnValue] = {}
     origins: dict[str, Origin] = {}
     values: dict[str, Number] = {}
+    left: list[str] = []
     for definition in found.every:
         name = member(definition.name)
         value = _value(definition.text, values)
@@ -98,12 +110,17 @@ def _members(found: Macros) -> tuple[dict[str, OwnValue], dict[str, Origin]]:
             values[name or definition.name] = value
         if name is None or name not in KINDS:
             continue
-        if value is not None:
+        if isinstance(value, str) and KINDS[name] != "word" and _ELSEWHERE.fullmatch(value):
+            left.append(
+                f"{definition.name} is {shown(definition.text)}, which this file does not define: "
+                "left out"
+            )
+        elif value is not None:
             own[name] = _as_kind(found, definition, name, value)
             origins[name] = Origin(definition.name, definition.text, definition.line)
         else:
             _refuse_unless_open(found, definition)
-    return own, origins
+    return own, origins, tuple(left)
 
 
 def _value(text: str, values: dict[str, Number]) -> Number | str | None:

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
 from dqforge.optimizer.firmware.infineon_format.infineon_keys import (
     KEYS,
-    SIGNIFICANT,
     TABLE,
     TABLE_KEYS,
     TABLE_POINTS,
@@ -17,10 +16,12 @@ from dqforge.optimizer.firmware.infineon_format.infineon_keys import (
     Kind,
     Place,
 )
+from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS
 from dqforge.reports.firmware.c_macros import with_values
 from dqforge.reports.firmware.infineon.names import member
 from dqforge.reports.firmware.infineon.reader import assignments
 from dqforge.reports.firmware.target import FileTitle
+from dqforge.reports.firmware.text_file import c_float
 from dqforge.reports.pages.templating import render
 
 _EXISTING = "existing file"
@@ -59,7 +60,10 @@ def write(found: Configuration, title: FileTitle, existing_text: str | None) -> 
             "table": [_line(own, name, key) for name, key in TABLE_KEYS.items() if name in own],
             "width": TABLE_POINTS,
             "points": [
-                ", ".join(_float(float(point)) for point in points[start : start + _PER_LINE])
+                ", ".join(
+                    c_float(float(point), FLOAT32_DIGITS)
+                    for point in points[start : start + _PER_LINE]
+                )
                 for start in range(0, len(points), _PER_LINE)
             ],
         },
@@ -83,12 +87,9 @@ def printed(value: OwnValue, kind: Kind) -> str:
     """A value as the library's members take it."""
     if isinstance(value, str):
         return value
-    return f"{value:d}U" if kind == "count" and isinstance(value, int) else _float(float(value))
-
-
-def _float(value: float) -> str:
-    text = f"{value:.{SIGNIFICANT}g}"
-    return f"{text if '.' in text or 'e' in text else text + '.0'}f"
+    if kind == "count" and isinstance(value, int):
+        return f"{value:d}U"
+    return c_float(value, FLOAT32_DIGITS)
 
 
 def _with_values(text: str, found: Configuration) -> str:

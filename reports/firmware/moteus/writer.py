@@ -9,10 +9,11 @@ from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     KNOWN,
     OF_OUTPUT,
 )
+from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS
 from dqforge.reports.firmware.moteus.config_lines import ConfigLine, config_lines
 from dqforge.reports.firmware.moteus.reader import ENDING
 from dqforge.reports.firmware.target import FileTitle
-from dqforge.reports.firmware.text_file import plain_number
+from dqforge.reports.firmware.text_file import number_text, plain_number
 
 SAVE = "conf write"
 
@@ -45,7 +46,7 @@ def write(found: Configuration, title: FileTitle, existing_text: str | None) -> 
 
 def printed(value: OwnValue) -> str:
     """A value as it is sent."""
-    return f"{value:.7g}" if isinstance(value, float) else str(value)
+    return number_text(value, FLOAT32_DIGITS)
 
 
 def _replaced(text: str, numbers: dict[str, OwnValue]) -> str:

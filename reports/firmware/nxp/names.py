@@ -34,6 +34,23 @@ COMMENTED_LOOPS = {
 """Inputs of the comments on bandwidth, attenuation and sample time, by the heading above them."""
 
 
+BY_HAND = (
+    ("R", "parametersRs", False),
+    ("LD", "parametersLd", False),
+    ("LQ", "parametersLq", False),
+    ("CLOOP_FREQ", "currentLoopF0", False),
+    ("CURRENT_CLOOP_FREQ", "currentLoopF0", False),
+    ("CLOOP_ATT", "currentLoopKsi", False),
+    ("CURRENT_CLOOP_ATT", "currentLoopKsi", False),
+    ("FAST_LOOP_FREQ", "currentLoopSampleTime", True),
+    ("FASTLOOP_FREQ", "currentLoopSampleTime", True),
+    ("SLOW_LOOP_FREQ", "speedLoopSampleTime", True),
+    ("SLOWLOOP_FREQ", "speedLoopSampleTime", True),
+)
+
+"""Macros of headers that are kept by hand, inputs that they stand for, and whether as one over."""
+
+
 LOOP_WORDS = ("loop bandwidth", "loop attenuation", "loop sample time")
 
 HEADING_LINE = re.compile(r"^[ \t]*(?://|/?\*+)[ \t]*([A-Za-z][^=\n]*)$")

@@ -17,7 +17,7 @@ from dqforge.reports.firmware.nxp.comments import (
     objects,
     with_inputs,
 )
-from dqforge.reports.firmware.nxp.names import KNOWN, motor_of
+from dqforge.reports.firmware.nxp.names import BY_HAND, KNOWN, motor_of
 from dqforge.reports.firmware.text_file import plain_number
 
 FRACTIONS = ("FRAC16", "FRAC32", "ACC32")
@@ -27,12 +27,14 @@ MOST_DIGITS = 7
 """Significant digits beyond which a header is one of the older age."""
 
 
-_PI = "\n#define FLOAT_PI 3.14159265358979\n"
+_PI = "\n#define FLOAT_PI 3.14159265358979\n#define PI FLOAT_PI\n"
 
 """What the headers of the library define for all that include them."""
 
 
 _NUMBER = re.compile(r"\d*\.\d+")
+
+_NAME = re.compile(r"(?<![\w.])[A-Z_][A-Z0-9_]*\b", re.ASCII)
 
 _KEPT = dict.fromkeys(FRACTIONS, float)
 
@@ -80,6 +82,12 @@ def read_file(text: str, place: str) -> McatFile:
             source=place,
         )
     macros = read_macros(text + _PI, place, functions=_KEPT)
+    if f"{prefix}R_R" in macros or f"{prefix}L_M" in macros:
+        rotor = next(name for name in (f"{prefix}R_R", f"{prefix}L_M") if name in macros)
+        macros.refuse(
+            rotor,
+            "makes this the header of an induction machine; name that of a machine with magnets",
+        )
     own: dict[str, OwnValue] = {}
     origins: dict[str, Origin] = {}
     found = objects(text, place)
@@ -95,6 +103,8 @@ def read_file(text: str, place: str) -> McatFile:
             origins[part.key] = Origin(part.key, part.text, part.line)
             commented = True
     _constants(macros, prefix, own, origins)
+    if inputs is None and not commented:
+        _by_hand(macros, prefix, own, origins)
     fixed = _is_fixed(macros, prefix)
     old = commented or (inputs is None and _has_many_digits(macros, prefix))
     file = McatFile.read(name, own, origins, fixed=fixed, commented=old)
@@ -110,10 +120,42 @@ def _constants(
         text = macros.text(macro) or ""
         if name not in KNOWN or not text or text.startswith("(uint16_t)"):
             continue
-        value = macros.number(macro)
+        value = None if _built_elsewhere(macros, macro) else macros.number(macro)
         if value is not None:
             own[name] = int(value) if name.endswith(("_SHIFT", "_PP")) else value
             origins[name] = Origin(macro, text, macros.line(macro))
+
+
+def _built_elsewhere(macros: Macros, macro: str) -> bool:
+    """Whether a constant has no value here because names in it are defined in other headers."""
+    if macros.value(macro) is not None:
+        return False
+    seen, waiting = {macro}, [macro]
+    while waiting:
+        for name in _NAME.findall(macros.text(waiting.pop()) or ""):
+            if name not in macros and name not in FRACTIONS:
+                return True
+            if name not in seen:
+                seen.add(name)
+                waiting.append(name)
+    return False
+
+
+def _by_hand(
+    macros: Macros, prefix: str, own: dict[str, OwnValue], origins: dict[str, Origin]
+) -> None:
+    """What headers that are kept by hand say in macros of their own, in place of inputs."""
+    if macros.value(f"{prefix}N_NOM_RAD") is not None:
+        name = f"{prefix}N_NOM_RAD"
+        own["M1_N_NOM"] = macros.needed(name)
+        origins["M1_N_NOM"] = Origin(name, macros.text(name) or "", macros.line(name))
+    for macro, key, inverse in BY_HAND:
+        value = macros.value(prefix + macro)
+        if key in own or value is None or (inverse and not value):
+            continue
+        own[key] = 1.0 / value if inverse else float(value)
+        text = macros.text(prefix + macro) or ""
+        origins[key] = Origin(prefix + macro, text, macros.line(prefix + macro))
 
 
 def _is_fixed(macros: Macros, prefix: str) -> bool:

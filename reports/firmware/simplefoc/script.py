@@ -21,7 +21,7 @@ from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import (
 )
 from dqforge.reports.firmware.simplefoc.names import COMMANDS
 from dqforge.reports.firmware.target import FileTitle
-from dqforge.reports.firmware.text_file import plain_number
+from dqforge.reports.firmware.text_file import number_text, plain_number
 
 LETTER = "M"
 
@@ -113,7 +113,7 @@ def script(values: Mapping[str, OwnValue], title: FileTitle, existing: str | Non
 
 def printed(value: OwnValue) -> str:
     """A value as a line holds it."""
-    return f"{value:.{SIGNIFICANT}g}" if isinstance(value, float) else str(value)
+    return number_text(value, SIGNIFICANT)
 
 
 def _said(line: str) -> list[tuple[str, str]]:

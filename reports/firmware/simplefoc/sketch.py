@@ -93,14 +93,17 @@ def sketch_of(text: str, place: str) -> Sketch:
     assignments = read_assignments(text, place)
     if constructed:
         first = constructed[0]
+        line = plain.count("\n", 0, first.start()) + 1
+        arguments = tuple(part.strip() for part in _arguments(first[2]))
+        _refuse_pins(arguments, plain, place, line)
         return Sketch(
             text,
             place,
             first[1],
             read_macros(text, place),
             assignments,
-            tuple(part.strip() for part in _arguments(first[2])),
-            plain.count("\n", 0, first.start()) + 1,
+            arguments,
+            line,
             tuple(one[1] for one in constructed[1:]),
         )
     for definition in assignments.every:
@@ -111,6 +114,17 @@ def sketch_of(text: str, place: str) -> Sketch:
         "this is no sketch of SimpleFOC with a BLDCMotor; name the file that constructs it",
         source=place,
     )
+
+
+def _refuse_pins(arguments: tuple[str, ...], plain: str, place: str, line: int) -> None:
+    """Refuse the constructor of the library's first version, which takes pins first."""
+    pins = all(re.fullmatch(r"\w+", argument, re.ASCII) for argument in arguments)
+    if pins and len(arguments) >= len(CONSTRUCTOR) - 1 and "BLDCDriver" not in plain:
+        message = (
+            "BLDCMotor takes pins here, as SimpleFOC 1 has it; name a sketch with a BLDCDriver "
+            "(2.0 and later)"
+        )
+        raise InputError(message, source=place, line=line)
 
 
 FROM_LINK = math.nan

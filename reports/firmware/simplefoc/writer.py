@@ -8,14 +8,16 @@ from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
 from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import (
     LOOP_PERIOD,
     MEMBERS,
+    SIGNIFICANT,
     V_DC,
 )
 from dqforge.reports.c_code.numbers import comment_text
 from dqforge.reports.firmware.c_macros import with_values
 from dqforge.reports.firmware.simplefoc.names import CONSTRUCTOR, ENUMERATORS, VOLTAGES
-from dqforge.reports.firmware.simplefoc.script import is_script, printed, script
+from dqforge.reports.firmware.simplefoc.script import is_script, script
 from dqforge.reports.firmware.simplefoc.sketch import Sketch, sketch_of
 from dqforge.reports.firmware.target import FileTitle
+from dqforge.reports.firmware.text_file import c_float
 from dqforge.reports.pages.templating import render
 
 _EXISTING = "existing file"
@@ -50,10 +52,7 @@ def literal(name: str, value: OwnValue) -> str:
     """A value in C++: an enumerator, a whole number, or a single-precision number."""
     if name in ENUMERATORS:
         return ENUMERATORS[name][int(value)]
-    text = printed(value)
-    if isinstance(value, int):
-        return text
-    return f"{text}f" if "." in text or "e" in text else f"{text}.0f"
+    return c_float(value, SIGNIFICANT) if isinstance(value, float) else str(value)
 
 
 def _header(own: Mapping[str, OwnValue], title: FileTitle) -> str:

@@ -7,9 +7,10 @@ from collections.abc import Iterator, Mapping
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_xml import Element
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.st_format.st_configuration import st_configuration
 from dqforge.optimizer.firmware.st_format.st_keys import WHOLE
-from dqforge.optimizer.firmware.st_format.st_scales import number, printed
+from dqforge.optimizer.firmware.st_format.st_scales import printed
 from dqforge.reports.firmware.safe_xml import elements, parsed_xml, with_attribute
 from dqforge.reports.firmware.st.names import (
     BEYOND,

@@ -10,6 +10,7 @@ from typing import NoReturn
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.st_format.st_configuration import (
     CONVENTIONS,
     joined,
@@ -25,7 +26,7 @@ from dqforge.optimizer.firmware.st_format.st_keys import (
     VERSION,
     WHOLE,
 )
-from dqforge.optimizer.firmware.st_format.st_scales import integers, number, printed
+from dqforge.optimizer.firmware.st_format.st_scales import integers, printed
 from dqforge.reports.firmware.c_macros import Definition, Macros, read_macros
 from dqforge.reports.firmware.json_text import JsonText, parsed_json
 from dqforge.reports.firmware.st.names import BEYOND, FIELDS, POSSIBLE

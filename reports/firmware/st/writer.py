@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 
 from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
+from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.st_format.st_keys import (
     COUNTED,
     DRIVE,
@@ -17,7 +18,7 @@ from dqforge.optimizer.firmware.st_format.st_keys import (
     STAGE,
     TABLE,
 )
-from dqforge.optimizer.firmware.st_format.st_scales import FULL, current_scale, number, printed
+from dqforge.optimizer.firmware.st_format.st_scales import FULL, current_scale, printed
 from dqforge.reports.firmware.c_macros import Macros, with_values
 from dqforge.reports.firmware.json_text import with_json_values
 from dqforge.reports.firmware.st.project import is_project, with_variables

@@ -5,14 +5,15 @@ values of the motor that an existing file chooses.
 from __future__ import annotations
 
 from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
+from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS
 from dqforge.optimizer.firmware.ti_format.ti_keys import (
     BOARD_PREFIX,
     KEYS,
     MOTOR_PREFIX,
-    SIGNIFICANT,
 )
 from dqforge.reports.firmware.c_macros import Macros, with_values
 from dqforge.reports.firmware.target import FileTitle
+from dqforge.reports.firmware.text_file import c_float
 from dqforge.reports.firmware.ti.names import prefixes_of
 from dqforge.reports.firmware.ti.reader import chosen_motor, found_as
 from dqforge.reports.pages.templating import render
@@ -79,8 +80,7 @@ def printed(value: OwnValue) -> str:
         return value
     if isinstance(value, int):
         return f"({value})"
-    text = f"{value:.{SIGNIFICANT}g}"
-    return f"({text if '.' in text or 'e' in text else text + '.0'}f)"
+    return f"({c_float(value, FLOAT32_DIGITS)})"
 
 
 def _with_macros(text: str, found: Configuration) -> str:

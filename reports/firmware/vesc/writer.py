@@ -7,6 +7,7 @@ from dqforge.optimizer.firmware.vesc_format.vesc_keys import KEYS, SIGNIFICANT
 from dqforge.reports.firmware.c_macros import read_macros, with_values
 from dqforge.reports.firmware.safe_xml import with_texts
 from dqforge.reports.firmware.target import FileTitle
+from dqforge.reports.firmware.text_file import number_text
 from dqforge.reports.firmware.vesc.names import FORMER, define
 from dqforge.reports.firmware.vesc.reader import is_xml
 from dqforge.reports.pages.templating import render
@@ -47,7 +48,7 @@ def write(found: Configuration, title: FileTitle, existing_text: str | None) -> 
 
 def printed(value: OwnValue) -> str:
     """A value as VESC Tool prints it."""
-    return f"{value:.{SIGNIFICANT}g}" if isinstance(value, float) else str(value)
+    return number_text(value, SIGNIFICANT)
 
 
 def _as_named_in_xml(values: dict[str, str], text: str) -> dict[str, str]:

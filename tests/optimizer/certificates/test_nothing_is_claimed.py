@@ -105,6 +105,7 @@ def test_a_surface_without_a_bound_of_the_torque_has_no_certificate(
         return np.zeros(i_d.mid.shape, dtype=bool)
 
     monkeypatch.setattr(dual, "resolved", never)
+    monkeypatch.setattr(dual, "_HALVINGS", 2)  # unresolved, however small
     assert dual.largest_torque(weakened.region) is None
     assert certify_surface(weakened.region, weakened.reference) is None
 

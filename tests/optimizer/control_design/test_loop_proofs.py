@@ -55,6 +55,7 @@ def solved(made: Design) -> tuple[DriveBox, GainSet]:
     return drive_box(made, *inductance_range(made.machine, made.i_max)), solve_gains(made)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("machine", [SURFACE, INVERSE_SALIENT])
 def test_the_proof_is_about_the_same_poles_as_corners_and_samples(machine: LinearMachine) -> None:
     """Each corner and sample, at no load and at full current, in the parameters of the proof;

@@ -202,6 +202,7 @@ def swing(design: Design, share: float) -> float:
 CASES = [(drive, method) for drive in ("template", "abb-ipmsm-2k2") for method in METHODS]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("drive", "method"),
     [

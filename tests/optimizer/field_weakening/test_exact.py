@@ -197,8 +197,12 @@ def test_symmetry_clamping_and_inputs_that_are_no_numbers() -> None:
         assert at(asked, np.nan) == at(0.0, low)
 
 
-def test_fused_multiply_add_changes_currents_by_rounding_alone() -> None:
-    fit = fitted("pmsyrm")
+PMSYRM = pytest.param("pmsyrm", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("name", ["interior", PMSYRM])
+def test_fused_multiply_add_changes_currents_by_rounding_alone(name: str) -> None:
+    fit = fitted(name)
     samples = surface_samples(fit.region, 60)
     plain, fused = (
         np.array(fit.reference.currents(samples.torque, samples.flux, fused=way))
@@ -207,8 +211,9 @@ def test_fused_multiply_add_changes_currents_by_rounding_alone() -> None:
     assert 0.0 < np.max(np.abs(plain - fused)) < 1e-3 * fit.region.i_max
 
 
-def test_the_smallest_candidate_is_taken_and_the_trials_lead_to_it() -> None:
-    fit = fitted("pmsyrm")
+@pytest.mark.parametrize("name", ["interior", PMSYRM])
+def test_the_smallest_candidate_is_taken_and_the_trials_lead_to_it(name: str) -> None:
+    fit = fitted(name)
     assert [trial.chosen for trial in fit.trials] == [False] * (len(fit.trials) - 1) + [True]
     assert all(
         first.flash <= second.flash

@@ -138,6 +138,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "topology", "frame", "ripple"), CASES)
 def test_torque_is_smooth_and_right(
     name: str, topology: Topology, frame: CurrentFrame, ripple: float

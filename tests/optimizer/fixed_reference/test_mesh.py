@@ -50,6 +50,7 @@ def taken(name: str, currents: tuple[FloatArray, FloatArray], omega_m: FloatArra
     return np.hypot(machine.r_s * i_d - omega * psi_q, machine.r_s * i_q + omega * psi_d)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("width", [16, 32])
 @pytest.mark.parametrize("name", NAMES)
 def test_torque_is_that_of_the_exact_operating_point(name: str, width: int) -> None:

@@ -64,6 +64,7 @@ def numerical(one: PhaseMachine, current: FloatArray) -> tuple[FloatArray, Float
     return volts, emf
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("one", [ODD, EVEN, PAIRS, unequal()], ids=["odd", "even", "pairs", "half"])
 def test_coupling_is_what_constant_currents_of_dqy_induce(one: PhaseMachine) -> None:
     """With three independent currents, against the turning matrices of the phases."""
@@ -103,6 +104,7 @@ def test_errors_fall_with_the_square_of_the_step() -> None:
     assert [entry.coupling for entry in found] == pytest.approx([9.3e-3, 2.3e-3, 5.9e-4], rel=0.05)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("one", [ODD, EVEN, PAIRS], ids=["odd", "even", "pairs"])
 def test_a_third_of_the_turn_says_all_of_equal_phases(one: PhaseMachine) -> None:
     exact = exact_frames(one)

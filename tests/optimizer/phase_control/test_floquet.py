@@ -217,6 +217,7 @@ def test_measured_coupling_of_a_salient_rotor() -> None:
     _compare(page_control("table", "measured", inductances=SALIENT), 12, 240)
 
 
+@pytest.mark.slow
 def test_a_split_link_oscillates_against_its_inductance_as_the_radius_says() -> None:
     """A small capacitance and a large balance, so that the midpoint decides."""
     for balance, capacitance in ((0.03, 4e-3), (0.5, 2e-4)):

@@ -31,6 +31,7 @@ def fitted(topology: Topology) -> tuple[PhaseControl, LimitedFit]:
     return control, found
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("topology", ["three-wire", "four-leg"])
 def test_torque_and_voltage_between_the_nodes(topology: Topology) -> None:
     """On speeds, torques and angles of the test's own, in phases, by the law of the control."""

@@ -73,6 +73,7 @@ def test_links_for_a_torque_at_speed(topology: Topology, volts: float) -> None:
     assert at(v_dc=volts + 0.6)[0] > 3.5 > at(v_dc=volts - 0.6)[0]
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("machine", [P, Z], ids=["harmonics", "corners"])
 @pytest.mark.parametrize("topology", get_args(Topology))
 def test_limits_are_those_of_brute_force(topology: Topology, machine: object) -> None:
@@ -93,6 +94,7 @@ def test_limits_are_those_of_brute_force(topology: Topology, machine: object) ->
         assert found == pytest.approx(brute, abs=control.torque_max / 95)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("topology", ["three-wire", "six-leg", "split-capacitor"])
 def test_lines_between_nodes_promise_no_more_than_there_is(topology: Topology) -> None:
     control = plain_control(P, topology)

@@ -115,6 +115,7 @@ def test_without_harmonics_the_optimum_is_the_mtpa_of_dq(l_2: float, torque: flo
     np.testing.assert_allclose(found, dq_waveform(i_d, i_q, 360), atol=1e-6)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("topology", ["three-wire", "four-leg"])
 @pytest.mark.parametrize("open_phase", [None, "b"])
 def test_no_other_solver_finds_less_at_any_angle(
@@ -229,6 +230,7 @@ def test_where_nothing_binds_the_global_optimum_is_proven_without_a_search() -> 
     assert found.floor == pytest.approx(found.copper, rel=1e-14)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("topology", "open_phase", "error"),
     [("four-leg", None, 5e-3), ("three-wire", None, 1e-3), ("four-leg", "a", 5e-3)],

@@ -8,24 +8,27 @@ are listed in docs/header.md and here.
 from __future__ import annotations
 
 import math
-import os
 import re
-import shutil
 import subprocess
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 
 import pytest
 from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, make_design
+from static_checks import DEVIATIONS, program
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import (
     CurrentLoopSettings,
     FitSettings,
     WaveformSettings,
     WeakeningSettings,
 )
-from dqforge.machines.names import ModulationName, WaveformForm
+from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.names import ModulationName, OpenPhase, WaveformForm
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.field_weakening.solve import solve_weakening
@@ -55,128 +58,171 @@ STRICT = [
     "-O2",
 ]
 IN_C = ["-Wstrict-prototypes", "-Wmissing-prototypes"]
-DEVIATIONS = {
-    "2.5": "macros that a firmware does not use",
-    "8.9": "a table belongs beside its evaluator, not inside it",
-    "10.1": "right shifts of signed numbers, which the header checks to be arithmetic",
-    "12.1": "Horner's rule is read more easily without a parenthesis around every product",
-    "17.7": "memcpy returns what it was given",
-    "21.15": "test vectors are compared as bits",
+Files = dict[str, bytes]
+
+
+FITS: dict[str, tuple[Machine, FitSettings]] = {
+    "polynomial": (IPM, FitSettings(form="polynomial", degree=3)),
+    "polynomial own": (
+        IPM,
+        FitSettings(form="polynomial", degree=2, breakpoint_mode="own", segments=3),
+    ),
+    "even-odd": (IPM, FitSettings(form="even-odd", degree=3, segments=1)),
+    "torque-exact": (IPM, FitSettings()),
+    "closed-form": (INVERSE_SALIENT, FitSettings(form="closed-form", degree=3)),
+    "proportional": (SURFACE, FitSettings()),
+    "reluctance": (RELUCTANCE, FitSettings(form="closed-form")),
+    "q15": (IPM, FitSettings(form="polynomial", degree=3, format="q15")),
+    "q15 own": (
+        IPM,
+        FitSettings(form="polynomial", degree=2, format="q15", breakpoint_mode="own"),
+    ),
+    "q15 proportional": (SURFACE, FitSettings(form="polynomial", format="q15")),
+    "q31": (IPM, FitSettings(form="polynomial", degree=3, format="q31")),
 }
+WAVEFORMS: tuple[WaveformForm, ...] = ("table", "harmonics")
+OPEN_PHASES: dict[str, OpenPhase | None] = {"equal phases": None, "open phase": "a"}
+WEAKENED: dict[str, tuple[Machine, float]] = {
+    "smooth": (IPM, 9000.0),
+    "two segments": (INVERSE_SALIENT, 18_000.0),
+}
+MODULATORS: tuple[ModulationName, ...] = (
+    "spwm",
+    "svpwm",
+    "thipwm6",
+    "dpwm0",
+    "dpwmmin",
+    "gdpwm",
+    "ddt-gdpwm",
+)
+# Both widths, with the modulators whose code differs most.
+FIXED: tuple[tuple[int, ModulationName], ...] = (
+    (16, "svpwm"),
+    (16, "dpwm0"),
+    (16, "thipwm6"),
+    (32, "ddt-gdpwm"),
+)
+RULES: dict[str, Rule] = {
+    "four": Question(
+        "speed_rad_per_s",
+        340.0,
+        Question("speed_rad_per_s", 131.0, Leaf(0), Leaf(1)),
+        Question("torque_Nm", 32.2, Leaf(2), Leaf(1)),
+    ),
+    "one question": Question("torque_Nm", 20.0, Leaf(1), Leaf(0)),
+    "none": Leaf(2),
+}
+SCHEDULED = {"table": "baldor-pmsyrm-5k6", "segments": "abb-syrm-6k7-saturated"}
 
 
-def headers() -> dict[str, dict[str, bytes]]:
-    """Emitted files of every form, with the prefix drive."""
-    fits = {
-        "polynomial": (IPM, FitSettings(form="polynomial", degree=3)),
-        "polynomial own": (
-            IPM,
-            FitSettings(form="polynomial", degree=2, breakpoint_mode="own", segments=3),
-        ),
-        "even-odd": (IPM, FitSettings(form="even-odd", degree=3, segments=1)),
-        "torque-exact": (IPM, FitSettings()),
-        "closed-form": (INVERSE_SALIENT, FitSettings(form="closed-form", degree=3)),
-        "proportional": (SURFACE, FitSettings()),
-        "reluctance": (RELUCTANCE, FitSettings(form="closed-form")),
-        "q15": (IPM, FitSettings(form="polynomial", degree=3, format="q15")),
-        "q15 own": (
-            IPM,
-            FitSettings(form="polynomial", degree=2, format="q15", breakpoint_mode="own"),
-        ),
-        "q15 proportional": (SURFACE, FitSettings(form="polynomial", format="q15")),
-        "q31": (IPM, FitSettings(form="polynomial", degree=3, format="q31")),
-    }
-    found = {
-        name: header_files(solve(make_design(machine, fit=fit)))
-        for name, (machine, fit) in fits.items()
-    }
-    design = catalogue.load("paper002-phase-waveforms")
-    design = replace(design, export=replace(design.export, prefix="drive"))
-    forms: tuple[WaveformForm, ...] = ("table", "harmonics")
-    for form in forms:
-        shaped = replace(design, waveform=WaveformSettings(form=form))
-        found[f"waveform {form}"] = waveform_files(shaped, solve_phases(shaped))
+def reference_headers(name: str) -> Files:
+    """Current reference of a machine and its settings."""
+    machine, fit = FITS[name]
+    return header_files(solve(make_design(machine, fit=fit)))
+
+
+def named_drive(name: str) -> Design:
+    """A drive of the catalogue whose names in C begin with drive."""
+    design = catalogue.load(name)
+    return replace(design, export=replace(design.export, prefix="drive"))
+
+
+def shape_headers(form: WaveformForm) -> Files:
+    """Phase currents of a machine without saliency."""
+    design = replace(named_drive("paper002-phase-waveforms"), waveform=WaveformSettings(form=form))
+    return waveform_files(design, solve_phases(design))
+
+
+def frame_headers() -> Files:
+    """Coordinates of a machine with harmonics."""
+    design = named_drive("paper002-phase-waveforms")
     assert isinstance(design.phase_machine, PhaseMachine)
-    found["frames"] = frame_files(design, fit_frames(design.phase_machine, 5e-3))
-    salient = catalogue.load("salient-phase-waveforms")
-    for name, open_phase in (("equal phases", None), ("open phase", "a")):
-        settings = WaveformSettings(open_phase=open_phase)  # type: ignore[arg-type]
-        shaped = replace(salient, waveform=settings, export=replace(salient.export, prefix="drive"))
-        found[f"waveform salient {name}"] = waveform_files(shaped, solve_phases(shaped))
-    for name, machine, rpm in (
-        ("smooth", IPM, 9000.0),
-        ("two segments", INVERSE_SALIENT, 18_000.0),
-    ):
-        weakened = replace(make_design(machine), weakening=WeakeningSettings(rpm * math.pi / 30.0))
-        fit = solve_weakening(weakened)
-        assert fit is not None
-        found[f"weakening {name}"] = weakening_files(weakened, fit)
-    modulators: tuple[ModulationName, ...] = (
-        "spwm",
-        "svpwm",
-        "thipwm6",
-        "dpwm0",
-        "dpwmmin",
-        "gdpwm",
-        "ddt-gdpwm",
-    )
-    solution = solve(make_design(IPM))
-    for modulator in modulators:
-        operation = replace(solution.design.operation, modulation=modulator)
-        changed = replace(solution, design=replace(solution.design, operation=operation))
-        found[f"control {modulator}"] = header_files(changed) | control_files(changed)
-    found |= fixed_headers(solution)
+    return frame_files(design, fit_frames(design.phase_machine, 5e-3))
+
+
+def salient_headers(phases: str) -> Files:
+    """Phase currents of a salient machine, with all its phases or without one."""
+    settings = WaveformSettings(open_phase=OPEN_PHASES[phases])
+    design = replace(named_drive("salient-phase-waveforms"), waveform=settings)
+    return waveform_files(design, solve_phases(design))
+
+
+def weakening_headers(name: str) -> Files:
+    """Field weakening up to a speed."""
+    machine, rpm = WEAKENED[name]
+    weakened = replace(make_design(machine), weakening=WeakeningSettings(rpm * math.pi / 30.0))
+    fit = solve_weakening(weakened)
+    assert fit is not None
+    return weakening_files(weakened, fit)
+
+
+@cache
+def solution_of_the_drive() -> Solution:
+    """What the control functions of every modulator begin with."""
+    return solve(make_design(IPM))
+
+
+def control_headers(modulator: ModulationName) -> Files:
+    """Control functions with a modulator."""
+    solution = solution_of_the_drive()
+    operation = replace(solution.design.operation, modulation=modulator)
+    changed = replace(solution, design=replace(solution.design, operation=operation))
+    return header_files(changed) | control_files(changed)
+
+
+def fixed_headers(width: int, modulator: ModulationName) -> Files:
+    """Control functions in fixed point."""
+    solution = solution_of_the_drive()
+    design, gains = solution.design, solution.gains
+    bases = replace(design.control.bases, speed=1000.0)
+    operation = replace(design.operation, modulation=modulator)
+    changed = replace(design, control=replace(design.control, bases=bases), operation=operation)
+    loops = (gains.i_d, gains.i_q, gains.speed)
+    return control_fixed_files(changed, fit_control(changed, loops, gains.observer, width))
+
+
+def rule_headers(name: str) -> Files:
+    """Rule that chooses among three modulators."""
     alternatives = [
         Alternative("svpwm", 16e3),
         Alternative("ddt-gdpwm", 41.9e3),
         Alternative("dpwm3", 35.1e3),
     ]
-    deep = Question(
-        "speed_rad_per_s",
-        340.0,
-        Question("speed_rad_per_s", 131.0, Leaf(0), Leaf(1)),
-        Question("torque_Nm", 32.2, Leaf(2), Leaf(1)),
-    )
-    rules: dict[str, Rule] = {
-        "four": deep,
-        "one question": Question("torque_Nm", 20.0, Leaf(1), Leaf(0)),
-        "none": Leaf(2),
-    }
-    for name, rule in rules.items():
-        priced = SimplifiedChoice(rule, 101.0, 100.0, True)
-        found[f"modulation {name}"] = rule_header(
-            make_design(), priced, alternatives, reach=(200.0, 900.0)
-        )
-    for name, drive in (("table", "baldor-pmsyrm-5k6"), ("segments", "abb-syrm-6k7-saturated")):
-        made = catalogue.load(drive)
-        current = CurrentLoopSettings("magnitude-optimum", schedule=True)
-        control = replace(made.control, current_loop=current, speed_loop=None, observer=None)
-        made = replace(made, control=control, export=replace(made.export, prefix="drive"))
-        gains = solve_gains(made)
-        assert gains.schedule is not None
-        found[f"gains {name}"] = gains_files(made, gains, gains.schedule)
-    return found
+    priced = SimplifiedChoice(RULES[name], 101.0, 100.0, True)
+    return rule_header(make_design(), priced, alternatives, reach=(200.0, 900.0))
 
 
-def fixed_headers(solution: Solution) -> dict[str, dict[str, bytes]]:
-    """Control functions in fixed point, in both widths and with modulators whose code differs
-    most.
-    """
-    found, design, gains = {}, solution.design, solution.gains
-    bases = replace(design.control.bases, speed=1000.0)
-    design = replace(design, control=replace(design.control, bases=bases))
-    loops = (gains.i_d, gains.i_q, gains.speed)
-    pairs: tuple[tuple[int, ModulationName], ...] = (
-        (16, "svpwm"),
-        (16, "dpwm0"),
-        (16, "thipwm6"),
-        (32, "ddt-gdpwm"),
-    )
-    for width, modulator in pairs:
-        changed = replace(design, operation=replace(design.operation, modulation=modulator))
-        fit = fit_control(changed, loops, gains.observer, width)
-        found[f"control_{fit.control.format} {modulator}"] = control_fixed_files(changed, fit)
-    return found
+def gains_headers(name: str) -> Files:
+    """Scheduled gains of a drive of the catalogue."""
+    made = named_drive(SCHEDULED[name])
+    current = CurrentLoopSettings("magnitude-optimum", schedule=True)
+    control = replace(made.control, current_loop=current, speed_loop=None, observer=None)
+    made = replace(made, control=control)
+    gains = solve_gains(made)
+    assert gains.schedule is not None
+    return gains_files(made, gains, gains.schedule)
+
+
+# What makes the files of each form; nothing is made before a test asks for it.
+HEADERS: dict[str, Callable[[], Files]] = {
+    **{name: partial(reference_headers, name) for name in FITS},
+    **{f"waveform {form}": partial(shape_headers, form) for form in WAVEFORMS},
+    "frames": frame_headers,
+    **{f"waveform salient {name}": partial(salient_headers, name) for name in OPEN_PHASES},
+    **{f"weakening {name}": partial(weakening_headers, name) for name in WEAKENED},
+    **{f"control {name}": partial(control_headers, name) for name in MODULATORS},
+    **{
+        f"control_{name} {kind}": partial(fixed_headers, width, kind) for name, width, kind in FIXED
+    },
+    **{f"modulation {name}": partial(rule_headers, name) for name in RULES},
+    **{f"gains {name}": partial(gains_headers, name) for name in SCHEDULED},
+}
+
+
+@cache
+def made_headers(name: str) -> Files:
+    """Emitted files of a form, with the prefix drive."""
+    return HEADERS[name]()
 
 
 FRAMES_MAIN = """#include "drive_frames.h"
@@ -211,16 +257,13 @@ int main(void)
 """
 
 
-HEADERS = headers()
-
-
 @pytest.fixture(params=HEADERS)
 def written(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     """Folder with the files of one form and a main.c that includes them,
     and the name of the vectors' header.
     """
     name = request.param
-    for file_name, content in HEADERS[name].items():
+    for file_name, content in made_headers(name).items():
         (tmp_path / file_name).write_bytes(content)
     kind = name.split()[0]
     vectors = {"waveform", "weakening", "modulation", "gains", "control_q15", "control_q31"}
@@ -233,16 +276,6 @@ def written(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     main = {"control": CONTROL_MAIN, "frames": FRAMES_MAIN}.get(kind, main)
     (tmp_path / "main.c").write_text(main, encoding="ascii")
     return tmp_path, name
-
-
-def program(name: str) -> str:
-    """A tool that CI must have; elsewhere its absence skips the test."""
-    path = shutil.which(name)
-    if path is None:
-        if os.environ.get("CI"):
-            pytest.fail(f"{name} is missing; CI needs it")
-        pytest.skip(f"{name} is not installed")
-    return path
 
 
 @pytest.mark.thinned

@@ -51,6 +51,7 @@ def model_of(solution: Solution) -> ControlModel:
     return control_from(plain_control(solution), plain_solution(solution))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("method", "modulation"),
     [
@@ -84,6 +85,7 @@ def test_compiled_control_equals_the_model_bit_for_bit(
     assert verification.languages == ("c99", "c++11")
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("modulation", HEXAGONAL)
 def test_state_tells_the_voltage_that_the_duty_cycles_make(

@@ -51,7 +51,13 @@ CASES: dict[str, tuple[LinearMachine, FitSettings]] = {
 }
 
 
-@pytest.fixture(scope="module", params=CASES)
+LONG = {"q15 own", "q15 free"}
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in CASES],
+)
 def solution(request: pytest.FixtureRequest) -> Solution:
     machine, fit = CASES[request.param]
     return solve(make_design(machine, fit=fit))

@@ -130,6 +130,7 @@ def test_a_written_folder_is_verified_with_both_signs(design_file: Path, tmp_pat
     assert verify_folder(tmp_path).vectors > 0
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("command", ["mtpa", "fit"])
 def test_commands_show_both_signs(
     command: str, design_file: Path, capsys: pytest.CaptureFixture[str]

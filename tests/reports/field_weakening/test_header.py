@@ -189,6 +189,7 @@ def test_compiled_code_makes_what_can_be_had_motoring_and_generating(
     assert np.mean(loss) < 1.01
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", SMALL)
 def test_the_drop_matters_in_these_cases(name: str) -> None:
     """Currents for the whole voltage over the speed, without the drop, leave the

@@ -78,6 +78,7 @@ def run_rows(fit: FixedObserverFit, name: str, folder: Path, rows: CodeArray) ->
     return np.frombuffer(done.stdout, dtype="i8").reshape(rows.shape[0], -1)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     "width", [16, pytest.param(32, marks=pytest.mark.slow)], ids=["q15", "q31"]
 )

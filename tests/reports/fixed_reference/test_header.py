@@ -74,6 +74,7 @@ def compiled(
     return np.frombuffer(done.stdout, dtype=number).reshape(-1, 2).astype(np.int64)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("width", [16, 32])
 @pytest.mark.parametrize("name", NAMES)
 def test_compiled_code_equals_the_model_under_the_sanitizer(

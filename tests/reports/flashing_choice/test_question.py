@@ -65,6 +65,7 @@ def _only(found: FlashComparison, *rows: tuple[Topology, CurrentFrame]) -> Flash
     return replace(found, rows=tuple(found.row(*row) for row in rows))
 
 
+@pytest.mark.slow
 @NEEDS_COMPILER
 def test_the_emitted_c_has_the_ripple_of_the_closed_form(
     found: FlashComparison, solution: Solution

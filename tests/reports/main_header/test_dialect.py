@@ -22,7 +22,7 @@ from dqforge.reports.report import render_report
 from dqforge.reports.verification.host import verify_files
 
 
-@pytest.fixture(scope="module", params=["float32", "q15"])
+@pytest.fixture(scope="module", params=["float32", pytest.param("q15", marks=pytest.mark.slow)])
 def solution(request: pytest.FixtureRequest) -> Solution:
     return solve(
         make_design(fit=FitSettings(form="polynomial", degree=3, segments=1, format=request.param))

@@ -110,6 +110,7 @@ def has_fma() -> bool:
     return "fma" in Path("/proc/cpuinfo").read_text().split()
 
 
+@pytest.mark.thinned
 def test_stated_errors_hold_with_fused_multiply_add(solution: Solution, tmp_path: Path) -> None:
     """Compiled with contraction, the result keeps the stated errors; with FMA
     instructions it is the fused model.

@@ -158,6 +158,7 @@ def test_header_is_the_same_bytes_every_time() -> None:
     assert first == second
 
 
+@pytest.mark.thinned
 @EVERY
 def test_not_a_number_does_not_stay(name: str) -> None:
     """A Kalman filter comes back by itself with the next samples; every method does by its start.

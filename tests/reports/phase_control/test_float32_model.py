@@ -275,6 +275,7 @@ def balanced(machine: PhaseMachine, frame: CurrentFrame) -> tuple[float, float]:
     return float(np.mean(np.sum(trace.currents**2, axis=2))), float(np.ptp(trace.torque))
 
 
+@pytest.mark.slow
 def test_the_averaged_loop_makes_constant_torque() -> None:
     """Ripple of the near sinusoidal machine at 750 and 1800 rpm: 0.05 and 0.2 % at the most."""
     control = plain_control(near_sinusoidal(192), harmonics=None)

@@ -96,6 +96,7 @@ def test_vectors_visit_every_mode(solution: Solution, document: dict[str, Any]) 
     assert np.isnan(inputs[:, 1:10]).any(axis=0).all()
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("topology", ["four-leg", "three-wire"])
 def test_rows_turns_limits_and_no_harmonics(
     topology: Topology, solution: Solution, document: dict[str, Any]
@@ -117,6 +118,7 @@ def test_rows_turns_limits_and_no_harmonics(
     assert limited[0] == pytest.approx(3.0)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("frame", "feedforward"), [("dq", "references"), ("dq", "measured"), ("table", "references")]
 )

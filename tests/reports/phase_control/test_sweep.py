@@ -112,7 +112,13 @@ def pulses_are_small(drive: SweptDrive, neutral: float) -> bool:
     return t_s < 2.0 * math.pi * math.sqrt(square) / 40.0
 
 
-@pytest.mark.parametrize("topology", TOPOLOGIES)
+QUICK = ("four-leg", "split-capacitor")
+
+
+@pytest.mark.parametrize(
+    "topology",
+    [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.slow]) for name in TOPOLOGIES],
+)
 def test_ten_machines_settle(topology: Topology, solution: Solution) -> None:
     groups, refused = sorted_out((0, 1, 2, 5, 6, 7, 10, 11, 12, 30), topology)
     assert sum(map(len, groups.values())) + len(refused) == 10

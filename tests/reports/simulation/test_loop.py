@@ -327,6 +327,7 @@ def test_speed_of_the_observer_in_the_loop() -> None:
     assert abs(expected.relative) > 5e-3
 
 
+@pytest.mark.slow
 def test_phase_machine_runs_with_ripple(shared_steps: FloatArray) -> None:
     """A fifth harmonic of the back-EMF makes a torque ripple of six times the electrical
     frequency under dq control; references from the table of the back-EMF make none.

@@ -88,6 +88,7 @@ def test_the_formats_that_are_simulated_and_those_that_are_not(
     assert not left or said in run
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", ["float32", "reference q15"])
 def test_a_simulation_says_it_everywhere(name: str, solved: dict[str, Solution]) -> None:
     said, left = CASES[name][2:]

@@ -86,6 +86,7 @@ def phase_fundamental(found: Simulation) -> float:
     return float(2.0 * np.abs(np.mean(voltage * turn)))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(("share", "inverter"), [(0.92, "averaged"), (0.97, "switched")])
 def test_fundamental_currents_and_torque_ripple_are_those_told(
     drive: tuple[Solution, Simulator], share: float, inverter: str

@@ -72,6 +72,7 @@ def resting(duty: FloatArray, dead_time: float, inverter: InverterModel) -> Scen
     )
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("topology", [name for name in TOPOLOGIES if name != "diode-neutral"])
 def test_averaged_dead_time_of_every_leg_is_that_of_switching(
     plant: Simulator, topology: Topology

@@ -109,6 +109,7 @@ def test_diodes_of_a_neutral_let_the_pulses_leak(design: Design) -> None:
     np.testing.assert_allclose(found.tail_neutral_rms, [0.0034, 0.0233, 0.0212], rtol=0.03)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("topology", MOST)
 def test_averaged_torque_and_copper_are_those_of_the_currents(
     design: Design, topology: Topology

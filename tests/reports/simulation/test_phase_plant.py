@@ -103,6 +103,7 @@ def torque(x: FloatArray, l_2: float) -> float:
     return float(P * (flux(P * x[3]) @ x[:3] + 0.5 * x[:3] @ slope @ x[:3]))
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("salient", [False, True])
 @pytest.mark.parametrize("topology", TOPOLOGY_NAMES)
 def test_averaged_plant_equals_phase_equations(
@@ -249,6 +250,7 @@ def test_switched_plant_equals_intervals_of_scipy(plant: Simulator, topology: To
     assert_close(found.phases.i_phases, expected[:, :3], 1e-8)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("topology", TOPOLOGY_NAMES)
 def test_dead_times_and_diodes_equal_steep_characteristics(
     plant: Simulator, topology: Topology

@@ -172,6 +172,7 @@ def test_the_voltage_is_that_of_the_ending_period(flux: tuple[Solution, Simulato
     assert np.max(np.abs(found.v_alpha)) > 10.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["flux", pytest.param("extended-emf", marks=pytest.mark.slow)])
 def test_wrong_parameters_cost_the_angle_what_is_judged(method: ObserverMethodName) -> None:
     """R +30 % and psi -5 % in the machine: the mean angle error in the loop is the

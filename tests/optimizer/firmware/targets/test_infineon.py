@@ -17,8 +17,9 @@ from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.infineon_format.flux_table import flux_table
 from dqforge.optimizer.firmware.infineon_format.infineon_configuration import configuration
 from dqforge.optimizer.firmware.infineon_format.infineon_keys import TABLE, as_printed
+from dqforge.optimizer.firmware.infineon_format.infineon_shortfalls import shortfalls
 from dqforge.optimizer.firmware.judge import judge
-from dqforge.optimizer.firmware.targets.infineon import configure, profile, shortfalls
+from dqforge.optimizer.firmware.targets.infineon import configure, profile
 
 # The motor of the library's own defaults, as numbers.
 DEFAULTS: dict[str, Any] = {

@@ -14,7 +14,7 @@ from dqforge.machines.devices.current_sensing import CurrentSensing
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.judge import judge
-from dqforge.optimizer.firmware.targets.ti import configure, profile, shortfalls
+from dqforge.optimizer.firmware.targets.ti import configure, profile
 from dqforge.optimizer.firmware.ti_format.ti_configuration import (
     BANDWIDTHS,
     configuration,
@@ -22,6 +22,7 @@ from dqforge.optimizer.firmware.ti_format.ti_configuration import (
     speed_rule,
 )
 from dqforge.optimizer.firmware.ti_format.ti_keys import OLDER_LAB, VERSION, as_printed
+from dqforge.optimizer.firmware.ti_format.ti_shortfalls import shortfalls
 
 # Motors of TI's public files, as numbers (motor-control-sdk user_mtr1.h).
 TEKNIC = {

@@ -104,6 +104,18 @@ def test_pointers_to_the_structure_are_followed() -> None:
     assert found.origins["r_s"].key == "m->params_ptr->motor.r"
 
 
+def test_constants_of_another_header_are_left_out_in_words() -> None:
+    text = DEFAULTS.replace(
+        "params.motor.r", "params.sys.analog.shunt.res = CS_SHUNT_RES;\n    params.motor.r"
+    )
+    found = read(text, "ParamsDefault.c")
+    assert "params.sys.analog.shunt.res" not in found.own
+    assert found.drive.r_s == 0.011
+    assert found.conventions[-1] == (
+        "params.sys.analog.shunt.res is 'CS_SHUNT_RES', which this file does not define: left out"
+    )
+
+
 TABLE = "static const float x_mtpa_flux_Wb[128] = {\n" + ", ".join(["0.5f"] * 127) + "%s\n};\n"
 
 

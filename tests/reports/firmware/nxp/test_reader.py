@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import re
+
 import nxp_published as published
 import pytest
 from nxp_headers import header
@@ -147,3 +150,53 @@ def test_damaged_files_are_refused_in_one_line(text: str, words: str, line: bool
 )
 def test_files_of_others_are_told_apart(name: str, text: str, *, is_one: bool) -> None:
     assert recognise(name, text) is is_one
+
+
+# As people keep a header by hand; of our own making.
+BY_HAND = """#define M1_MOTOR_PP (3)
+#define M1_R (0.5F)
+#define M1_LD (0.0004F)
+#define M1_LQ (0.0006F)
+#define M1_N_NOM (3000.0F) /* [RPM] */
+#define M1_N_NOM_RAD (2*PI*M1_N_NOM*M1_MOTOR_PP/60.0)
+#define M1_PWM_FREQ (20000.0)
+#define M1_FAST_LOOP_FREQ (float_t)(M1_PWM_FREQ/2)
+#define M1_CLOOP_FREQ (200.0F)
+#define M1_CLOOP_ATT (1.0F)
+#define M1_D_KP_GAIN (2*M1_CLOOP_ATT*2*PI*M1_CLOOP_FREQ*M1_LD - M1_R)
+#define M1_D_KI_GAIN (2*PI*M1_CLOOP_FREQ*2*PI*M1_CLOOP_FREQ*M1_LD/M1_FAST_LOOP_FREQ)
+#define M1_Q_KP_GAIN (2*M1_CLOOP_ATT*2*PI*M1_CLOOP_FREQ*M1_LQ - M1_R)
+#define M1_Q_KI_GAIN (2*PI*M1_CLOOP_FREQ*2*PI*M1_CLOOP_FREQ*M1_LQ/M1_FAST_LOOP_FREQ)
+#define M1_UDCB_IIR_B0 WARP(100.0F, M1_FAST_LOOP_FREQ)
+#define M1_UDCB_IIR_A1 (1.0F - M1_UDCB_IIR_B0)
+"""
+
+
+def test_a_header_of_expressions_is_read_as_far_as_it_defines_its_names() -> None:
+    found = read(BY_HAND, PLACE)
+    w_0 = 2.0 * math.pi * 200.0
+    assert found.drive.r_s == 0.5
+    assert found.drive.l_q == 0.0006
+    assert found.drive.t_s == pytest.approx(1e-4)
+    assert found.drive.omega_m_max == pytest.approx(3000.0 * math.pi / 30.0)
+    assert found.current_q is not None
+    assert found.current_q.kp == pytest.approx(2.0 * w_0 * 0.0006 - 0.5)
+    assert found.current_q.ki == pytest.approx(w_0**2 * 0.0006)
+    assert not {"M1_UDCB_IIR_B0", "M1_UDCB_IIR_A1"} & found.own.keys()
+    assert found.origins["r_s"].key == "M1_R"
+
+
+def test_a_header_of_an_induction_machine_is_refused() -> None:
+    text = BY_HAND + "#define M1_R_R (23.0F)\n"
+    with pytest.raises(InputError, match="M1_R_R makes this the header of an induction machine"):
+        read(text, PLACE)
+
+
+def test_a_link_voltage_at_which_the_firmware_switches_off_is_not_taken() -> None:
+    text = header(published.FLOAT_2025)
+    assert read(text, PLACE).drive.v_dc is not None
+    text = re.sub(r'("parametersUdcbUnder": )[\d.]+', r"\g<1>180", text)
+    text = re.sub(r'("parametersUdcbOver": )[\d.]+', r"\g<1>420", text)
+    found = read(text, PLACE)
+    assert found.drive.v_dc is None
+    assert any("outside of 180 to 420 V: give it" in said for said in found.conventions)

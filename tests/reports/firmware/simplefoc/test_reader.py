@@ -132,6 +132,7 @@ def test_lines_of_the_commander() -> None:
         (SKETCH.replace("(7, PHASE_R", "(pairs, PHASE_R"), 7, "pole_pairs is 'pairs'"),
         (SKETCH.replace("(7, PHASE_R", "(7.5, PHASE_R"), 7, "write a whole number"),
         (SKETCH.replace("/* motor1.PID_velocity.P = 99; */", "/* open"), 23, "not closed"),
+        ("\nBLDCMotor m = BLDCMotor(9, 5, 6, 7, 8);\n", 2, "takes pins here"),
         (SCRIPT.replace("MQP0.5", "MQP0.5.1"), 1, "0.5.1"),
         (SCRIPT.replace("MR0.05", "MR1e999"), 3, "1e999"),
         (SCRIPT.replace("pairs 15", "pairs 1.5"), 7, "a whole number"),

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from firmware_asked import random_asked, scooter
+from firmware_round_trips import compiler_of, kept_of, output_of
 from simplefoc_library import STUB, Commander
 
 from dqforge.machines.errors import InputError
@@ -22,19 +21,6 @@ from dqforge.reports.firmware.simplefoc.writer import write
 from dqforge.reports.firmware.target import FileTitle
 
 TITLE = FileTitle("scooter", "hub of a scooter */ x", "ab" * 32, "0.1", ("one */ remark",))
-
-
-def kept_of(found: Configuration) -> tuple[object, ...]:
-    """What a configuration says, without where it was read."""
-    return (
-        found.drive,
-        found.current_d,
-        found.current_q,
-        found.speed,
-        dict(found.own),
-        found.contradictions,
-        found.conventions,
-    )
 
 
 def configurations() -> Iterator[Configuration]:
@@ -73,9 +59,7 @@ def test_same_input_same_bytes_without_dates() -> None:
 
 def compiled(header: bytes, folder: Path, call: str) -> dict[str, float]:
     """Members after the call, printed by a program that was compiled with our stand-in."""
-    compiler = shutil.which("g++")
-    if compiler is None:
-        pytest.skip("no C++ compiler")
+    compiler = compiler_of("g++")
     (folder / "SimpleFOC.h").write_text(STUB)
     (folder / "scooter_simplefoc.h").write_bytes(header)
     names = [*MEMBERS, "phase_inductance"]
@@ -87,20 +71,13 @@ def compiled(header: bytes, folder: Path, call: str) -> dict[str, float]:
         '#include "scooter_simplefoc.h"\n#include "scooter_simplefoc.h"\n'
         f"int main()\n{{\n    BLDCMotor motor(1);\n    {call}\n{prints}\n    return 0;\n}}\n"
     )
-    flags = ["-std=c++11", "-Wall", "-Wextra", "-Wdouble-promotion", "-Wconversion", "-Werror"]
+    strict = ("-Wall", "-Wextra", "-Wdouble-promotion", "-Wconversion", "-Werror")
+    flags = ("-std=c++11", *strict, "-I", str(folder))
     # The stand-in is included twice as the library is: with a guard of its own.
     text = (folder / "SimpleFOC.h").read_text()
     (folder / "SimpleFOC.h").write_text(f"#ifndef STUB_H\n#define STUB_H\n{text}#endif\n")
-    program = folder / "main"
-    subprocess.run(
-        [compiler, *flags, "-I", str(folder), "main.cpp", "-o", str(program)],
-        cwd=folder,
-        check=True,
-    )
-    run = subprocess.run([str(program)], check=True, capture_output=True, text=True)
-    return {
-        name: float(value) for name, value in (line.split() for line in run.stdout.splitlines())
-    }
+    output = output_of(folder, "main.cpp", compiler=compiler, flags=flags)
+    return {name: float(value) for name, value in (line.split() for line in output.splitlines())}
 
 
 def test_the_header_compiles_and_sets_what_it_says(tmp_path: Path) -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
-import pytest
+from firmware_round_trips import C_FLAGS, output_of
 from random_st_drives import random_asked, value
 
 from dqforge.optimizer.firmware.st_format.st_mtpa import table_currents
@@ -39,7 +37,6 @@ int main(void)
 """
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_a_compiler_reads_what_was_written(tmp_path: Path) -> None:
     wish = next(wish for wish in random_asked(9, 43, tables=9) if wish.speed is not None)
     found = ST.configure(wish)
@@ -47,10 +44,7 @@ def test_a_compiler_reads_what_was_written(tmp_path: Path) -> None:
     for name, content in files.items():
         (tmp_path / name).write_bytes(content)
     (tmp_path / "main.c").write_text(PROGRAMME, encoding="ascii")
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1"]
-    subprocess.run(["cc", *flags, "main.c", "-o", "main"], cwd=tmp_path, check=True)
-    run = subprocess.run([str(tmp_path / "main")], capture_output=True, text=True, check=True)
-    first, second, *table = run.stdout.splitlines()
+    first, second, *table = output_of(tmp_path, "main.c", flags=(*C_FLAGS, "-O1")).splitlines()
     assert [int(text) for text in first.split()] == [
         value(found, "PID_TORQUE_KP_DEFAULT"),
         value(found, "PID_SPEED_KI_DEFAULT"),

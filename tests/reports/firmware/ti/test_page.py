@@ -2,26 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
+from firmware_pages import assert_example, page_of
 
-from dqforge.machines.design.loader import load_design
-from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.firmware.asked import asked
-from dqforge.optimizer.firmware.targets.ti import configure
 from dqforge.optimizer.firmware.ti_format.ti_keys import KEYS
-from dqforge.reports.firmware.target import FileTitle
-from dqforge.reports.firmware.ti.writer import write
 
-ROOT = Path(__file__).parents[4]
-PAGE = (ROOT / "docs" / "firmware-ti.md").read_text(encoding="utf-8")
-
-
-def block(language: str) -> str:
-    """The first block of the page in a language."""
-    found = re.search(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
-    assert found is not None
-    return found[1]
+PAGE = page_of("ti")
 
 
 def short(name: str) -> str:
@@ -29,17 +14,8 @@ def short(name: str) -> str:
     return name.removeprefix("USER_MOTOR1_")
 
 
-def test_the_worked_example_gives_what_the_page_prints(tmp_path: Path) -> None:
-    path = tmp_path / "scooter.yaml"
-    path.write_text(block("yaml"), encoding="utf-8")
-    design = load_design(path)
-    gains = solve_gains(design)
-    held = configure(asked(design, gains.i_d, gains.i_q, gains.speed))
-    title = FileTitle("scooter", design.name, design.digest, "0")
-    text = write(held, title, None)["scooter_user_mtr1.h"].decode()
-    printed = block("c").splitlines()
-    assert len(printed) > 10
-    assert [line for line in printed if line not in text.splitlines()] == []
+def test_the_worked_example_gives_what_the_page_prints() -> None:
+    assert_example("ti", "scooter_user_mtr1.h", "c", least=10)
 
 
 def test_the_table_names_every_key() -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 from firmware_asked import random_asked, scooter
+from firmware_round_trips import kept_of, output_of
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
@@ -20,19 +19,6 @@ from dqforge.reports.firmware.ti.writer import write
 
 TITLE = FileTitle("scooter", "hub */ of a scooter", "ab" * 32, "0.1", ("one */ #error remark",))
 NAME = "scooter_user_mtr1.h"
-
-
-def kept_of(found: Configuration) -> tuple[object, ...]:
-    """What a configuration says, without where it was read."""
-    return (
-        found.drive,
-        found.current_d,
-        found.current_q,
-        found.speed,
-        dict(found.own),
-        found.contradictions,
-        found.conventions,
-    )
 
 
 def text_of(found: Configuration, existing: str | None = None) -> str:
@@ -71,9 +57,6 @@ def test_same_input_same_bytes_without_dates() -> None:
 
 def test_the_headers_are_c(tmp_path: Path) -> None:
     """Included behind other values of the same names, ours count; ten machines in one program."""
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None:
-        pytest.skip("no C compiler")
     lines = ["#include <stdio.h>", "#define MOTOR_TYPE_PM 2", "#define USER_MOTOR1_Rs_Ohm (9.0f)"]
     expected: list[float] = []
     bodies = []
@@ -90,14 +73,8 @@ def test_the_headers_are_c(tmp_path: Path) -> None:
         bodies.append(f"    print_{index}();")
     lines += ["int main(void)\n{", *bodies, "    return 0;\n}"]
     (tmp_path / "main.c").write_text("\n".join(lines) + "\n")
-    program = tmp_path / "main"
-    subprocess.run(
-        [compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "main.c", "-o", str(program)],
-        cwd=tmp_path,
-        check=True,
-    )
-    run = subprocess.run([str(program)], check=True, capture_output=True, text=True)
-    assert [float(line) for line in run.stdout.split()] == pytest.approx(expected, rel=1e-7)
+    output = output_of(tmp_path, "main.c")
+    assert [float(line) for line in output.split()] == pytest.approx(expected, rel=1e-7)
 
 
 # Laid out as the lab's own file, with motors and words of our own.

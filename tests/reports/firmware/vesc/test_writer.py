@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 from firmware_asked import random_asked, scooter
+from firmware_round_trips import kept_of, output_of
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration
@@ -77,19 +76,6 @@ def merged(xml: bytes) -> dict[str, float]:
         assert least <= value <= most
         held[element.tag] = value
     return held
-
-
-def kept_of(found: Configuration) -> tuple[object, ...]:
-    """What a configuration says, without where it was read."""
-    return (
-        found.drive,
-        found.current_d,
-        found.current_q,
-        found.speed,
-        dict(found.own),
-        found.contradictions,
-        found.conventions,
-    )
 
 
 def files() -> Iterator[tuple[Configuration, dict[str, bytes]]]:
@@ -205,9 +191,6 @@ def test_existing_files_that_are_damaged_are_refused() -> None:
 
 def test_the_header_is_c(tmp_path: Path) -> None:
     """Included before another value, as before mcconf_default.h, ours counts."""
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None:
-        pytest.skip("no C compiler")
     found = configure(scooter())
     header = write(found, TITLE, None)["scooter_mcconf.h"]
     (tmp_path / "scooter_mcconf.h").write_bytes(header)
@@ -221,14 +204,8 @@ def test_the_header_is_c(tmp_path: Path) -> None:
         "#define MCCONF_FOC_MOTOR_R 0.015\n#endif\nint main(void)\n{\n" + prints + "\n"
         "    return 0;\n}\n"
     )
-    program = tmp_path / "main"
-    subprocess.run(
-        [compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "main.c", "-o", str(program)],
-        cwd=tmp_path,
-        check=True,
-    )
-    run = subprocess.run([str(program)], check=True, capture_output=True, text=True)
-    values = dict(line.split() for line in run.stdout.splitlines())
+    output = output_of(tmp_path, "main.c")
+    values = dict(line.split() for line in output.splitlines())
     assert float(values["MCCONF_FOC_MOTOR_R"]) == 0.05
     assert float(values["MCCONF_FOC_OBSERVER_GAIN"]) == 2.66479e07
     assert len(values) == len(found.own)

@@ -1,0 +1,48 @@
+"""Pages of the documentation on firmware: their worked examples, and the files they come to."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from dqforge.machines.design.loader import load_text
+from dqforge.machines.names import Firmware
+from dqforge.optimizer.control_design.gain_set import solve_gains
+from dqforge.optimizer.firmware.asked import asked
+from dqforge.reports.firmware.registry import TARGETS
+from dqforge.reports.firmware.target import FileTitle
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def page_of(name: Firmware) -> str:
+    """The text of the page on a firmware."""
+    return (DOCS / f"firmware-{name}.md").read_text(encoding="utf-8")
+
+
+def block(page: str, language: str) -> str:
+    """The first block of a page in a language."""
+    found = re.search(rf"```{language}\n(.*?)```", page, re.DOTALL)
+    assert found is not None
+    return found[1]
+
+
+def example_files(name: Firmware, design_text: str, prefix: str) -> dict[str, str]:
+    """Texts of the files, by their names, that a design with its own gains comes to."""
+    design = load_text(design_text.encode(), f"{prefix}.yaml")
+    gains = solve_gains(design)
+    target = TARGETS[name]
+    held = target.method.configure(asked(design, gains.i_d, gains.i_q, gains.speed))
+    files = target.write(held, FileTitle(prefix, design.name, design.digest, "0"), None)
+    return {file: content.decode() for file, content in files.items()}
+
+
+def assert_example(name: Firmware, file: str, language: str, *, least: int) -> None:
+    """Every line that the page prints in a language stands in the file that its design gives, and
+    those lines are more than `least`.
+    """
+    page = page_of(name)
+    text = example_files(name, block(page, "yaml"), file.partition("_")[0])[file]
+    printed = block(page, language).splitlines()
+    assert len(printed) > least
+    assert [line for line in printed if line not in text.splitlines()] == []
