@@ -116,13 +116,18 @@ def _needed(value: float | None, key: str, what: str, otherwise: str = "give it"
     return needed(value, key, FIRMWARE, what, otherwise)
 
 
+def _magnets(drive: DriveValues) -> float:
+    without = "a machine without any needs another firmware"
+    return _needed(drive.psi_pm, "machine.magnet_flux", "the flux linkage of magnets", without)
+
+
 def _machine(drive: DriveValues) -> dict[str, OwnValue]:
     if not drive.pole_pairs:
         raise InputError(
             "machine: Infineon's library needs the number of poles; give poles or pole_pairs"
         )
     r_s = _needed(drive.r_s, "machine.resistance", "a resistance")
-    psi = _needed(drive.psi_pm, "machine.magnet_flux", "the flux linkage of its magnets")
+    psi = _magnets(drive)
     i_max = _needed(drive.i_max, "machine.max_current", "a largest current")
     v_dc = _needed(drive.v_dc, "inverter.v_dc", "the voltage of the dc link")
     f_sw = _needed(drive.f_sw, "inverter.switching_frequency", "a PWM frequency")

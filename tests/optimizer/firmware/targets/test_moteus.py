@@ -142,7 +142,7 @@ def test_loops_of_any_machine_hold(asked: Asked) -> None:
 
 
 def test_machines_without_magnets_are_refused() -> None:
-    with pytest.raises(InputError, match=r"machine\.psi_pm: moteus"):
+    with pytest.raises(InputError, match=r"machine\.magnet_flux: moteus"):
         configure(asked_of(RELUCTANCE))
 
 
@@ -183,3 +183,9 @@ def test_feedforward_of_the_resistance_is_told_with_its_overshoot() -> None:
     held = configuration("drive", {key: float(value) for key, value in numbers.items()})
     # a = 2 pi 1000 L/R = 12.6; the excess is a^(-(a + 1)/(a - 1)).
     assert any("overshoots by 5.1%" in words for words in held.conventions)
+
+
+def test_a_bandwidth_above_that_of_the_tool_is_remarked_upon_and_is_no_contradiction() -> None:
+    held = configure(scooter())
+    assert held.contradictions == ()
+    assert any("above 1/30 of the control's 20000 Hz" in words for words in held.conventions)

@@ -106,7 +106,7 @@ def test_loops_of_any_machine_hold(asked: Asked) -> None:
 
 
 def test_machines_without_magnets_are_refused() -> None:
-    with pytest.raises(InputError, match=r"machine\.psi_pm: ODrive"):
+    with pytest.raises(InputError, match=r"machine\.magnet_flux: ODrive"):
         configure(asked_of(RELUCTANCE))
 
 
