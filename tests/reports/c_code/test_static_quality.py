@@ -211,9 +211,7 @@ HEADERS: dict[str, Callable[[], Files]] = {
     **{f"waveform salient {name}": partial(salient_headers, name) for name in OPEN_PHASES},
     **{f"weakening {name}": partial(weakening_headers, name) for name in WEAKENED},
     **{f"control {name}": partial(control_headers, name) for name in MODULATORS},
-    **{
-        f"control_{name} {kind}": partial(fixed_headers, width, kind) for name, width, kind in FIXED
-    },
+    **{f"control_q{bits - 1} {kind}": partial(fixed_headers, bits, kind) for bits, kind in FIXED},
     **{f"modulation {name}": partial(rule_headers, name) for name in RULES},
     **{f"gains {name}": partial(gains_headers, name) for name in SCHEDULED},
 }
