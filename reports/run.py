@@ -12,7 +12,7 @@ from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Outcome, asked_for
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
-from dqforge.reports.firmware_files.settled import require_settling
+from dqforge.reports.firmware_files.settled import settling_verdicts
 from dqforge.reports.main_header.dialect import Dialect
 from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 from dqforge.reports.main_header.header import header_files
@@ -58,13 +58,16 @@ def _verified(
     solution: Solution, files: dict[str, bytes], plain: PlainData, capabilities: Capabilities
 ) -> Verification:
     """The headers against what the result says of them: what a later `dqforge verify` will read."""
-    for fit in solution.firmware:
-        stage(f"running the loops of {fit.name}")
-        require_settling(solution.design, fit)
+    for _ in settling_verdicts(solution.design, solution.firmware, _running):
+        pass  # what does not settle is refused
     stage("compiling and comparing")
     export = solution.design.export
     _, further = programmes(plain, capabilities)
     return verify_files(files, export.prefix, solution.reference, export.vectors, further)
+
+
+def _running(name: str) -> None:
+    stage(f"running the loops of {name}")
 
 
 def _result(design: Design, plain: PlainData) -> bytes:

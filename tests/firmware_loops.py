@@ -17,6 +17,8 @@ from dqforge.machines.names import Firmware
 from dqforge.optimizer.control_design.gain_set import gains_or_reason
 from dqforge.optimizer.firmware.asked import asked
 from dqforge.optimizer.firmware.configuration import DriveValues
+from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
+from dqforge.optimizer.firmware.judge import judge
 from dqforge.optimizer.firmware.profile import (
     CurrentLoops,
     LoopProfile,
@@ -159,3 +161,13 @@ def configured(name: Firmware) -> tuple[LoopProfile, DriveValues]:
 
 
 EVERY = (lambda: vesc(1e6), simplefoc, moteus, odrive, nxp, st, ti, infineon)
+
+
+def assert_current_loops_hold(method: FirmwareMethod, wished: Asked) -> None:
+    """The current loops of what a firmware is given are stable, with the phase margin required."""
+    held = method.configure(wished)
+    judged = judge(method.profile(replace(held, speed=None)), wished.drive)
+    for loop in (judged.current_d, judged.current_q):
+        assert loop is not None
+        assert loop.stable
+        assert loop.phase_margin >= wished.design.control.current_loop.phase_margin_min

@@ -22,7 +22,7 @@ from dqforge.optimizer.firmware.configuration import Configuration, Origin
 from dqforge.optimizer.solution import solve
 from dqforge.reports.firmware.registry import TARGETS
 from dqforge.reports.firmware_files.capability import FIRMWARE as FIRMWARE_FILES
-from dqforge.reports.firmware_files.design_text import exact_text
+from dqforge.reports.firmware_files.design_text import exact_text, rate_text, speed_text
 from dqforge.reports.firmware_files.exported import differing
 from dqforge.reports.firmware_files.folder_files import written_firmware
 from dqforge.reports.firmware_files.recognised import merged, read_configuration
@@ -532,3 +532,46 @@ def test_python_has_all_of_it(tmp_path: Path) -> None:
     (vesc,) = [path for path in put("vesc", tmp_path) if path.suffix == ".xml"]
     with pytest.raises(InputError, match=r"give \{'inverter.v_dc': '48 V'\}"):
         dqforge.design_from_firmware(vesc)
+
+
+@pytest.mark.parametrize("name", ["nxp", "ti"])
+def test_a_file_that_holds_less_is_written_into(call: Call, name: Any, tmp_path: Path) -> None:
+    path = next(path for path in put(name, tmp_path) if path.suffix == ".h")
+    words = {"nxp": '"parametersJ"', "ti": "INERTIA"}[name]
+    kept = [line for line in path.read_text().split("\n") if words not in line]
+    path.write_text("\n".join(kept))
+    document = answered(call, "export", "scooter.yaml", "--for", name, "--into", path)
+    assert document["firmware"]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (22500.0 / 15.0 * math.pi / 30.0, "1500 rpm"),
+        (11.66667 * 2.0 * math.pi, "700.0002 rpm"),
+        (100.123456789012, "100.123456789012 rad/s"),
+    ],
+)
+def test_speeds_are_written_as_people_write_them(value: float, text: str) -> None:
+    assert speed_text(value, "rad/s", "speed") == text
+
+
+def test_frequencies_are_those_of_their_periods() -> None:
+    assert rate_text(1e-05) == "100 kHz"
+    assert rate_text(125e-6) == "8 kHz"
+    third = 1.0 / 3e4
+    assert rate_text(third) == "30 kHz"
+    assert rate_text(math.pi * 1e-5).endswith(" kHz")
+    assert math.isclose(float(rate_text(math.pi * 1e-5).split()[0]), 100.0 / math.pi, rel_tol=1e-15)
+
+
+def test_the_example_of_the_carrier_goes_with_the_period_of_the_file(
+    call: Call, tmp_path: Path
+) -> None:
+    fast = ("inverter.switching_frequency=50 kHz", "control.sampling_frequency=50 kHz")
+    sets = [word for key in fast for word in ("--set", key)]
+    done = call("export", "scooter.yaml", "--for", "simplefoc", *sets, "-o", "f", "--no-verify")
+    assert done[0] == 0
+    code, out, err = call("new", "made", "--from", "f/scooter_simplefoc.h")
+    assert (code, err) == (0, "")
+    assert "--set inverter.switching_frequency='50 kHz'" in out

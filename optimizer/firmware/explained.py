@@ -32,7 +32,18 @@ OF_MACHINE = ("pole_pairs", "r_s", "l_d", "l_q", "psi_pm", "inertia", "viscous")
 
 _NO_SPEED = (
     "the speed loop is not judged: a header does not say the inertia; name the design of the "
-    "machine"
+    "machine with --machine DESIGN"
+)
+
+
+_NAME_MACHINE = (
+    "name the design of the machine with --machine DESIGN: what the file does not say is taken "
+    "from it"
+)
+
+
+_COMPLETE_MACHINE = (
+    "the design of the machine does not say it either: write it there, such as machine.inertia"
 )
 
 
@@ -112,10 +123,19 @@ def explain(
     try:
         with numerical_errors():
             profile = method.profile(replace(configuration, drive=told))
-            judged = judge(profile, drive)
+            judged = _advised(profile, judge(profile, drive), named=machine is not None)
     except (InputError, NoSolutionError) as error:
         judged = _nothing(error.message)
     return Explained(configuration, drive, profile, judged)
+
+
+def _advised(profile: LoopProfile, judged: JudgedFirmware, *, named: bool) -> JudgedFirmware:
+    """The loops with what to give where one of them could not be judged."""
+    unknown = profile.speed is not None and judged.speed is None
+    if not unknown and judged.current_q is not None:
+        return judged
+    advice = _COMPLETE_MACHINE if named else _NAME_MACHINE
+    return replace(judged, remarks=(*judged.remarks, advice))
 
 
 def _nothing(remark: str) -> JudgedFirmware:

@@ -103,6 +103,8 @@ class JudgedFirmware:
         What is wrong, what limits, and what is left out, one sentence each.
     turning:
         Both current loops together up to the largest speed, None where that is not known.
+    faults:
+        Those of the remarks that say what is wrong.
     """
 
     current_d: JudgedLoop | None
@@ -111,6 +113,7 @@ class JudgedFirmware:
     pll_poles: tuple[complex, complex] | None
     remarks: tuple[str, ...]
     turning: TurningAxes | None = None
+    faults: tuple[str, ...] = ()
 
 
 def judge(profile: LoopProfile, drive: DriveValues) -> JudgedFirmware:
@@ -138,14 +141,17 @@ def judge(profile: LoopProfile, drive: DriveValues) -> JudgedFirmware:
         )
     poles = None if speed is None else pll_poles(speed.feedback)
     turning = _turning(drive, l_d, l_q, current)
-    remarks = (
+    faults = (
         *_unstable(profile, (("d", judged_d), ("q", judged_q), ("speed", judged_speed))),
         *_unstable_together(profile, turning, (judged_d, judged_q)),
         *_of_pll(profile, judged_speed, poles),
+    )
+    remarks = (
+        *faults,
         *_of_observer(profile, judged_speed),
         *_left_out(missing, judged_q),
     )
-    return JudgedFirmware(judged_d, judged_q, judged_speed, poles, remarks, turning)
+    return JudgedFirmware(judged_d, judged_q, judged_speed, poles, remarks, turning, faults)
 
 
 def judged_loop(loop: PiLoop) -> JudgedLoop:

@@ -20,7 +20,7 @@ from dqforge.reports.firmware_files.exported import (
     target_named,
 )
 from dqforge.reports.firmware_files.plain import plain_fit
-from dqforge.reports.firmware_files.settled import require_settling, settling_text
+from dqforge.reports.firmware_files.settled import settling_text, settling_verdicts
 from dqforge.reports.firmware_files.tables import fit_tables
 from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import stage
@@ -70,17 +70,21 @@ def answer_export_for(
     notes: list[str] = []
     for fit in fits:
         made = firmware_files(wanted, fit, existing)
-        if verify:
-            stage(f"running the loops of {fit.name}")
-            notes.append(settling_text(require_settling(wanted, fit)))
         _check_names(files, made, fit)
         files |= made
         read = read_files(made, target_named(fit))
         title = f"{target_named(fit).title}: {', '.join(made)}"
         tables += fit_tables(fit, read, title)
         plain[fit.name] = plain_fit(fit) | {"files": list(made)}
+    if verify:
+        verdicts = settling_verdicts(wanted, fits, _running)
+        notes = [settling_text(verdict) for verdict in verdicts]
     written = Files(files, "", design)
     return Answer(design.name, tables, {"firmware": plain}, files=written, notes=tuple(notes))
+
+
+def _running(name: str) -> None:
+    stage(f"running the loops of {name}")
 
 
 def _check_names(files: dict[str, bytes], made: dict[str, bytes], fit: FirmwareFit) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import NoReturn
 
@@ -32,6 +32,9 @@ _MOST_DEPTH = 64
 _PASSED = re.compile(
     r"""//[^\n]*|/\*.*?(?:\*/|\Z)|"(?:\\.|[^"\\\n])*+"?|'(?:\\.|[^'\\\n])*+'?""", re.DOTALL
 )
+
+
+_WORD = re.compile(r"(?<![\w.])[A-Za-z_]\w*", re.ASCII)
 
 
 _DIRECTIVE = re.compile(r"^[ \t]*#[ \t]*([a-z]+)\b[ \t]*([^\n]*)$", re.MULTILINE | re.ASCII)
@@ -229,17 +232,27 @@ def read_assignments(text: str, source: str, functions: Functions | None = None)
 def with_values(text: str, macros: Macros, values: Mapping[str, str]) -> str:
     """The text with other texts behind macros (or assignments) of it; everything else stays.
 
-    Names that it does not define are left out: see what is missing in ``macros``.
+    Names that it does not define are left out: see what is missing in ``macros``. A text that
+    stands for the same number, in the same wrap, stays as well.
     """
     edits = [
         (macros.by_name[name].start, macros.by_name[name].end, value)
         for name, value in values.items()
-        if name in macros
+        if name in macros and not _same_number(macros, name, value)
     ]
     for start, end, value in sorted(edits, reverse=True):
         lead = " " if start == end and not text[:start].endswith((" ", "\t")) else ""
         text = text[:start] + lead + value + text[end:]
     return text
+
+
+def _same_number(macros: Macros, name: str, text: str) -> bool:
+    """Whether a text has the value that stands behind a macro, and the names in it as well."""
+    old = macros.by_name[name]
+    if _WORD.findall(old.text) != _WORD.findall(text):
+        return False
+    one, other = macros.value_of(old), macros.value_of(replace(old, text=text))
+    return one is not None and one == other
 
 
 def without_comments(text: str, source: str) -> str:

@@ -198,12 +198,22 @@ def with_json_values(
     """
     found = parsed_json(text, source, constants=constants)
     present = {path: value for path, value in values.items() if path in found.spans}
-    edits = [(*found.spans[path], json.dumps(value)) for path, value in present.items()]
+    edits = [
+        (*found.spans[path], json.dumps(value))
+        for path, value in present.items()
+        if not _same_number(found.value(*path), value)
+    ]
     for start, end, new in sorted(edits, reverse=True):
         text = text[:start] + new + text[end:]
     for path in reversed([path for path in values if path not in present]):
         text = _with_key(parsed_json(text, source, constants=constants), path, values[path])
     return text
+
+
+def _same_number(one: Any, other: Any) -> bool:
+    """Whether two values are the same number, however it is written."""
+    numbers = all(type(value) in (int, float) for value in (one, other))
+    return numbers and bool(one == other)
 
 
 def _with_key(found: JsonText, path: tuple[str, ...], value: Any) -> str:

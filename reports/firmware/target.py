@@ -43,6 +43,9 @@ class Target:
     read_several:
         The configuration that several files state together, from text and place of each; None
         where each file is understood by itself.
+    of_project:
+        Own names of what a board or a project decides (scales of its sensing, thresholds of its
+        faults): an existing file keeps them, whatever a new one would say.
     """
 
     method: FirmwareMethod
@@ -51,3 +54,4 @@ class Target:
     recognise: Callable[[str, str], bool]
     read: Callable[[str, str], Configuration]
     read_several: Callable[[Sequence[tuple[str, str]]], Configuration] | None = None
+    of_project: frozenset[str] = frozenset()

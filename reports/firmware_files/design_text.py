@@ -4,6 +4,8 @@ does not say as questions, its conventions and contradictions as comments.
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
@@ -215,11 +217,17 @@ class _Writer:
                 )
                 self.wanted.append((path, key.example))
             else:
-                self._question(section, key.key, key.what, key.example, needed=key.needed)
+                self._question(section, key.key, key.what, self._example(key), needed=key.needed)
             return
-        text = exact_text(float(value), key.unit, key.dimension)
+        exact = speed_text if key.dimension == "speed" else exact_text
+        text = exact(float(value), key.unit, key.dimension)
         self.lines.append(f"  {key.key}: {self._entry(key.field, text, _KINDS.get(key.key))}")
         self.origins[path] = key.field
+
+    def _example(self, key: _Key) -> str:
+        """An example that goes with what the file says."""
+        t_s = self.found.drive.t_s
+        return rate_text(t_s) if key.field == "f_sw" and t_s else key.example
 
     def _question(self, section: str, key: str, what: str, example: str, *, needed: bool) -> None:
         if f"{section}.{key}" in self.given:
@@ -265,7 +273,7 @@ class _Writer:
             )
         t_s = found.drive.t_s
         if t_s is not None and t_s > 0.0:
-            text = exact_text(1.0 / t_s, "Hz", "frequency")
+            text = rate_text(t_s)
             self.lines.append(f"  sampling_frequency: {self._entry('t_s', text)}")
             self.origins["control.sampling_frequency"] = "t_s"
         gains = found.current_q or found.current_d
@@ -348,6 +356,21 @@ def exact_text(value: float, unit: str, dimension: str) -> str:
             text = f"{decimal.scaleb(-exponent).normalize():f} {prefix}{unit}"
             return text if _reads_as(text, dimension, value) else plain
     return plain
+
+
+def speed_text(value: float, unit: str, dimension: str) -> str:
+    """A speed in rpm where that is a number of few digits, else as `exact_text`."""
+    text = f"{float(f'{value * 30.0 / math.pi:.9g}'):.9g} rpm"
+    read = parse_quantity(text, dimension)
+    # Equal but for the last bit, in which the order of the products counts.
+    same = math.isclose(read, value, rel_tol=4.0 * sys.float_info.epsilon)
+    return text if same else exact_text(value, unit, dimension)
+
+
+def rate_text(t_s: float) -> str:
+    """The frequency of a period in s, of few digits where one of few has that very period."""
+    short = float(f"{1.0 / t_s:.9g}")
+    return exact_text(short if 1.0 / short == t_s else 1.0 / t_s, "Hz", "frequency")
 
 
 def _reads_as(text: str, dimension: str, value: float) -> bool:

@@ -2,14 +2,61 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.firmware.solve import FirmwareFit
+from dqforge.reports.firmware.loop_code import modulation_of
+from dqforge.reports.firmware.loop_run import firmware_simulator
 from dqforge.reports.firmware.settling import Verdict, settles
+from dqforge.reports.simulation.compiled_plant import Simulator
 
 
-def require_settling(design: Design, fit: FirmwareFit) -> Verdict:
+def settling_verdicts(
+    design: Design, fits: Sequence[FirmwareFit], told: Callable[[str], None]
+) -> Iterator[Verdict]:
+    """Run the loops of each firmware on the design's machine, one after the other.
+
+    All that modulate alike run in one program, which is compiled once.
+
+    Parameters
+    ----------
+    design:
+        The design.
+    fits:
+        What each firmware is given of it.
+    told:
+        Called with the name of each before it runs.
+
+    Raises
+    ------
+    NoSolutionError, VerificationError
+        As `require_settling`.
+    """
+    with ExitStack() as stack:
+        programs: dict[str, Simulator] = {}
+        for fit in fits:
+            told(fit.name)
+            kind = modulation_of(fit.profile)
+            if kind not in programs:
+                made = firmware_simulator(fit.profile, fit.configuration.drive)
+                programs[kind] = stack.enter_context(made)
+            yield require_settling(design, fit, programs[kind])
+
+
+def require_settling(design: Design, fit: FirmwareFit, program: Simulator | None = None) -> Verdict:
     """Run the loops of a firmware on the design's machine.
+
+    Parameters
+    ----------
+    design:
+        The design.
+    fit:
+        What the firmware is given of it.
+    program:
+        A compiled one of the same modulation, where it is there already.
 
     Raises
     ------
@@ -18,9 +65,9 @@ def require_settling(design: Design, fit: FirmwareFit) -> Verdict:
     VerificationError
         There is no C compiler.
     """
-    verdict = settles(fit.profile, design, fit.configuration.drive)
+    verdict = settles(fit.profile, design, fit.configuration.drive, program=program)
     if not verdict.settles:
-        why = "; ".join((verdict.reason, *fit.judged.remarks[:1]))
+        why = "; ".join((verdict.reason, *fit.judged.faults[:1]))
         asked_for = design.control.firmware
         within = asked_for is not None and asked_for.name == fit.name
         advice = (

@@ -84,7 +84,12 @@ def _needed(value: float | None, key: str, what: str, otherwise: str = "give it"
 
 
 def _torque_constant(drive: DriveValues) -> float:
-    psi = _needed(drive.psi_pm, "machine.psi_pm", "the flux linkage of magnets: it finds the rotor")
+    psi = _needed(
+        drive.psi_pm,
+        "machine.magnet_flux",
+        "the flux linkage of magnets, by which it finds the rotor",
+        "a machine without any needs another firmware",
+    )
     return 1.5 * _pairs(drive) * psi
 
 

@@ -18,6 +18,7 @@ from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import (
     Edition,
 )
 from dqforge.optimizer.firmware.nxp_mcat.mcat_findings import contradictions, conventions
+from dqforge.optimizer.firmware.nxp_mcat.mcat_names import PROJECT_INPUTS, PROJECT_MACROS
 from dqforge.optimizer.firmware.nxp_mcat.mcat_numbers import printed
 from dqforge.optimizer.firmware.nxp_mcat.mcat_sheet import McatSheet, kind_of
 
@@ -123,6 +124,36 @@ class McatFile:
                 own[name] = scaled if edition.commented else printed(scaled)
         return McatFile(self.name, edition, own, self.origins)
 
+    def in_project(self, theirs: McatFile) -> McatFile:
+        """The same loops on the board of another file: with its scales, thresholds and ramps.
+
+        A float build alone: in fixed point the gains count in these scales.
+
+        Parameters
+        ----------
+        theirs:
+            The file of the project, of the same age.
+        """
+        if self.edition.fixed:
+            return self
+        own = dict(self.own)
+        one, other = self.sheet, theirs.sheet
+        outgrown = _outgrown(one, other)
+        own |= {
+            key: theirs.own[key]
+            for key in PROJECT_INPUTS
+            if key in theirs.own and not key.startswith(outgrown)
+        }
+        made: dict[str, OwnValue] = {**constants(self.edition, own)}
+        if (one.t_s, one.t_speed, one.pole_pairs) == (other.t_s, other.t_speed, other.pole_pairs):
+            made |= theirs.own
+        own |= {
+            macro: made[macro]
+            for macro in PROJECT_MACROS
+            if macro in made and not macro.startswith(outgrown)
+        }
+        return McatFile(self.name, self.edition, own, self.origins)
+
     def _converted(self, edition: Edition) -> dict[str, OwnValue]:
         """Inputs that mean something else in the other age."""
         sheet, changed = self.sheet, dict[str, OwnValue]()
@@ -146,6 +177,24 @@ class McatFile:
                 cutoff * (slow / t_s if fast else 1.0) / (slow / t_s if was_fast else 1.0)
             )
         return changed
+
+
+def _outgrown(ours: McatSheet, theirs: McatSheet) -> tuple[str, ...]:
+    """Starts of the names of thresholds at which the design's link voltage or its largest speed
+    would be a fault.
+    """
+    names: tuple[str, ...] = ()
+    voltage, speed = ours.link_voltage(), ours.largest_speed()
+    lowest = theirs.number("parametersUdcbUnder") or theirs.number("M1_U_DCB_UNDERVOLTAGE")
+    largest = theirs.number("parametersUdcbOver") or theirs.number("M1_U_DCB_OVERVOLTAGE")
+    if voltage is not None and not (lowest or 0.0) <= voltage <= (largest or math.inf):
+        names += ("parametersUdcbTrip", "parametersUdcbUnder", "parametersUdcbOver")
+        names += ("M1_U_DCB_TRIP", "M1_U_DCB_UNDER", "M1_U_DCB_OVER")
+    fastest = theirs.constant("M1_N_OVERSPEED")
+    pairs = ours.pole_pairs or 1
+    if speed is not None and fastest is not None and pairs * speed > fastest:
+        names += ("parametersN", "M1_N_", "M1_FREQ_MAX")
+    return names
 
 
 def _float_edition(own: Mapping[str, OwnValue]) -> Edition:

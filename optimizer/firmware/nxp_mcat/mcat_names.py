@@ -156,3 +156,51 @@ MACROS: dict[str, tuple[str, ...]] = {
 }
 
 """Macros that MCAT makes of its inputs, as of the first motor."""
+
+
+PROJECT_INPUTS = (
+    "parametersImax",
+    "parametersUdcbMax",
+    "parametersEmax",
+    "parametersUdcbTrip",
+    "parametersUdcbUnder",
+    "parametersUdcbOver",
+    "parametersNover",
+    "parametersNmin",
+    "parametersEblock",
+    "parametersEblockPer",
+    "parametersNmax",
+    "parametersUdcbIIRf0",
+    "parametersCalibDuration",
+    "parametersFaultDuration",
+    "parametersFreewheelDuration",
+    "parametersScalarUqMin",
+    "parametersAlignVoltage",
+    "parametersAlignDuration",
+    "parametersScalarVHzRatio",
+    "speedLoopIncUp",
+    "speedLoopIncDown",
+    "sensorlessTrackObsrvIIRSpeedCutOff",
+    "sensorlessStartupRamp",
+    "sensorlessMergingSpeed",
+    "sensorlessMergingCoeff",
+)
+
+"""Inputs that the board and the project decide, not the machine or its loops."""
+
+
+PROJECT_MACROS = (
+    *(
+        macro
+        for macro in MACROS["PARAMETERS"]
+        if macro not in ("M1_MOTOR_PP", "M1_I_PH_NOM", "M1_N_NOM", "M1_N_ANGULAR_MAX")
+    ),
+    "M1_SPEED_RAMP_UP",
+    "M1_SPEED_RAMP_DOWN",
+    "M1_OL_START_RAMP_INC",
+    "M1_MERG_SPEED_TRH",
+    "M1_MERG_COEFF",
+    *_filter("M1_TO_SPEED_IIR"),
+)
+
+"""Constants that come of these inputs alone, with the periods and the pole pairs."""

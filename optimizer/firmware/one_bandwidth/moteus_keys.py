@@ -208,7 +208,7 @@ def configuration(name: str, numbers: Numbers) -> Configuration:
         current_q=current_q,
         speed=_speed_gains(numbers, drive),
         own=own,
-        conventions=tuple(conventions(numbers)),
+        conventions=tuple(conventions(numbers, drive.t_s)),
         contradictions=tuple(contradictions(numbers, drive.t_s)),
     )
 

@@ -20,13 +20,15 @@ FILTER_SHARE = 10.0
 """Rate of the control over the bandwidth of the encoder's filter, likewise."""
 
 
-def conventions(numbers: Numbers) -> Iterator[str]:
+def conventions(numbers: Numbers, period: float | None = None) -> Iterator[str]:
     """Sentences on how numbers are meant that a reader could take otherwise.
 
     Parameters
     ----------
     numbers:
         Values by key, of the rotor.
+    period:
+        Of the control in s, None where it is not known.
     """
     if "motor.Kv" in numbers:
         yield "motor.Kv is in rpm per volt between two phases (peak), of the rotor"
@@ -40,6 +42,13 @@ def conventions(numbers: Numbers) -> Iterator[str]:
             "as its integral gain"
         )
     yield from _feedforward(numbers)
+    hertz = numbers.get("servo.pid_dq_hz")
+    if hertz is not None and period is not None and hertz * period > 1.001 / SLOWEST_SHARE:
+        yield (
+            f"servo.pid_dq_hz {hertz:g} Hz is above 1/{SLOWEST_SHARE:g} of the control's "
+            f"{1.0 / period:g} Hz, the most that moteus_tool sets by itself: the firmware takes "
+            "it, and the margins of the current loops say what becomes of it"
+        )
 
 
 def contradictions(numbers: Numbers, period: float | None) -> Iterator[str]:
@@ -88,17 +97,13 @@ def _feedforward(numbers: Numbers) -> Iterator[str]:
 
 
 def _too_fast(numbers: Numbers, rate: float) -> Iterator[str]:
-    limits = (
-        ("servo.pid_dq_hz", SLOWEST_SHARE, "the current loops"),
-        ("motor_position.sources.0.pll_filter_hz", FILTER_SHARE, "the filter of the encoder"),
-    )
-    for key, share, what in limits:
-        value = numbers.get(key)
-        if value is not None and value > 1.001 * rate / share:
-            yield (
-                f"{key} {value:g} Hz is above 1/{share:g} of the control's {rate:g} Hz, the most "
-                f"that moteus_tool sets for {what}"
-            )
+    key = "motor_position.sources.0.pll_filter_hz"
+    value = numbers.get(key)
+    if value is not None and value > 1.001 * rate / FILTER_SHARE:
+        yield (
+            f"{key} {value:g} Hz is above 1/{FILTER_SHARE:g} of the control's {rate:g} Hz, the "
+            "most that moteus_tool sets for the filter of the encoder"
+        )
 
 
 def _integral(numbers: Numbers) -> Iterator[str]:

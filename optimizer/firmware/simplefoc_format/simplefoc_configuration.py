@@ -12,7 +12,7 @@ from dqforge.optimizer.firmware.configuration import (
     OwnValue,
     PiGains,
 )
-from dqforge.optimizer.firmware.field_origins import field_origins
+from dqforge.optimizer.firmware.field_origins import Fields, field_origins
 from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import (
     DEFAULTS,
@@ -155,7 +155,7 @@ def _contradictions(own: Mapping[str, OwnValue]) -> Iterator[str]:
             )
 
 
-_FIELDS = {
+_FIELDS: Fields = {
     "pole_pairs": ("pole_pairs", "as it is"),
     "r_s": ("phase_resistance", "as it is, Ohm of a phase"),
     "l_d": (("axis_inductance.d", "phase_inductance"), "as it is, H of a phase"),

@@ -116,13 +116,18 @@ def _needed(value: float | None, key: str, what: str, otherwise: str = "give it"
     return needed(value, key, FIRMWARE, what, otherwise)
 
 
+def _magnets(drive: DriveValues) -> float:
+    without = "a machine without any needs another firmware"
+    return _needed(drive.psi_pm, "machine.magnet_flux", "the flux linkage of magnets", without)
+
+
 def _machine(drive: DriveValues) -> dict[str, OwnValue]:
     if not drive.pole_pairs:
         raise InputError(
             "machine: Infineon's library needs the number of poles; give poles or pole_pairs"
         )
     r_s = _needed(drive.r_s, "machine.resistance", "a resistance")
-    psi = _needed(drive.psi_pm, "machine.magnet_flux", "the flux linkage of its magnets")
+    psi = _magnets(drive)
     i_max = _needed(drive.i_max, "machine.max_current", "a largest current")
     v_dc = _needed(drive.v_dc, "inverter.v_dc", "the voltage of the dc link")
     f_sw = _needed(drive.f_sw, "inverter.switching_frequency", "a PWM frequency")
@@ -141,28 +146,8 @@ def _machine(drive: DriveValues) -> dict[str, OwnValue]:
             "motor.ld": _needed(drive.l_d, "machine.inductance_d", "inductances"),
         },
         "machine.magnet_flux": {"motor.lam": psi},
-        "machine.max_current": {
-            "motor.i_peak": i_max,
-            "motor.i_cont": i_max,
-            "motor.id_max": i_max,
-            "sys.cmd.i_max": i_max,
-            "sys.rate_lim.i_cmd": i_max * rate,
-            "ctrl.curr.i_cmd_thresh": 0.2 * i_max,
-            "ctrl.curr.i_cmd_hyst": 0.02 * i_max,
-            "ctrl.six_pulse_inj.i_peak": 0.5 * i_max,
-            "ctrl.high_freq_inj.i_qd_r_peak.d": 0.2 * i_max,
-        },
-        "machine.max_speed": {
-            "motor.w_nom.elec": rated,
-            "motor.w_max.elec": most,
-            "sys.cmd.w_max.mech": most / drive.pole_pairs,
-            "sys.rate_lim.w_cmd.elec": most,
-            "obs.pll.w_max.elec": 1.5 * most,
-            "obs.w_thresh.elec": 0.1 * rated,
-            "obs.w_hyst.elec": 0.01 * rated,
-            "ctrl.volt.w_thresh.elec": 0.01 * rated,
-            "ctrl.volt.w_hyst.elec": 0.001 * rated,
-        },
+        "machine.max_current": _of_current(i_max, rate),
+        "machine.max_speed": _of_speed(most, rated, drive.pole_pairs),
         "inverter.v_dc": {"motor.v_nom": available, "sys.vdc_nom": v_dc},
         "inverter.switching_frequency": {
             "sys.samp.fs0": rate,
@@ -182,6 +167,36 @@ def _machine(drive: DriveValues) -> dict[str, OwnValue]:
     if drive.inertia:
         values["params.mech.inertia"] = kept(drive.inertia, "machine.inertia")
     return values
+
+
+def _of_current(i_max: float, rate: float) -> dict[str, float]:
+    """Members that follow from the largest current, and from the rate of the control in Hz."""
+    return {
+        "motor.i_peak": i_max,
+        "motor.i_cont": i_max,
+        "motor.id_max": i_max,
+        "sys.cmd.i_max": i_max,
+        "sys.rate_lim.i_cmd": i_max * rate,
+        "ctrl.curr.i_cmd_thresh": 0.2 * i_max,
+        "ctrl.curr.i_cmd_hyst": 0.02 * i_max,
+        "ctrl.six_pulse_inj.i_peak": 0.5 * i_max,
+        "ctrl.high_freq_inj.i_qd_r_peak.d": 0.2 * i_max,
+    }
+
+
+def _of_speed(most: float, rated: float, pole_pairs: int) -> dict[str, float]:
+    """Members that follow from the largest and the rated electrical speed in rad/s."""
+    return {
+        "motor.w_nom.elec": rated,
+        "motor.w_max.elec": most,
+        "sys.cmd.w_max.mech": most / pole_pairs,
+        "sys.rate_lim.w_cmd.elec": most,
+        "obs.pll.w_max.elec": 1.5 * most,
+        "obs.w_thresh.elec": 0.1 * rated,
+        "obs.w_hyst.elec": 0.01 * rated,
+        "ctrl.volt.w_thresh.elec": 0.01 * rated,
+        "ctrl.volt.w_hyst.elec": 0.001 * rated,
+    }
 
 
 def _loops(asked: Asked) -> dict[str, OwnValue]:

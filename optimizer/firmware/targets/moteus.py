@@ -178,7 +178,7 @@ def _machine_values(drive: DriveValues) -> dict[str, float]:
         )
     if psi_pm is None or not psi_pm > 0.0:
         raise InputError(
-            "machine.psi_pm: moteus makes torque of the magnets alone (motor.Kv); a machine "
+            "machine.magnet_flux: moteus makes torque of the magnets alone (motor.Kv); a machine "
             "without any needs another firmware"
         )
     assert r_s is not None

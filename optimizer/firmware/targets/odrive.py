@@ -165,8 +165,8 @@ def _machine_values(asked: Asked) -> dict[str, float | bool]:
     drive = asked.drive
     if drive.psi_pm is None or not drive.psi_pm > 0.0:
         raise InputError(
-            "machine.psi_pm: ODrive makes torque of the magnets alone (torque_constant); a machine "
-            "without any needs another firmware"
+            "machine.magnet_flux: ODrive makes torque of the magnets alone (torque_constant); a "
+            "machine without any needs another firmware"
         )
     assert drive.pole_pairs is not None
     assert drive.r_s is not None

@@ -144,7 +144,10 @@ def _machine(drive: DriveValues) -> dict[str, Number]:
     if drive.pole_pairs is None or drive.r_s is None or drive.l_d is None or drive.l_q is None:
         raise InputError("machine: SimpleFOC needs pole pairs, resistance and inductances")
     if not drive.psi_pm or drive.psi_pm < 0.0:
-        raise InputError("machine.magnet_flux: SimpleFOC runs machines with magnets; it has no KV")
+        raise InputError(
+            "machine.magnet_flux: SimpleFOC makes its KV of the flux of magnets; a machine without "
+            "any needs another firmware"
+        )
     if drive.v_dc is None or drive.t_s is None:
         raise InputError("inverter.v_dc: SimpleFOC needs the link's voltage; give it")
     return {

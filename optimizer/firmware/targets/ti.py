@@ -158,6 +158,11 @@ def _needed(value: float | None, key: str, what: str, otherwise: str = "give it"
     return needed(value, key, FIRMWARE, what, otherwise)
 
 
+def _magnets(drive: DriveValues) -> float:
+    without = "a machine without any needs another firmware"
+    return _needed(drive.psi_pm, "machine.magnet_flux", "the flux linkage of magnets", without)
+
+
 def _machine(drive: DriveValues) -> dict[str, OwnValue]:
     if not drive.pole_pairs:
         raise InputError(
@@ -166,7 +171,7 @@ def _machine(drive: DriveValues) -> dict[str, OwnValue]:
     r_s = _needed(drive.r_s, "machine.resistance", "a resistance")
     l_d = _needed(drive.l_d, "machine.inductance_d", "inductances")
     l_q = _needed(drive.l_q, "machine.inductance_q", "inductances")
-    psi = _needed(drive.psi_pm, "machine.magnet_flux", "the flux linkage of its magnets")
+    psi = _magnets(drive)
     inertia = _needed(drive.inertia, "machine.inertia", "an inertia for its speed controller")
     i_max = _needed(drive.i_max, "machine.max_current", "a largest current")
     v_dc = _needed(drive.v_dc, "inverter.v_dc", "the voltage of the dc link")

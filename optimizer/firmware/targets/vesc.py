@@ -32,7 +32,12 @@ from dqforge.optimizer.firmware.vesc_format.vesc_configuration import (
     speed_scale,
 )
 from dqforge.optimizer.firmware.vesc_format.vesc_contradictions import OBSERVER_RATE, tracking_poles
-from dqforge.optimizer.firmware.vesc_format.vesc_keys import VERSION, kept, loop_number
+from dqforge.optimizer.firmware.vesc_format.vesc_keys import (
+    KEYS,
+    VERSION,
+    kept,
+    loop_number,
+)
 from dqforge.optimizer.firmware.vesc_format.vesc_shortfalls import shortfalls as found_shortfalls
 
 SOURCES = (
@@ -168,6 +173,16 @@ def _limits(drive: DriveValues) -> dict[str, Number]:
     return values
 
 
+def _zero_vectors(f_sw: float) -> Number:
+    most = KEYS["foc_f_zv"].most
+    if 2.0 * f_sw > most:
+        raise InputError(
+            f"inverter.switching_frequency: VESC's foc_f_zv, twice it, holds at most {most:g}; "
+            f"write at most {0.5e-3 * most:g} kHz, and control.sampling_frequency with it"
+        )
+    return kept("foc_f_zv", 2.0 * f_sw, "inverter.switching_frequency")
+
+
 def _gains(asked: Asked) -> dict[str, Number]:
     """One pair for both axes: the mean, as VESC takes the mean inductance."""
     kp = 0.5 * (asked.current_d.kp + asked.current_q.kp)
@@ -177,9 +192,7 @@ def _gains(asked: Asked) -> dict[str, Number]:
         "foc_current_ki": kept("foc_current_ki", ki, "control.current_loop"),
     }
     if asked.drive.f_sw is not None:
-        values["foc_f_zv"] = kept(
-            "foc_f_zv", 2.0 * asked.drive.f_sw, "inverter.switching_frequency"
-        )
+        values["foc_f_zv"] = _zero_vectors(asked.drive.f_sw)
     if asked.drive.dead_time:
         values["foc_dt_us"] = kept("foc_dt_us", 1e6 * asked.drive.dead_time, "inverter.dead_time")
     return values
@@ -190,8 +203,8 @@ def _machine(drive: DriveValues) -> dict[str, Number]:
         raise InputError("machine: VESC needs resistance and inductances; give them")
     if not drive.psi_pm or drive.psi_pm < 0.0:
         raise InputError(
-            "machine.magnet_flux: VESC finds the rotor by the flux of its magnets; one without "
-            "magnets cannot be run by it"
+            "machine.magnet_flux: VESC finds the rotor by the flux of its magnets; a machine "
+            "without any needs another firmware"
         )
     own = rule(drive.r_s, 0.5 * (drive.l_d + drive.l_q), drive.psi_pm)
     return {

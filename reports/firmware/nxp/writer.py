@@ -53,7 +53,8 @@ def write(found: Configuration, title: FileTitle, existing_text: str | None) -> 
             source=_EXISTING,
         )
     prefix = motor_of(existing_text) or "M1_"
-    text = _merged(file.in_edition(theirs.edition.version), prefix, existing_text)
+    file = file.in_edition(theirs.edition.version).in_project(theirs)
+    text = _merged(file, prefix, existing_text)
     return {f"{prefix.lower()}pmsm_appconfig.h": text.encode("utf-8")}
 
 
@@ -142,6 +143,9 @@ def _changes(file: McatFile, json_text: JsonText) -> dict[tuple[str, ...], OwnVa
             continue
         for key in keys:
             name = key if key in there else spelled.get(key, key)
-            if name in there and key in file.own:
-                changes[section, name] = _value(key, file.own[key])
+            value = file.own.get(key)
+            if key == "parametersKt" and value is None and file.edition.current_share != 1.0:
+                value = file.own.get("parametersKe")
+            if name in there and value is not None:
+                changes[section, name] = _value(key, value)
     return changes

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
 from dqforge.optimizer.firmware.vesc_format.vesc_keys import KEYS, SIGNIFICANT
 from dqforge.reports.firmware.c_macros import read_macros, with_values
@@ -9,10 +12,14 @@ from dqforge.reports.firmware.safe_xml import with_texts
 from dqforge.reports.firmware.target import FileTitle
 from dqforge.reports.firmware.text_file import number_text
 from dqforge.reports.firmware.vesc.names import FORMER, define
-from dqforge.reports.firmware.vesc.reader import is_xml
+from dqforge.reports.firmware.vesc.reader import is_xml, read
 from dqforge.reports.pages.templating import render
 
 _EXISTING = "existing file"
+
+OF_PROJECT = ("l_current_min", "l_abs_current_max")
+
+"""Limits that a file keeps where it allows less."""
 
 
 def write(found: Configuration, title: FileTitle, existing_text: str | None) -> dict[str, bytes]:
@@ -28,7 +35,8 @@ def write(found: Configuration, title: FileTitle, existing_text: str | None) -> 
         XML or header whose other values and comments are to stay; None without one. The other one
         of the two files is written anew.
     """
-    values = {name: printed(value) for name in KEYS if (value := found.own.get(name)) is not None}
+    own = found.own if existing_text is None else _as_careful(found.own, existing_text)
+    values = {name: printed(value) for name in KEYS if (value := own.get(name)) is not None}
     context = {
         "title": title,
         "guard": f"{title.prefix.upper()}_MCCONF_H_",
@@ -44,6 +52,25 @@ def write(found: Configuration, title: FileTitle, existing_text: str | None) -> 
         f"{title.prefix}_mcconf.xml": xml.encode("utf-8"),
         f"{title.prefix}_mcconf.h": header.encode("utf-8"),
     }
+
+
+def _as_careful(own: Mapping[str, OwnValue], text: str) -> dict[str, OwnValue]:
+    """The values with the limit of braking and the trip of an existing file where they allow less:
+    the battery and the board decide them as well.
+    """
+    kept = dict(own)
+    try:
+        theirs = read(text, _EXISTING).own
+    except InputError:  # A value without a number limits nothing.
+        return kept
+    for name in OF_PROJECT:
+        one, other, largest = own.get(name), theirs.get(name), own.get("l_current_max")
+        if not all(isinstance(value, float) for value in (one, other, largest)):
+            continue
+        less = 0.0 < abs(float(other or 0.0)) < abs(float(one or 0.0))
+        if less and (name == "l_current_min" or float(other or 0.0) > float(largest or 0.0)):
+            kept[name] = float(other or 0.0)
+    return kept
 
 
 def printed(value: OwnValue) -> str:

@@ -27,7 +27,7 @@ from dqforge.machines.design.settings import (
     WaveformSettings,
     WeakeningSettings,
 )
-from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import ModulationName, OpenPhase, WaveformForm
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.control_design.gain_set import solve_gains
@@ -61,7 +61,7 @@ IN_C = ["-Wstrict-prototypes", "-Wmissing-prototypes"]
 Files = dict[str, bytes]
 
 
-FITS: dict[str, tuple[Machine, FitSettings]] = {
+FITS: dict[str, tuple[LinearMachine, FitSettings]] = {
     "polynomial": (IPM, FitSettings(form="polynomial", degree=3)),
     "polynomial own": (
         IPM,
@@ -82,7 +82,7 @@ FITS: dict[str, tuple[Machine, FitSettings]] = {
 }
 WAVEFORMS: tuple[WaveformForm, ...] = ("table", "harmonics")
 OPEN_PHASES: dict[str, OpenPhase | None] = {"equal phases": None, "open phase": "a"}
-WEAKENED: dict[str, tuple[Machine, float]] = {
+WEAKENED: dict[str, tuple[LinearMachine, float]] = {
     "smooth": (IPM, 9000.0),
     "two segments": (INVERSE_SALIENT, 18_000.0),
 }
@@ -211,7 +211,9 @@ HEADERS: dict[str, Callable[[], Files]] = {
     **{f"waveform salient {name}": partial(salient_headers, name) for name in OPEN_PHASES},
     **{f"weakening {name}": partial(weakening_headers, name) for name in WEAKENED},
     **{f"control {name}": partial(control_headers, name) for name in MODULATORS},
-    **{f"control_q{bits - 1} {kind}": partial(fixed_headers, bits, kind) for bits, kind in FIXED},
+    **{
+        f"control_q{width - 1} {kind}": partial(fixed_headers, width, kind) for width, kind in FIXED
+    },
     **{f"modulation {name}": partial(rule_headers, name) for name in RULES},
     **{f"gains {name}": partial(gains_headers, name) for name in SCHEDULED},
 }

@@ -236,3 +236,10 @@ def test_values_are_those_of_the_compiler(tmp_path: Path) -> None:
     out = subprocess.run([str(tmp_path / "a")], check=True, capture_output=True, text=True).stdout
     wanted = [float(line) for line in out.split()]
     assert [found.value(name) for name in known] == pytest.approx(wanted, rel=1e-12)
+
+
+def test_a_text_of_the_same_number_stays() -> None:
+    text = "#define A (350.0F)\n#define B FRAC16(0.5)\n#define C (1.5F)\n"
+    macros = read_macros(text, "h.h", functions={"FRAC16": float})
+    changed = with_values(text, macros, {"A": "350", "B": "(0.5F)", "C": "1.25"})
+    assert changed == "#define A (350.0F)\n#define B (0.5F)\n#define C 1.25\n"

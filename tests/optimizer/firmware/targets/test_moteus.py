@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from drives import RELUCTANCE
 from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
+from firmware_loops import assert_current_loops_hold
 from saturated import ArctanMachine
 
 from dqforge.machines.errors import InputError
@@ -137,16 +138,11 @@ def test_saturation_is_fitted_and_its_error_told() -> None:
 
 @pytest.mark.parametrize("asked", list(random_asked(6, seed=3)))
 def test_loops_of_any_machine_hold(asked: Asked) -> None:
-    held = configure(asked)
-    judged = judge(profile(replace(held, speed=None)), asked.drive)
-    for loop in (judged.current_d, judged.current_q):
-        assert loop is not None
-        assert loop.stable
-        assert loop.phase_margin >= asked.design.control.current_loop.phase_margin_min
+    assert_current_loops_hold(MOTEUS, asked)
 
 
 def test_machines_without_magnets_are_refused() -> None:
-    with pytest.raises(InputError, match=r"machine\.psi_pm: moteus"):
+    with pytest.raises(InputError, match=r"machine\.magnet_flux: moteus"):
         configure(asked_of(RELUCTANCE))
 
 
@@ -187,3 +183,9 @@ def test_feedforward_of_the_resistance_is_told_with_its_overshoot() -> None:
     held = configuration("drive", {key: float(value) for key, value in numbers.items()})
     # a = 2 pi 1000 L/R = 12.6; the excess is a^(-(a + 1)/(a - 1)).
     assert any("overshoots by 5.1%" in words for words in held.conventions)
+
+
+def test_a_bandwidth_above_that_of_the_tool_is_remarked_upon_and_is_no_contradiction() -> None:
+    held = configure(scooter())
+    assert held.contradictions == ()
+    assert any("above 1/30 of the control's 20000 Hz" in words for words in held.conventions)

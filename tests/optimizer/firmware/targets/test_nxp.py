@@ -99,7 +99,10 @@ def test_fixed_point_counts_gains_in_its_integers(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("without", "words"),
     [
-        (lambda asked: replace(asked, drive=replace(asked.drive, psi_pm=0.0)), "machine.psi_pm"),
+        (
+            lambda asked: replace(asked, drive=replace(asked.drive, psi_pm=0.0)),
+            "machine.magnet_flux",
+        ),
         (
             lambda asked: replace(asked, drive=replace(asked.drive, omega_m_max=None)),
             "machine.max_speed",

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from drives import RELUCTANCE
 from firmware_asked import SCOOTER, TWO_PI, asked_of, random_asked, scooter
+from firmware_loops import assert_current_loops_hold
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import PiGains
@@ -101,16 +102,11 @@ def test_inductances_that_its_calibration_refuses_are_told() -> None:
 
 @pytest.mark.parametrize("asked", list(random_asked(6, seed=3)))
 def test_loops_of_any_machine_hold(asked: Asked) -> None:
-    held = configure(asked)
-    judged = judge(profile(replace(held, speed=None)), asked.drive)
-    for loop in (judged.current_d, judged.current_q):
-        assert loop is not None
-        assert loop.stable
-        assert loop.phase_margin >= asked.design.control.current_loop.phase_margin_min
+    assert_current_loops_hold(ODRIVE, asked)
 
 
 def test_machines_without_magnets_are_refused() -> None:
-    with pytest.raises(InputError, match=r"machine\.psi_pm: ODrive"):
+    with pytest.raises(InputError, match=r"machine\.magnet_flux: ODrive"):
         configure(asked_of(RELUCTANCE))
 
 

@@ -288,3 +288,10 @@ def test_loops_of_half_a_configuration_are_refused(missing: str) -> None:
 
 def test_the_method_offers_one_pair() -> None:
     assert (VESC.name, VESC.free) == ("vesc", "one-pair")
+
+
+def test_a_carrier_that_the_format_does_not_hold_is_refused_with_what_it_holds() -> None:
+    asked = scooter()
+    fast = replace(asked, drive=replace(asked.drive, f_sw=100e3))
+    with pytest.raises(InputError, match="write at most 75 kHz"):
+        VESC.configure(fast)

@@ -123,6 +123,26 @@ def test_what_others_wrote_into_the_file_stays(tmp_path: Path) -> None:
     assert text.count("\n") == existing.count("\n") + 1
 
 
+def test_scales_and_thresholds_of_the_board_stay(tmp_path: Path) -> None:
+    found = NXP.configure(asked_for(design_of(tmp_path)))
+    existing = header(published.FLOAT_2025)
+    theirs, text = read(existing, NAME), _text(found, existing)
+    back = read(text, NAME)
+    for key in ("parametersImax", "M1_I_MAX", "M1_U_DCB_MAX"):
+        assert back.own[key] == theirs.own[key] != found.own[key], key
+    # The link of the design is a fault on this board: its thresholds are the design's.
+    assert back.own["parametersUdcbOver"] == found.own["parametersUdcbOver"]
+    assert back.current_q == found.current_q
+
+
+def test_a_new_torque_constant_stands_where_the_file_has_its_key(tmp_path: Path) -> None:
+    found = NXP.configure(asked_for(design_of(tmp_path)))
+    existing = header(published.FLOAT_2025).replace('"parametersKe"', '"parametersKt"')
+    back = read(_text(found, existing), NAME)
+    assert "parametersKe" not in back.own
+    assert back.drive.psi_pm == found.drive.psi_pm
+
+
 def test_a_file_of_2022_keeps_its_age_and_runs_the_same_loops(tmp_path: Path) -> None:
     found = NXP.configure(asked_for(design_of(tmp_path)))
     text = _text(found, header(published.FLOAT_2022))

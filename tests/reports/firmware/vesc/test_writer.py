@@ -215,3 +215,17 @@ def test_the_target_is_whole() -> None:
     assert TARGET.method.name == "vesc"
     written = TARGET.write(configure(scooter()), TITLE, None)
     assert all(TARGET.recognise(name, content.decode()) for name, content in written.items())
+
+
+def test_a_lower_limit_of_braking_stays() -> None:
+    found = configure(scooter())
+    largest = float(found.own["l_current_max"])
+    existing = (
+        f"#define MCCONF_L_CURRENT_MIN {-0.2 * largest}\n#define MCCONF_L_MAX_ABS_CURRENT "
+        f"{9.0 * largest}\n#define MCCONF_FOC_MOTOR_R 1.0\n"
+    )
+    files = write(found, TITLE, existing)
+    text = next(text.decode() for name, text in files.items() if name.endswith(".h"))
+    back = read(text, "mcconf.h")
+    assert back.own["l_current_min"] == -0.2 * largest
+    assert back.own["l_abs_current_max"] == found.own["l_abs_current_max"]
