@@ -17,6 +17,7 @@ from dqforge.optimizer.firmware.firmware_method import Shortfall
 from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop
 from dqforge.optimizer.firmware.profile import LoopProfile
 from dqforge.optimizer.firmware.solve import FirmwareFit
+from dqforge.reports.loops.firmware_text import pole_text
 from dqforge.reports.pages.table import Table
 
 FIELDS = (
@@ -158,13 +159,6 @@ def _observed(found: JudgedFirmware, profile: LoopProfile | None) -> Iterator[st
         rate = "" if observer.rate is None else f", errors decay with {observer.rate:.4g} rad/s"
         yield f"position observer: {observer.name}{rate}"
         yield from observer.warnings
-
-
-def pole_text(pole: complex) -> str:
-    """A pole in rad/s."""
-    if pole.imag == 0.0:
-        return f"{pole.real:.4g}"
-    return f"{pole.real:.4g} {'+' if pole.imag > 0.0 else '-'} {abs(pole.imag):.4g}j"
 
 
 def shortfall_table(found: tuple[Shortfall, ...]) -> list[Table]:

@@ -107,7 +107,8 @@ def firmware_rows(firmware: FirmwareLoops) -> tuple[tuple[str, ...], ...]:
     return tuple(row for loop in firmware.loops for row in _rows(firmware, loop))
 
 
-def _pole(pole: complex) -> str:
+def pole_text(pole: complex) -> str:
+    """A pole in rad/s."""
     if pole.imag == 0.0:
         return f"{pole.real:.4g}"
     return f"{pole.real:.4g} {'+' if pole.imag > 0.0 else '-'} {abs(pole.imag):.4g}j"
@@ -124,7 +125,7 @@ def firmware_notes(firmware: FirmwareLoops) -> tuple[str, ...]:
         feedback = speed.feedback
         notes.append(
             f"PLL of the speed: kp {feedback.kp:.6g} 1/s, ki {feedback.ki:.6g} 1/s^2, poles at "
-            f"{' and '.join(map(_pole, poles))} rad/s"
+            f"{' and '.join(map(pole_text, poles))} rad/s"
         )
     turning = firmware.judged.turning
     if turning is not None:

@@ -2,6 +2,29 @@
 
 from __future__ import annotations
 
+_BOARD_INPUTS = (
+    "parametersImax",
+    "parametersUdcbMax",
+    "parametersEmax",
+    "parametersUdcbTrip",
+    "parametersUdcbUnder",
+    "parametersUdcbOver",
+    "parametersNover",
+    "parametersNmin",
+    "parametersEblock",
+    "parametersEblockPer",
+    "parametersNmax",
+    "parametersUdcbIIRf0",
+    "parametersCalibDuration",
+    "parametersFaultDuration",
+    "parametersFreewheelDuration",
+    "parametersScalarUqMin",
+    "parametersAlignVoltage",
+    "parametersAlignDuration",
+    "parametersScalarVHzRatio",
+)
+
+
 INPUTS: dict[str, tuple[str, ...]] = {
     "parameters": (
         "parametersPP",
@@ -14,25 +37,7 @@ INPUTS: dict[str, tuple[str, ...]] = {
         "parametersIphNom",
         "parametersUphNom",
         "parametersNnom",
-        "parametersImax",
-        "parametersUdcbMax",
-        "parametersEmax",
-        "parametersUdcbTrip",
-        "parametersUdcbUnder",
-        "parametersUdcbOver",
-        "parametersNover",
-        "parametersNmin",
-        "parametersEblock",
-        "parametersEblockPer",
-        "parametersNmax",
-        "parametersUdcbIIRf0",
-        "parametersCalibDuration",
-        "parametersFaultDuration",
-        "parametersFreewheelDuration",
-        "parametersScalarUqMin",
-        "parametersAlignVoltage",
-        "parametersAlignDuration",
-        "parametersScalarVHzRatio",
+        *_BOARD_INPUTS,
     ),
     "currentLoop": (
         "currentLoopSampleTime",
@@ -159,25 +164,7 @@ MACROS: dict[str, tuple[str, ...]] = {
 
 
 PROJECT_INPUTS = (
-    "parametersImax",
-    "parametersUdcbMax",
-    "parametersEmax",
-    "parametersUdcbTrip",
-    "parametersUdcbUnder",
-    "parametersUdcbOver",
-    "parametersNover",
-    "parametersNmin",
-    "parametersEblock",
-    "parametersEblockPer",
-    "parametersNmax",
-    "parametersUdcbIIRf0",
-    "parametersCalibDuration",
-    "parametersFaultDuration",
-    "parametersFreewheelDuration",
-    "parametersScalarUqMin",
-    "parametersAlignVoltage",
-    "parametersAlignDuration",
-    "parametersScalarVHzRatio",
+    *_BOARD_INPUTS,
     "speedLoopIncUp",
     "speedLoopIncDown",
     "sensorlessTrackObsrvIIRSpeedCutOff",
