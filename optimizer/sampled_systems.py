@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
+from dqforge.optimizer.frequency_scan import bracketed_roots, scanned_response
 
 FloatArray = NDArray[np.float64]
 
@@ -29,7 +30,9 @@ ComplexArray = NDArray[np.complex128]
 POINTS_PER_DECADE = 200
 
 
-BISECTIONS = 60  # halves a bracket to below the spacing of doubles
+LEAST_SHARE = 1e-7
+
+"""Share of the Nyquist frequency below which no crossing is looked for."""
 
 
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
@@ -224,32 +227,20 @@ def constant_input_states(system: SampledSystem, inputs: FloatArray, steps: int)
     return np.asarray(states[:steps, :n], dtype=np.float64)
 
 
-def _bisect(
-    function: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray
-) -> FloatArray:
-    """Roots in the brackets [low, high], shape (brackets,), all halved together."""
-    if len(low) == 0:
-        return low
-    sign = np.sign(function(low))
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        same = np.sign(function(middle)) == sign
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
-    return np.asarray(0.5 * (low + high), dtype=np.float64)
-
-
 def _maxima(
     function: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    """Largest values in the brackets [low, high], shape (brackets,), by golden section on all
-    together.
+    """Where a function is largest in the brackets [low, high], shape (brackets,), by golden section
+    on all together.
     """
+    if len(low) == 0:
+        return low
     for _ in range(GOLDEN_STEPS):
         width = GOLDEN * (high - low)
         left, right = high - width, low + width
         rising = function(left) < function(right)
         low, high = np.where(rising, left, low), np.where(rising, high, right)
-    return function(0.5 * (low + high))
+    return np.asarray(0.5 * (low + high), dtype=np.float64)
 
 
 def _grid(loop: SampledSystem, closed_poles: ComplexArray) -> FloatArray:
@@ -260,7 +251,7 @@ def _grid(loop: SampledSystem, closed_poles: ComplexArray) -> FloatArray:
     moving = closed_poles[np.abs(closed_poles) > 1e-6]
     rates = np.abs(np.log(moving)) / loop.t_s
     slowest = float(np.min(rates, initial=nyquist))
-    low = min(max(1e-3 * slowest, 1e-7 * nyquist), 1e-2 * nyquist)
+    low = min(max(1e-3 * slowest, LEAST_SHARE * nyquist), 1e-2 * nyquist)
     count = int(np.ceil(POINTS_PER_DECADE * np.log10(nyquist / low)))
     spread = np.geomspace(low, nyquist, count)
     even = np.linspace(0.0, nyquist, 2 * POINTS_PER_DECADE + 1)[1:]
@@ -283,31 +274,83 @@ def _worst_sensitivity(loop: SampledSystem, omega: FloatArray, values: ComplexAr
         )
         + 1
     )
-    peaks = _maxima(
-        lambda w: 1.0 / np.abs(1.0 + loop.response(w)), omega[inner - 1], omega[inner + 1]
+    # At the Nyquist frequency every derivative is zero.
+    high = np.minimum(omega[inner + 1], omega[-1] * (1.0 - 1e-9))
+    peaks = _peak_places(loop, omega[inner - 1], high)
+    places = np.concatenate([peaks, omega[[int(np.argmax(sensitivity))]]])
+    return float(np.max(1.0 / np.abs(1.0 + loop.response(places))))
+
+
+def _peak_places(loop: SampledSystem, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Where |1 + L| is least in brackets, shape (brackets,): roots of its derivative, by golden
+    section where the ends of a bracket do not show one.
+    """
+    found = 0.5 * (low + high)
+    if len(low) == 0:
+        return found
+    sound = (_falling(loop, low) < 0.0) & (_falling(loop, high) > 0.0)
+    found[sound] = bracketed_roots(lambda w: _falling(loop, w), low[sound], high[sound])
+    found[~sound] = _maxima(
+        lambda w: 1.0 / np.abs(1.0 + loop.response(w)), low[~sound], high[~sound]
     )
-    return float(max(np.max(peaks, initial=0.0), np.max(sensitivity)))
+    return found
+
+
+def _falling(loop: SampledSystem, omega: FloatArray) -> FloatArray:
+    """Derivative of |1 + L|^2 by z along the circle, but for a positive factor, (N,) -> (N,)."""
+    z = np.exp(1j * omega * loop.t_s)
+    matrices = z[:, None, None] * np.eye(len(loop.a)) - loop.a
+    entry = np.broadcast_to(loop.b[:, :1], (len(z), len(loop.a), 1))
+    states = np.linalg.solve(matrices, entry)
+    slopes = np.linalg.solve(matrices, states)
+    value = 1.0 + states[:, :, 0] @ loop.c[0] + loop.d[0, 0]
+    slope = -1j * z * (slopes[:, :, 0] @ loop.c[0])
+    return np.asarray((np.conj(value) * slope).real, dtype=np.float64)
+
+
+def grid_crossings(values: ComplexArray) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+    """Where an open loop over a grid of frequencies crosses the gain of one, by interpolation.
+
+    Parameters
+    ----------
+    values:
+        Open loop at rising frequencies, shape (F,).
+
+    Returns
+    -------
+    Indices of the points before the crossings, the shares of the way to the next point, and the
+    phase margins in rad, not wrapped, all of shape (C,).
+    """
+    size = np.log(np.abs(values))
+    at = np.flatnonzero(np.sign(size[:-1]) * np.sign(size[1:]) < 0)
+    share = size[at] / (size[at] - size[at + 1])
+    phase = np.angle(-values[at]) + share * np.angle(values[at + 1] / values[at])
+    return at, share, phase
 
 
 def loop_margins(loop: SampledSystem) -> LoopMargins:
     """Crossovers and margins of a single loop L(z) with unity negative feedback,
     at z = exp(j omega t_s).
 
-    A scan up to the Nyquist frequency brackets every crossing, bisection refines it. With several
-    crossings the worst counts. The frequency pi/t_s itself, where L is real, counts as a phase
-    crossing.
+    A scan up to the Nyquist frequency brackets every crossing, which is refined to the last digit.
+    With several crossings the worst counts. The frequency pi/t_s itself, where L is real, counts as
+    a phase crossing.
     """
     closed_poles = sorted_poles(loop.a - loop.b @ loop.c / (1.0 + loop.d[0, 0]))
     omega = _grid(loop, closed_poles)
-    values = loop.response(omega)
+    values = scanned_response(
+        loop.a, loop.b[:, 0], loop.c[0], float(loop.d[0, 0]), np.exp(1j * omega * loop.t_s)
+    )
 
     at = _sign_changes(np.log(np.abs(values)))
-    crossovers = _bisect(lambda w: np.log(np.abs(loop.response(w))), omega[at], omega[at + 1])
+    crossovers = bracketed_roots(
+        lambda w: np.log(np.abs(loop.response(w))), omega[at], omega[at + 1]
+    )
     to_critical = np.angle(-loop.response(crossovers)) if len(crossovers) else crossovers
     worst = int(np.argmin(np.abs(to_critical))) if len(crossovers) else -1
 
     at = _sign_changes(values.imag[:-1])
-    turns = _bisect(lambda w: loop.response(w).imag, omega[at], omega[at + 1])
+    turns = bracketed_roots(lambda w: loop.response(w).imag, omega[at], omega[at + 1])
     real = loop.response(np.append(turns, omega[-1])).real
     factors = -1.0 / real[real < 0.0]
 

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
+from dqforge.optimizer.application.application_plan import ApplicationPlan, application_plan
 from dqforge.optimizer.certificates.current_reference import Certificate, certify
 from dqforge.optimizer.control_design.gain_set import GainSet, gains_or_reason
+from dqforge.optimizer.current_feedback.solve import CurrentFeedback, solve_current_feedback
 from dqforge.optimizer.current_reference.alternatives import Alternative, alternatives
 from dqforge.optimizer.current_reference.cheapest import Trial
 from dqforge.optimizer.current_reference.data_use import COVERED, DataUse
@@ -40,6 +42,8 @@ from dqforge.optimizer.observers.reduced_order import (
 )
 from dqforge.optimizer.operating_points.solve import Curves, current_choice, solve_curves
 from dqforge.optimizer.overmodulation.solve import Overmodulation, solve_overmodulation
+from dqforge.optimizer.six_step.design import SixStepDesign, solve_six_step
+from dqforge.optimizer.start_up.solve import StartUp, solve_start_up
 from dqforge.optimizer.waveforms.comparison import (
     WaveformComparison,
     compare_waveforms,
@@ -65,7 +69,9 @@ class Solution:
     speed to currents in fixed point. ``frame_tables`` and ``overmodulation`` are None where they
     are not asked for. ``firmware`` is what each firmware of others is given. ``observer_errors``
     are those of the speed observer at half the base speed, without load and with half the largest
-    torque; empty without that observer.
+    torque; empty without that observer. ``start_up`` is how the drive leaves standstill without an
+    encoder, None where it does not. ``six_step`` is None where the design is no six-step drive.
+    ``application`` are the settings of the program around the functions, None without one.
     """
 
     design: Design
@@ -91,6 +97,10 @@ class Solution:
     overmodulation: Overmodulation | None = None
     fixed_references: tuple[FixedReferenceFit, ...] = ()
     firmware: tuple[FirmwareFit, ...] = ()
+    start_up: StartUp | None = None
+    six_step: SixStepDesign | None = None
+    current_feedback: CurrentFeedback | None = None
+    application: ApplicationPlan | None = None
 
     @property
     def positive(self) -> Design:
@@ -186,4 +196,8 @@ def solve(design: Design) -> Solution:
         overmodulation=solve_overmodulation(design),
         fixed_references=references,
         firmware=solve_firmware(design, gains),
+        six_step=solve_six_step(design),
+        start_up=solve_start_up(design),
+        current_feedback=solve_current_feedback(design),
+        application=application_plan(design),
     )

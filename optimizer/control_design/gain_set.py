@@ -9,13 +9,15 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import ControlSettings
-from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.loop_proofs import LoopProofs, prove_loops
+from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed, measured_speed
 from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
 from dqforge.optimizer.control_design.turning_proof import turning_proof
 from dqforge.optimizer.dynamic_references.solve import DynamicReferences, dynamic_references
+from dqforge.optimizer.estimators.solve import TunedTracker, solve_tracker
 from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops, firmware_loops
-from dqforge.optimizer.loops.gains import tune_current_loop, tune_speed_loop
+from dqforge.optimizer.loops.gains import speed_delay, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loops.inductances import inductance_range
 from dqforge.optimizer.loops.integer_gains import PerUnitGains, per_unit_gains
 from dqforge.optimizer.loops.loop_batch import PlantBatch
@@ -29,8 +31,9 @@ from dqforge.optimizer.loops.robustness import (
     zero_robustness,
 )
 from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule, schedule_gains
-from dqforge.optimizer.loops.tolerance_box import Axis, drive_box
+from dqforge.optimizer.loops.tolerance_box import Axis, DriveBox, drive_box
 from dqforge.optimizer.loops.vendor_methods import vendor_inductance
+from dqforge.optimizer.observed_drive.tuning_rule import speed_lag
 from dqforge.optimizer.observers.reduced_order import (
     ReducedOrderObserver,
     SpeedErrorSlopes,
@@ -57,7 +60,9 @@ class GainSet:
     sinusoidal, None for all others. ``references`` are slopes of the references and voltage
     feedback, None where the design asks for none.
     ``proofs`` are those of single loops. ``firmware`` is what `control.firmware` makes of the
-    loops, None where the design names none.
+    loops, None where the design names none. ``tracker`` is the tracker of the position in place of
+    an observer, None where the design names none. ``measured_speed`` is how an encoder measures the
+    speed and what that leaves of the speed loop, None where the speed counts as exact.
     """
 
     i_d: LoopGains
@@ -73,6 +78,8 @@ class GainSet:
     proofs: LoopProofs = field(default_factory=LoopProofs)
     references: DynamicReferences | None = None
     firmware: FirmwareLoops | None = None
+    tracker: TunedTracker | None = None
+    measured_speed: MeasuredSpeed | None = None
 
     @property
     def loops(self) -> tuple[LoopGains, ...]:
@@ -88,28 +95,46 @@ class GainSet:
 
 
 @on_design("control")
-def solve_gains(design: Design) -> GainSet:
-    """Gains of the design, every loop checked as it is sampled, and over the
-    tolerances where it names any.
+def solve_current_loops(design: Design) -> tuple[LoopGains, LoopGains]:
+    """Gains of both current loops alone, with the data as they are.
+
+    Raises
+    ------
+    InputError
+        As `solve_gains`.
+    NoSolutionError
+        A loop is unstable or has too little margin.
+    """
+    _require_loops(design)
+    return _current_loops(design, inductance_range(design.machine, design.i_max)[0], None)
+
+
+def _require_loops(design: Design) -> None:
+    """Refuse a design that has no current loops with gains."""
+    if design.control.six_step is not None:
+        raise InputError(
+            "control.observer: a six-step drive has no loops in rotor coordinates; ask check, run, "
+            "tune or simulate about it, or write another observer"
+        )
+    if design.control.current_loop.switches:
+        raise InputError(f"control.current_loop: {_no_gains(design)}")
+
+
+def _current_loops(
+    design: Design, nominal: tuple[float, float], box: DriveBox | None
+) -> tuple[LoopGains, LoopGains]:
+    """Both current loops at inductances (l_d, l_q) in H, the method ``optimised`` over the corners
+    of a box where there is one.
     """
     machine, control = design.machine, design.control
-    nominal, largest = inductance_range(machine, design.i_max)
-    box = drive_box(design, nominal, largest)
-    named = control.tolerances is not None
+    settings = control.current_loop
 
-    def axis_corners(axis: Axis) -> PlantBatch | None:
-        if control.current_loop.method != "optimised":
+    def corners(axis: Axis) -> PlantBatch | None:
+        if settings.method != "optimised" or box is None:
             return None
         points = box.current_points(axis)
         return box.current_loop_plants(axis, points).some(np.arange(points.corners))
 
-    def speed_corners() -> PlantBatch | None:
-        if control.speed_loop is None or control.speed_loop.method != "optimised":
-            return None
-        points = box.speed_points()
-        return box.speed_loop_plants(points, (i_q.kp, i_q.ki)).some(np.arange(points.corners))
-
-    settings = control.current_loop
     i_d, i_q = (
         tune_current_loop(
             machine.r_s,
@@ -117,17 +142,52 @@ def solve_gains(design: Design) -> GainSet:
             control.t_s,
             settings,
             axis,
-            axis_corners(axis),
+            corners(axis),
             vendor_inductance(settings.method, nominal, place),
         )
         for place, axis in enumerate(AXES)
     )
-    speed = (
-        tune_speed_loop(machine, i_q, control, speed_corners())
-        if control.speed_loop is not None
-        else None
-    )
+    return i_d, i_q
+
+
+@on_design("control")
+def solve_gains(design: Design, *, proofs: bool = True) -> GainSet:
+    """Gains of the design, every loop checked as it is sampled, and over the
+    tolerances where it names any.
+
+    Parameters
+    ----------
+    design:
+        The design.
+    proofs:
+        Whether what takes long is proven and explained, too: margins between the corners of the
+        tolerances, corners of an observed loop. Gains, margins and refusals do without, but for
+        a drive between the corners that is proven unstable.
+
+    Raises
+    ------
+    InputError
+        The design is a six-step drive, or its current loop switches the bridge itself.
+    """
+    _require_loops(design)
+    machine, control = design.machine, design.control
+    nominal, largest = inductance_range(machine, design.i_max)
+    box = drive_box(design, nominal, largest)
+    named = control.tolerances is not None
+
+    def speed_corners() -> PlantBatch | None:
+        if control.speed_loop is None or control.speed_loop.method != "optimised":
+            return None
+        points = box.speed_points()
+        return box.speed_loop_plants(points, (i_q.kp, i_q.ki)).some(np.arange(points.corners))
+
+    i_d, i_q = _current_loops(design, nominal, box)
     observer, position = solve_observer(design)
+    tracker = solve_tracker(design)
+    speed = None
+    if control.speed_loop is not None:
+        lag = _observer_lag(design, i_q, position, tracker)
+        speed = tune_speed_loop(machine, i_q, control, speed_corners(), lag)
     phases = None if design.phase_machine is None else phase_control(design, i_d, i_q)
     robust = None
     zero = None if phases is None else phases.zero
@@ -139,15 +199,24 @@ def solve_gains(design: Design) -> GainSet:
             turning_robustness(box, i_d, i_q) if phases is None else None,
             box.named_limits(),
             None if zero is None else zero_robustness(box, zero),
-            turning_proof(box, i_d, i_q) if phases is None else None,
+            turning_proof(box, i_d, i_q) if phases is None and proofs else None,
         )
     phases = None if phases is None else judged(design, box, phases)
     wanted = control.current_loop.schedule
     schedule = schedule_gains(design, box if named else None, i_d, i_q) if wanted else None
-    if speed is not None and (observer is not None or position is not None):
-        speed = judge_observed(design, (i_d, i_q, speed), observer, position)
+    if speed is not None and any(each is not None for each in (observer, position, tracker)):
+        loops = (i_d, i_q, speed)
+        speed = judge_observed(design, loops, observer, position, tracker, thorough=proofs)
         robust = None if robust is None else replace(robust, speed=None)
-    proofs = prove_loops(box, largest, (i_d, i_q, zero), speed, (robust, schedule))
+    measured = measured_speed(design, i_q, speed)
+    if measured is not None:  # corners and proofs know nothing of its delay
+        robust = None if robust is None else replace(robust, speed=None)
+    exact = speed if measured is None else None
+    proven = LoopProofs()
+    if proofs:
+        proven = prove_loops(box, largest, (i_d, i_q, zero), exact, (robust, schedule))
+    if measured is not None and named:
+        proven = replace(proven, measured=True)
     scaled = _per_unit(control, (i_d, i_q, zero, speed))
     slopes = (
         None if observer is None else speed_error_slopes(machine, observer, control.bases.speed)
@@ -165,10 +234,30 @@ def solve_gains(design: Design) -> GainSet:
         schedule,
         position,
         phases,
-        proofs,
+        proven,
         references,
         firmware,
+        tracker,
+        measured,
     )
+
+
+def _observer_lag(
+    design: Design,
+    i_q: LoopGains,
+    position: PositionObserver | None,
+    tracker: TunedTracker | None,
+) -> float:
+    """Lag of the observer in s that the speed loop counts; 0 where it does not."""
+    settings = design.control.speed_loop
+    if settings is None or not settings.counts_observer:
+        return 0.0
+    if tracker is not None and tracker.loop is not None:
+        return tracker.loop.lag
+    if position is None:
+        return 0.0
+    delays = speed_delay(i_q, design.control.t_s, settings)
+    return speed_lag(position, delays, settings.spread)
 
 
 def _per_unit(
@@ -185,18 +274,34 @@ def _per_unit(
     return found
 
 
-def gains_or_reason(design: Design) -> tuple[GainSet | None, str]:
+def _no_gains(design: Design) -> str:
+    method = design.control.current_loop.method
+    return f"the method '{method}' switches the bridge itself and has no gains"
+
+
+def gains_or_reason(design: Design, *, proofs: bool = True) -> tuple[GainSet | None, str]:
     """Gains of the design, or None and why there are none where it can do without.
+
+    Parameters
+    ----------
+    design:
+        The design.
+    proofs:
+        As in `solve_gains`.
 
     Raises
     ------
     NoSolutionError
         As `solve_gains`, of a design that asks for control.
     """
+    if design.control.six_step is not None:
+        return None, "a six-step drive has no loops in rotor coordinates"
     if design.control.gains == "none":
         return None, "control.gains is false"
+    if design.control.current_loop.switches:
+        return None, _no_gains(design)
     try:
-        return solve_gains(design), ""
+        return solve_gains(design, proofs=proofs), ""
     except NoSolutionError as error:
         if design.control.gains == "required":
             raise

@@ -32,12 +32,15 @@ class LoopProofs:
         proven.
     changing:
         Of both axes of a machine that saturates while the inductances change; empty for others.
+    measured:
+        The same as ``observed`` where an encoder's edges make the speed.
     """
 
     margins: Mapping[LoopName, ProvenMargins] = field(default_factory=dict)
     speed: SpeedProof | None = None
     observed: bool = False
     changing: tuple[ChangingAxis, ...] = ()
+    measured: bool = False
 
 
 def prove_margins_of(

@@ -1,6 +1,6 @@
 """The speed loop of a design judged as it runs: on the speed and in the angle of its observer.
 
-The drive with its observer (`dqforge.optimizer.control_design.observer_drive`) is lifted to the
+The drive with its observer (`dqforge.optimizer.observed_drive`) is lifted to the
 period of the speed controller and closed by its PI, at several speeds. Without an observer nothing
 changes (`dqforge.optimizer.loops.gains`).
 """
@@ -15,24 +15,47 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import SpeedLoopSettings
-from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
-from dqforge.optimizer.control_design.observer_drive import (
-    DriveData,
-    Estimator,
-    PositionEstimator,
-    SpeedEstimator,
-    steady_drive,
+from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.optimizer.control_design.slower_speed_loop import (
+    ROUNDED,
+    slower_speed_pi,
+    speed_advice,
 )
+from dqforge.optimizer.estimators.solve import TunedTracker
+from dqforge.optimizer.estimators.tracker_columns import TrackerEstimator
+from dqforge.optimizer.loops.analysis import inertia_of
 from dqforge.optimizer.loops.gains import speed_delay
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.observed_margins import ObservedLoop
-from dqforge.optimizer.loops.pi_methods import calmer, largest_factor, loop_advice, speed_pi
+from dqforge.optimizer.loops.pi_methods import largest_factor
 from dqforge.optimizer.loops.plants import DisturbanceResponse, PiLoop, close_pi
+from dqforge.optimizer.observed_drive.design_drive import (
+    observed_drive,
+    position_estimator,
+    speed_estimator,
+    top_speed,
+)
+from dqforge.optimizer.observed_drive.drive_cases import DriveCases, drive_cases
+from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
+from dqforge.optimizer.observed_drive.estimator_columns import Estimator
+from dqforge.optimizer.observed_drive.fixed_points import SteadyDrives, steady_drives
+from dqforge.optimizer.observed_drive.limit_cycle import limit_cycle
+from dqforge.optimizer.observed_drive.speed_range import SpeedPi, judge_corners
+from dqforge.optimizer.observed_drive.stability_limits import (
+    largest_stable_factor,
+    least_pll_bandwidth,
+)
+from dqforge.optimizer.observed_drive.tolerance_corners import corner_box, tracked_box
+from dqforge.optimizer.observed_drive.tuning_rule import speed_lag
 from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
 from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.optimizer.observers.tuning_numbers import LARGEST_TURN
-from dqforge.optimizer.operating_points.current_choice import CurrentChoice
-from dqforge.optimizer.sampled_systems import ComplexArray, SampledSystem, lift, loop_margins
+from dqforge.optimizer.sampled_systems import (
+    ComplexArray,
+    SampledSystem,
+    grid_crossings,
+    lift,
+    loop_margins,
+)
 
 _SHARES = np.array([0.1, 0.25, 0.5, 1.0])
 
@@ -40,59 +63,24 @@ _SHARES = np.array([0.1, 0.25, 0.5, 1.0])
 _POINTS = 1500
 
 
-def _reference(machine: LinearMachine, design: Design) -> Callable[[float], complex]:
-    """i_d + j i_q in A over torque in N m by the strategy of the design."""
-    choice = CurrentChoice(machine, design.operation.strategy, design.i_max)
-
-    def currents(torque: float) -> complex:
-        points = choice.points(np.array([torque]))
-        return complex(points.i_d[0], points.i_q[0])
-
-    return currents
-
-
-def _filter_share(filter_time: float, t_s: float) -> float:
-    return 1.0 if filter_time <= 0.0 else float(-np.expm1(-t_s / filter_time))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plant:
-    """The drive at one electrical speed in rad/s from torque to speed, per speed sample.
-
-    Its response over a grid.
-    """
+    """The drive at one electrical speed in rad/s from torque to speed, per speed sample."""
 
     omega: float
     system: SampledSystem
-    response: ComplexArray
 
     def closed(self, kp: float, ki: float) -> PiLoop:
         """With the PI around it."""
         return close_pi(self.system, kp, ki)
 
 
-def _plants(
-    design: Design, gains: tuple[LoopGains, LoopGains], estimator: Estimator, grid: FloatArray
-) -> list[_Plant]:
-    machine, control = linearised(design.machine), design.control
-    settings = control.speed_loop
-    assert settings is not None
-    assert machine.inertia is not None
-    drive = DriveData(
-        machine,
-        control.t_s,
-        machine.inertia,
-        ((gains[0].kp, gains[0].ki_ts), (gains[1].kp, gains[1].ki_ts)),
-        _reference(machine, design),
-        _filter_share(settings.filter_time, control.t_s),
-    )
-    omega_m = control.bases.speed if machine.omega_m_max is None else machine.omega_m_max
-    top = min(machine.pole_pairs * omega_m, LARGEST_TURN / control.t_s)
+def _plants(steady: SteadyDrives, omega: FloatArray, ratio: int) -> list[_Plant]:
     found = []
-    for omega in (_SHARES * top).tolist():
-        system = lift(steady_drive(drive, estimator, omega).system(), settings.ratio)
+    for place, speed in enumerate(omega.tolist()):
+        system = lift(steady.system(place), ratio)
         wide = replace(system, b=np.hstack([system.b, np.zeros_like(system.b)]), d=np.zeros((1, 2)))
-        found.append(_Plant(omega, wide, system.response(grid)))
+        found.append(_Plant(speed, wide))
     return found
 
 
@@ -100,13 +88,10 @@ def _margin(values: ComplexArray, grid: FloatArray) -> tuple[float, float]:
     """Least phase margin in rad and its crossover in rad/s by interpolation on the grid; (inf,
     nan) without one.
     """
-    size = np.log(np.abs(values))
-    at = np.flatnonzero(np.sign(size[:-1]) * np.sign(size[1:]) < 0)
+    at, share, phase = grid_crossings(values)
     if not at.size:
         return float("inf"), float("nan")
-    share = size[at] / (size[at] - size[at + 1])
-    first, turn = np.angle(-values[at]), np.angle(values[at + 1] / values[at])
-    phase = np.angle(np.exp(1j * (first + share * turn)))
+    phase = np.angle(np.exp(1j * phase))
     worst = int(np.argmin(np.abs(phase)))
     return float(phase[worst]), float(
         grid[at[worst]] ** (1.0 - share[worst]) * grid[at[worst] + 1] ** share[worst]
@@ -114,28 +99,20 @@ def _margin(values: ComplexArray, grid: FloatArray) -> tuple[float, float]:
 
 
 def _slower(
-    design: Design, speed: LoopGains, t_sum: float, inertia: float
+    design: Design,
+    loops: tuple[LoopGains, LoopGains, LoopGains],
+    position: PositionObserver | None,
+    tracker: TunedTracker | None,
 ) -> Callable[[float], tuple[float, float]]:
-    """Gains of a slower loop of the same method by a factor below one.
-
-    Of given gains kp by it and ki by its square.
-    """
-    settings = design.control.speed_loop
+    """Gains of a slower loop of the same method by a factor below one."""
+    settings, inertia = design.control.speed_loop, inertia_of(design.machine)
     assert settings is not None
-    if settings.method in ("given", "optimised"):
-        return lambda factor: (speed.kp * factor, speed.ki * factor**2)
-    return lambda factor: speed_pi(
-        inertia, design.machine.friction, t_sum, calmer(settings, factor)
-    )
-
-
-def _advice(settings: SpeedLoopSettings, gains: tuple[float, float], factor: float) -> str:
-    if settings.method in ("given", "optimised"):
-        return (
-            f"it holds with control.speed_loop.kp = {gains[0]:.4g} N m s/rad and ki = "
-            f"{gains[1]:.4g} N m/rad"
-        )
-    return loop_advice("control.speed_loop", settings, factor)
+    t_sum = speed_delay(loops[1], design.control.t_s, settings)
+    if settings.counts_observer and position is not None:
+        t_sum += speed_lag(position, t_sum, settings.spread)
+    if settings.counts_observer and tracker is not None and tracker.loop is not None:
+        t_sum += tracker.loop.lag
+    return slower_speed_pi(settings, loops[2], t_sum, (inertia, design.machine.friction))
 
 
 def judge_observed(
@@ -143,6 +120,9 @@ def judge_observed(
     loops: tuple[LoopGains, LoopGains, LoopGains],
     observer: ReducedOrderObserver | None,
     position: PositionObserver | None,
+    tracker: TunedTracker | None = None,
+    *,
+    thorough: bool = True,
 ) -> LoopGains:
     """The speed loop's gains with poles and margins as they are over the observer.
 
@@ -150,25 +130,31 @@ def judge_observed(
     ----------
     loops:
         i_d, i_q and speed, as tuned for an encoder.
-    observer, position:
-        One of them, or none: then the gains come back as they are.
+    observer, position, tracker:
+        One of them, or none: then the gains come back as they are. So they do over a tracker that
+        states no loop of its own; one with a loop is judged where it tracks.
+    thorough:
+        Whether corners are looked at, and what makes an unstable loop stable.
     """
     speed, settings = loops[2], design.control.speed_loop
     assert settings is not None
     machine = linearised(design.machine)
     if position is not None:
         name = position.method.title
-        estimator: Estimator = PositionEstimator(
-            position.method, position.gains, position.t_s, position.machine
-        )
+        estimator: Estimator = position_estimator(position)
     elif observer is not None:
-        name, estimator = "reduced-order speed observer", SpeedEstimator(observer, machine)
+        name, estimator = "reduced-order speed observer", speed_estimator(observer, design)
+    elif tracker is not None and tracker.loop is not None:
+        name, estimator = tracker.tracker.title, TrackerEstimator(tracker.loop)
     else:
         return speed
-    assert machine.inertia is not None
-    nyquist = np.pi / speed.t_s
-    grid = np.geomspace(1e-5 * nyquist, nyquist, _POINTS)
-    plants = _plants(design, loops[:2], estimator, grid)
+    # exact data, no dead time, no load but friction
+    top = top_speed(design) if tracker is None else min(top_speed(design), tracker.omega_high)
+    least = 0.0 if tracker is None else tracker.omega_low
+    cases = drive_cases(machine, np.maximum(_SHARES * top, least))
+    drive = observed_drive(design, loops[:2], estimator)
+    steady = steady_drives(drive, cases)
+    plants = _plants(steady, cases.omega, settings.ratio)
     closed = [plant.closed(speed.kp, speed.ki) for plant in plants]
     margins = [loop_margins(loop.open_loop) for loop in closed]
     radius = np.array([abs(loop.closed.poles[0]) for loop in closed])
@@ -177,23 +163,28 @@ def judge_observed(
     crossover = np.array([found.crossover for found in margins])
     own = ObservedLoop(
         name,
-        np.array([plant.omega for plant in plants]),
+        cases.omega,
         crossover,
         phase,
         radius,
         worst,
         closed[worst],
-        settings.phase_margin_min,
+        settings.min_phase_margin,
         float(crossover[worst]),
         "",
     )
+    slower = _slower(design, loops, position, tracker)
     if not own.holds:
-        slower = _slower(
-            design, speed, speed_delay(loops[1], design.control.t_s, settings), machine.inertia
-        )
-        left, factor = _left(plants, grid, slower, settings.phase_margin_min)
-        text = "" if factor is None else _advice(settings, slower(factor), factor)
+        left, factor = _left(plants, slower, settings.min_phase_margin)
+        text = "" if factor is None else speed_advice(settings, slower(ROUNDED * factor), factor)
         own = replace(own, left=left, advice=text)
+    pi = SpeedPi(speed.kp, speed.ki, settings.ratio)
+    if not own.stable and observer is None and thorough:
+        own = _unstable(own, drive, position, (steady, cases), (settings, slower, pi))
+    if observer is None and thorough:
+        box = tracked_box(design) if position is None else corner_box(design)
+        corners = judge_corners(drive, machine, pi, box, top, least)
+        own = replace(own, corners=replace(corners, leaves=_leaves(design)))
     silent = DisturbanceResponse(np.nan, np.nan)
     return replace(
         speed,
@@ -205,9 +196,41 @@ def judge_observed(
     )
 
 
+def _leaves(design: Design) -> float | None:
+    """Electrical speed in rad/s down to which the simulation stays on the observer."""
+    wanted = None if design.simulation is None else design.simulation.sensorless
+    return None if wanted is None else wanted.below * design.machine.pole_pairs
+
+
+def _unstable(
+    own: ObservedLoop,
+    drive: ObservedDrive,
+    position: PositionObserver | None,
+    nominal: tuple[SteadyDrives, DriveCases],
+    loop: tuple[SpeedLoopSettings, Callable[[float], tuple[float, float]], SpeedPi],
+) -> ObservedLoop:
+    """How an unstable loop swings, and what makes it stable."""
+    (steady, cases), (settings, slower, pi) = nominal, loop
+    factor = largest_stable_factor(steady, pi.ratio, slower)
+    inertia = drive.data.machine.inertia
+    assert inertia is not None
+    return replace(
+        own,
+        cycle=limit_cycle(
+            complex(own.loop.closed.poles[0]),
+            own.loop.closed.t_s,
+            drive.data.torque_max,
+            inertia,
+        ),
+        stable_advice=""
+        if factor is None
+        else speed_advice(settings, slower(ROUNDED * factor), factor),
+        pll_least=None if position is None else least_pll_bandwidth(drive, position, cases, pi),
+    )
+
+
 def _left(
     plants: list[_Plant],
-    grid: FloatArray,
     slower: Callable[[float], tuple[float, float]],
     required: float,
 ) -> tuple[float | None, float | None]:
@@ -215,11 +238,15 @@ def _left(
 
     None where none does.
     """
-    z = np.exp(1j * grid * plants[0].system.t_s)
+    t_s = plants[0].system.t_s
+    nyquist = np.pi / t_s
+    grid = np.geomspace(1e-5 * nyquist, nyquist, _POINTS)
+    z = np.exp(1j * grid * t_s)
+    responses = {plant.omega: plant.system.response(grid) for plant in plants}
 
     def found(factor: float, plant: _Plant) -> tuple[float, float]:
         kp, ki = slower(factor)
-        return _margin(plant.response * (kp + ki * plant.system.t_s * z / (z - 1.0)), grid)
+        return _margin(responses[plant.omega] * (kp + ki * t_s * z / (z - 1.0)), grid)
 
     def holds(factor: float) -> bool:
         gains = slower(factor)

@@ -39,14 +39,14 @@ def code_scale(choice: CurrentChoice, settings: FitSettings, end: float) -> Code
         raise InputError(
             f"control.per_unit.torque: {torque_base:.4g} N m is full scale in {settings.format}, "
             f"but the references go up to {end:.4g} N m; write torque: {_rounded_up(end)} N m, or "
-            "a smaller fit.torque_max"
+            "a smaller fit.max_torque"
         )
     largest = float(np.max(np.abs(choice.currents(np.linspace(0.0, end, 101)))))
     if largest > current_base * (1.0 + 1e-9):
         raise InputError(
             f"control.per_unit.current: {current_base:.4g} A is full scale in {settings.format}, "
             f"but the references go up to {largest:.4g} A; write current: {_rounded_up(largest)} "
-            "A, or a smaller fit.torque_max"
+            "A, or a smaller fit.max_torque"
         )
     return CodeScale(torque_base, current_base, FIXED_WIDTHS[settings.format])
 

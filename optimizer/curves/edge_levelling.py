@@ -70,6 +70,12 @@ valleys with bends: breakpoints as powers of their share of the domain, all of t
 time, again if that lowers the error by 0.2 %."""
 
 
+_NEAR_POWERS, _NEARLY = (1.15, 1.0 / 1.15), 1.45
+
+"""What is tried beside the end of two segments that had one start alone, where estimates there are
+not above this multiple of its own."""
+
+
 _LEVEL_GOAL = 1e-3
 
 """Relative distance between the attained error and its linear model at
@@ -130,6 +136,10 @@ def level_edges(
     if levelling.is_rough(first):
         starts += _other_starts(first)
     found = min((levelling.run(start, errors.rounding) for start in starts), key=_error)
+    if segments == 2 and len(starts) == 1:
+        others = [levelling.run(edges, errors.rounding) for edges in levelling.hidden(found[0])]
+        beside = min(others, key=_error, default=found)
+        found = beside if _error(beside) < _GAIN * _error(found) else found
     for _ in range(_ROUNDS if segments > 2 else 0):
         tried = [levelling.run(start, errors.rounding) for start in _beside(found[0])]
         # Beside a narrow first segment lie some whose powers floats cannot hold.
@@ -238,6 +248,15 @@ class _Levelling:
         series = chebyshev.chebfit(self.nodes, later.T, 3 * high)
         size = float(np.max(np.abs(series[self.programme.degree + 1])))
         return float(np.max(np.sum(np.abs(series[high:]), axis=0))) > _ROUGH * size
+
+    def hidden(self, edges: FloatArray) -> list[FloatArray]:
+        """Segmentations beside one into two, nearer to zero and farther from it, that the estimates
+        hold to be nearly as good: a low place there may be lower, and hidden.
+        """
+        shares = edges / edges[-1]
+        moved = edges[-1] * np.array([shares**power for power in _NEAR_POWERS])
+        sizes = self.estimates(np.vstack([edges, moved]))
+        return list(moved[sizes[1:] < _NEARLY * sizes[0]])
 
     def run(self, edges: FloatArray, rounding: float) -> tuple[FloatArray, float]:
         """Edges of level errors from a start, shape (S + 1,), and the error.

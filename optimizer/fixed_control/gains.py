@@ -126,7 +126,7 @@ def _require(design: Design, found: LoopGains, kp: FixedGain, ki_ts: FixedGain) 
     control = design.control
     loop = control.speed_loop if found.loop == "speed" else control.current_loop
     section = "speed_loop" if found.loop == "speed" else "current_loop"
-    required = 0.0 if loop is None else loop.phase_margin_min
+    required = 0.0 if loop is None else loop.min_phase_margin
     if found.stable and abs(found.phase_margin) >= required:
         return
     raise NoSolutionError(

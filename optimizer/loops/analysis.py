@@ -9,6 +9,11 @@ import numpy as np
 from dqforge.machines.design.settings import ControlSettings, SpeedLoopSettings
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
+from dqforge.optimizer.loops.closed_margins import (
+    current_loops,
+    current_margins,
+    has_closed_margins,
+)
 from dqforge.optimizer.loops.loop_gains import LoopGains, LoopName
 from dqforge.optimizer.loops.plants import (
     DisturbanceResponse,
@@ -22,7 +27,7 @@ from dqforge.optimizer.loops.plants import (
     speed_loop,
     speed_step,
 )
-from dqforge.optimizer.sampled_systems import loop_margins
+from dqforge.optimizer.sampled_systems import LoopMargins, loop_margins
 
 MOST_POINTS = 20_000  # of a step response that is to be drawn
 
@@ -40,8 +45,9 @@ def analyse_current_loop(
 ) -> LoopGains:
     """Poles, margins and disturbance response of one current loop with any gains, stable or not.
 
-    Parameters as in `dqforge.optimizer.loops.plants.current_loop`; without ``respond`` the
-    disturbance response, which can be long, is left out.
+    The margins are those of `dqforge.optimizer.loops.closed_margins`, of gains that are not
+    positive by a scan. Parameters as in `dqforge.optimizer.loops.plants.current_loop`; without
+    ``respond`` the disturbance response, which can be long, is left out.
 
     Parameters
     ----------
@@ -66,7 +72,13 @@ def analyse_current_loop(
         if respond and _is_stable(model)
         else None
     )
-    return replace(_evidence(loop, method, (kp, ki), model, response), inductance=inductance)
+    margins = (
+        current_margins(current_loops(r_s, inductance, t_s, kp, ki)).of(0)
+        if has_closed_margins(kp, ki)
+        else loop_margins(model.open_loop)
+    )
+    found = _evidence(loop, method, (kp, ki), model, response, margins)
+    return replace(found, inductance=inductance)
 
 
 def analyse_speed_loop(
@@ -105,7 +117,8 @@ def analyse_speed_loop(
         if respond and _is_stable(model.loop)
         else None
     )
-    return _evidence("speed", method, (kp, ki), model, response)
+    margins = loop_margins(model.loop.open_loop)
+    return _evidence("speed", method, (kp, ki), model, response, margins)
 
 
 def current_step_response(
@@ -193,6 +206,7 @@ def _evidence(
     gains: tuple[float, float],
     model: PiLoop | SpeedLoop,
     response: StepResponse | None,
+    margins: LoopMargins,
 ) -> LoopGains:
     endless = DisturbanceResponse(peak=np.inf, settling_time=np.inf)
     sampled = model.loop if isinstance(model, SpeedLoop) else model
@@ -203,7 +217,7 @@ def _evidence(
         ki=gains[1],
         t_s=sampled.closed.t_s,
         poles=sampled.closed.poles,
-        margins=loop_margins(sampled.open_loop),
+        margins=margins,
         disturbance=endless if response is None else disturbance_summary(response),
         model=model,
     )

@@ -38,11 +38,12 @@ from dqforge.optimizer.loops.pi_methods import (
     require_positive,
     speed_pi,
 )
+from dqforge.optimizer.speed_measurement.edges import Edges
 
 
 def speed_delay(current_gains: LoopGains, t_s: float, settings: SpeedLoopSettings) -> float:
     """Sum of the small delays T in s: closed current loop, hold of the torque reference,
-    measurement filter.
+    measurement of the speed where there is one, and its filter.
 
     The current loop counts as 1/crossover, the time constant of the first-order
     system with its crossover. TI's rule knows it alone, by the bandwidth kp/L that it is meant for.
@@ -56,9 +57,32 @@ def speed_delay(current_gains: LoopGains, t_s: float, settings: SpeedLoopSetting
     settings:
         Ratio of the sampling rates and time constant of the filter in s.
     """
-    if settings.method == "ti" and current_gains.inductance is not None:
-        return current_gains.inductance / current_gains.kp
-    return 1.0 / current_gains.crossover + 0.5 * settings.ratio * t_s + settings.filter_time
+    inductance = current_gains.inductance
+    lag = None if inductance is None else inductance / current_gains.kp
+    return small_delays(current_gains.crossover, lag, t_s, settings)
+
+
+def small_delays(
+    crossover: float, lag: float | None, t_s: float, settings: SpeedLoopSettings
+) -> float:
+    """The same sum in s from numbers of the current loop.
+
+    Parameters
+    ----------
+    crossover:
+        Of the current loop of the q axis, in rad/s.
+    lag:
+        Its L/kp in s, for TI's rule; None where the winding is not known.
+    t_s:
+        Sampling period of the current loops in s.
+    settings:
+        Ratio of the sampling rates and time constant of the filter in s.
+    """
+    if settings.method == "ti" and lag is not None:
+        return lag
+    own, period = settings.measurement, settings.ratio * t_s
+    late = 0.0 if own is None else float(Edges(own, period).mean_delay(np.array(own.omega_from)))
+    return 1.0 / crossover + 0.5 * period + settings.filter_time + late
 
 
 def tune_current_loop(
@@ -112,7 +136,7 @@ def tune_current_loop(
 
     gains = attempt(settings, respond=True)
     _require_crossover("control.current_loop", gains)
-    if not _holds(gains, settings.phase_margin_min):
+    if not _holds(gains, settings.min_phase_margin):
         start = settings
         if (
             settings.method == "magnitude-optimum"
@@ -127,6 +151,7 @@ def tune_speed_loop(
     current_gains: LoopGains,
     control: ControlSettings,
     plants: PlantBatch | None = None,
+    lag: float = 0.0,
 ) -> LoopGains:
     """PI gains of the speed loop (output: torque) by the method of the settings,
     checked on the exact two-rate loop.
@@ -141,6 +166,8 @@ def tune_speed_loop(
         Sampling and settings; ``speed_loop`` must be there.
     plants:
         As in `tune_current_loop`.
+    lag:
+        By how much in s an observer tells the speed too late: a small delay of the loop.
 
     Raises
     ------
@@ -151,7 +178,7 @@ def tune_speed_loop(
         says what would hold.
     """
     settings, inertia = speed_settings(control), inertia_of(machine)
-    t_sum = speed_delay(current_gains, control.t_s, settings)
+    t_sum = speed_delay(current_gains, control.t_s, settings) + lag
 
     def attempt(trial: SpeedLoopSettings, *, respond: bool = False) -> LoopGains:
         kp, ki = (
@@ -173,7 +200,7 @@ def tune_speed_loop(
 
     gains = attempt(settings, respond=True)
     _require_crossover("control.speed_loop", gains)
-    if not _holds(gains, settings.phase_margin_min):
+    if not _holds(gains, settings.min_phase_margin):
         _refuse("control.speed_loop", gains, settings, attempt)
     return gains
 
@@ -202,15 +229,15 @@ def _require_crossover(key: str, gains: LoopGains) -> None:
         )
 
 
-def _holds(gains: LoopGains, phase_margin_min: float) -> bool:
-    return gains.stable and abs(gains.phase_margin) >= phase_margin_min
+def _holds(gains: LoopGains, min_phase_margin: float) -> bool:
+    return gains.stable and abs(gains.phase_margin) >= min_phase_margin
 
 
 def _refuse(
     key: str, gains: LoopGains, settings: Settings, attempt: Callable[[Settings], LoopGains]
 ) -> None:
     """Raise the error that says what the loop reaches, what it should, and what would hold."""
-    required = settings.phase_margin_min
+    required = settings.min_phase_margin
 
     def holds(factor: float) -> bool:
         try:

@@ -10,11 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from dqforge.machines.design.settings import PerUnitBases
-from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import QFormats
 from dqforge.optimizer.loops.loop_gains import LoopGains, loop_bases, per_unit
-from dqforge.optimizer.loops.q_numbers import to_q
 
 GainStyle = Literal["power-of-two", "q"]
 
@@ -48,6 +49,41 @@ class FixedGain:
     def text(self) -> str:
         """Integers as they are written: ``20000 / 2^10``."""
         return f"{self.mantissa} / 2^{self.shift}"
+
+
+def to_q(value: float, bits: int, width: Literal[16, 32] = 16) -> int:
+    """Round value 2^bits to the nearest integer, halves away from zero.
+
+    Parameters
+    ----------
+    value:
+        The number, dimensionless.
+    bits:
+        Fractional bits, 0 to ``width`` - 1.
+    width:
+        Size of the signed integer that must hold the result, 16 (default) or 32 bits.
+
+    Raises
+    ------
+    NoSolutionError
+        If the integer does not fit, or if a value other than zero would become 0.
+    """
+    if not 0 <= bits < width:
+        raise InputError(
+            f"a Q format of int{width}_t has 0 to {width - 1} fractional bits, got {bits}"
+        )
+    if not np.isfinite(value):
+        raise NoSolutionError(f"{value} cannot be written as an integer in Q{bits}")
+    magnitude = int(np.floor(abs(value) * 2.0**bits + 0.5))
+    result = -magnitude if value < 0.0 else magnitude
+    if not -(2 ** (width - 1)) <= result < 2 ** (width - 1):
+        raise NoSolutionError(
+            f"{value:.6g} is {result} in Q{bits}, which int{width}_t cannot hold: use fewer "
+            "fractional bits"
+        )
+    if result == 0 and value != 0.0:
+        raise NoSolutionError(f"{value:.6g} rounds to 0 in Q{bits}: use more fractional bits")
+    return result
 
 
 def quantise(

@@ -103,10 +103,12 @@ class BatchMargins:
 
 
 def _quotient(z: ComplexArray, zeros: ComplexArray, poles: ComplexArray) -> ComplexArray:
-    value = np.ones(np.broadcast_shapes(z.shape, (len(poles), 1)), dtype=np.complex128)
-    for column in range(poles.shape[1]):
-        value *= (z - zeros[:, column, np.newaxis]) / (z - poles[:, column, np.newaxis])
-    return value
+    above = np.ones(np.broadcast_shapes(z.shape, (len(poles), 1)), dtype=np.complex128)
+    below = above.copy()
+    for column in range(poles.shape[1]):  # one division in the end: each costs several products
+        above *= z - zeros[:, column, np.newaxis]
+        below *= z - poles[:, column, np.newaxis]
+    return np.asarray(above / below)
 
 
 def current_plants(
@@ -156,11 +158,11 @@ class DriveVariants:
 
 def speed_plants(
     drive: DriveVariants,
-    friction: float,
+    friction: FloatArray | float,
     t_s: float,
-    current_gains: tuple[float, float],
+    current_gains: tuple[FloatArray | float, FloatArray | float],
     ratio: int,
-    filter_time: float = 0.0,
+    filter_time: FloatArray | float = 0.0,
 ) -> PlantBatch:
     """Speed loops' plants, from the commanded torque to the measured speed,
     exactly with both sampling rates.
@@ -175,19 +177,20 @@ def speed_plants(
     drive:
         The variants.
     friction:
-        B in N m s/rad.
+        B in N m s/rad, one number or shape (N,).
     t_s:
         Sampling period of the current control in s.
     current_gains:
-        kp in V/A and ki in V/(A s) of the q axis.
+        kp in V/A and ki in V/(A s) of the q axis, one number each or shape (N,).
     ratio:
         Current samples per speed sample.
     filter_time:
-        T_f in s of the filter on the measured speed, 0 for none.
+        T_f in s of the filter on the measured speed, one number or shape (N,); 0 for none, of all
+        variants alike.
     """
     from scipy.linalg import expm
 
-    count, n = len(drive.r_s), 3 if filter_time > 0.0 else 2
+    count, n = len(drive.r_s), 3 if np.all(np.asarray(filter_time) > 0.0) else 2
     block = np.zeros((count, n + 1, n + 1))
     block[:, 0, 0], block[:, 0, 1] = -drive.r_s / drive.l_q, -drive.back_emf / drive.l_q
     block[:, 1, 0], block[:, 1, 1] = drive.torque_factor / drive.inertia, -friction / drive.inertia

@@ -1,7 +1,7 @@
 """The gains of one loop with the evidence for them, and their per-unit numbers.
 
 Gains are physical (current loops V/A and V/(A s), speed loop N m s/rad and N m/rad); `per_unit` and
-`dqforge.optimizer.loops.q_numbers.to_q` turn them into the numbers of a firmware.
+`dqforge.optimizer.loops.integer_gains.to_q` turn them into the numbers of a firmware.
 """
 
 from __future__ import annotations

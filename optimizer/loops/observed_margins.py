@@ -1,13 +1,132 @@
 """What is known of a speed loop that runs on an observer: its margins over the speed,
-and what the observer leaves.
+what the observer leaves, how it swings where it is unstable, and where all corners hold.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.loops.plants import PiLoop
+
+
+@dataclass(frozen=True, slots=True)
+class LimitCycle:
+    """How an unstable speed loop ends: its torque a square wave at its limit.
+
+    ``omega`` in rad/s is the frequency, ``swing`` in rad/s the mechanical speed from peak to peak.
+    """
+
+    omega: float
+    swing: float
+
+    @property
+    def words(self) -> str:
+        """Frequency, and peak to peak in rpm."""
+        hertz, rpm = self.omega / (2.0 * np.pi), self.swing * 30.0 / np.pi
+        return f"it swings at {hertz:.3g} Hz, the speed by {rpm:.3g} rpm from peak to peak"
+
+
+_SYMBOLS = {"r_s": "R", "l_d": "L_d", "l_q": "L_q", "psi_pm": "psi", "inertia": "J", "v_dc": "V_dc"}
+
+
+@dataclass(frozen=True, slots=True)
+class Corner:
+    """One corner: relative errors by name, load in N m, and voltage in V that a dead time costs."""
+
+    errors: dict[str, float]
+    load: float
+    lost: float = 0.0
+
+    @property
+    def words(self) -> str:
+        """Every error, the load, and the dead time."""
+        parts = [f"{_SYMBOLS[name]} {100.0 * error:+.3g} %" for name, error in self.errors.items()]
+        parts.append(f"load {self.load:.3g} N m" if self.load else "no load")
+        return ", ".join(parts + [f"dead time {self.lost:.3g} V"] * (self.lost != 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class FailingCorner:
+    """The worst corner at an electrical speed ``omega`` in rad/s.
+
+    ``radius`` is the largest modulus of a pole of the speed period, inf where the drive has no
+    steady state.
+    """
+
+    omega: float
+    corner: Corner
+    radius: float
+
+    @property
+    def words(self) -> str:
+        """The corner, and whether it swings or has no steady state."""
+        end = (
+            f"unstable, largest pole {self.radius:.4g}"
+            if np.isfinite(self.radius)
+            else "no steady state"
+        )
+        return f"{self.corner.words}: {end}"
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedRange:
+    """Electrical speeds in rad/s between which every corner is stable; nan where none is.
+
+    ``below`` is the worst corner just below ``low``; None where the lowest speed tried still
+    holds. ``corners`` is the number of corners at each speed.
+    """
+
+    low: float
+    high: float
+    below: FailingCorner | None
+    corners: int
+
+    @property
+    def any(self) -> bool:
+        """Whether there is a speed at which all corners hold."""
+        return bool(np.isfinite(self.low))
+
+
+@dataclass(frozen=True, slots=True)
+class CornerJudgement:
+    """Where a drive on its observer holds throughout its box.
+
+    ``named`` says whether the design names tolerances, ``limits`` the relative errors by name,
+    ``loads`` the loads in N m. ``exact`` is the range without dead time, ``lost`` the voltages in V
+    that it may cost and ``dead_time`` the range with them, an indication; None without. ``braking``
+    is the range where the load drives the shaft with as much, None where it was not looked at.
+    ``leaves`` is the electrical speed in rad/s down to which the simulation stays on the observer,
+    None where it never runs on it.
+    """
+
+    named: bool
+    limits: dict[str, tuple[float, float]]
+    loads: tuple[float, ...]
+    exact: SpeedRange
+    lost: tuple[float, ...] = ()
+    dead_time: SpeedRange | None = None
+    braking: SpeedRange | None = None
+    leaves: float | None = None
+
+    @property
+    def binding(self) -> SpeedRange:
+        """The range that begins later: motoring or braking."""
+        if self.braking is None or not self.exact.any:
+            return self.exact
+        return self.exact if self.braking.low <= self.exact.low else self.braking
+
+    @property
+    def left_unstable(self) -> bool:
+        """Whether the simulation stays on the observer below the lowest speed that holds; where
+        no lower one was tried, nothing is known to fail there.
+        """
+        found = self.binding
+        if self.leaves is None or found.below is None or not found.any:
+            return False
+        return self.leaves < found.low * (1.0 - 1e-6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +154,17 @@ class ObservedLoop:
         slower one has.
     advice:
         What to write for that loop; empty where the loop itself holds.
+    cycle:
+        How the loop swings; None where it is stable, or runs away without swinging.
+    stable_advice:
+        What to write for the fastest slower loop that is stable; empty where the loop itself is,
+        or none is.
+    pll_least:
+        Least bandwidth of the observer's phase-locked loop in rad/s with which the loop as it is
+        becomes stable; None where it is, or where none is found.
+    corners:
+        Where all corners of the tolerances hold; None for a speed observer, and for a tracker
+        without a loop of its own.
     """
 
     observer: str
@@ -47,6 +177,10 @@ class ObservedLoop:
     required: float
     left: float | None
     advice: str
+    cycle: LimitCycle | None = None
+    stable_advice: str = ""
+    pll_least: float | None = None
+    corners: CornerJudgement | None = None
 
     @property
     def stable(self) -> bool:

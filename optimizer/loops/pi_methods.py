@@ -1,7 +1,8 @@
 """Named PI tuning methods: their formulas, and what each can be asked to do
 when its loop does not hold.
 
-Formulas are the common ones of drive practice (docs/current-and-speed-loops.md has the sources);
+Formulas are the common ones of drive practice (docs/methods/current-and-speed-loops.md has the
+sources);
 nothing here knows the sampled loop. `dqforge.optimizer.loops.gains` checks the gains on it.
 """
 

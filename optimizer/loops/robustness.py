@@ -160,7 +160,7 @@ def _kept(
     formula: Callable[[Settings], tuple[float, float]],
 ) -> LoopRobustness:
     """Robustness of a loop; raises what the corner misses, and what settings would hold."""
-    required = settings.phase_margin_min
+    required = settings.min_phase_margin
 
     def evaluate(pair: tuple[float, float]) -> BatchMargins:
         return batch_margins(close_loops(plants, *pair))

@@ -1,7 +1,7 @@
 """PI gains by the rules of vendors' own tools: the numbers that those tools put into firmware, in
 double precision and in the parallel form per second.
 
-Formulas are facts of the sources named in docs/firmware-loops.md. What their macros hold besides
+Formulas are facts of the sources named in docs/firmware/loops.md. What their macros hold besides
 (scales, factors of the sampling period, dividers, digits) is the firmware's format, not its rule.
 """
 

@@ -10,175 +10,51 @@ they do.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dqforge.machines.arrays import BoolArray, FloatArray
+from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.devices.switch import SwitchDevice
-from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.dq_machines.machine_batch import MachineOrBatch
 from dqforge.machines.errors import InputError
 from dqforge.machines.losses.bridge_heat import at_temperature, junction_balance
 from dqforge.machines.losses.bridge_losses import BridgeAverages, bridge_averages
 from dqforge.machines.losses.bridge_tables import BridgeTables, bridge_tables
-from dqforge.machines.losses.machine_budget import MachineBudget, WindingHeat, machine_budget
-from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
+from dqforge.machines.losses.machine_budget import MachineBudget, machine_budget
 from dqforge.machines.losses.ripple_iron import ripple_iron_loss
 from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.modulation.low_harmonics import low_harmonics
 from dqforge.machines.modulation.ripple import inverse_inductance
 from dqforge.machines.names import ModulationName
-from dqforge.machines.topologies.linear_range import amplitude_limit, overmodulation_of
-
-PARTS = (
-    "copper",
-    "ripple_copper",
-    "iron",
-    "ripple_iron",
-    "magnet",
-    "conduction",
-    "dead_time",
-    "switching",
-    "capacitor",
+from dqforge.machines.topologies.linear_range import fundamental_share, overmodulation_of
+from dqforge.optimizer.losses.budget_record import (
+    PARTS,
+    BudgetOptions,
+    DriveBudget,
+    stacked_budgets,
 )
 
-"""Kinds of loss that make up the total, machine first."""
-
+__all__ = [
+    "PARTS",
+    "BudgetOptions",
+    "DriveBudget",
+    "Supply",
+    "drive_budget",
+    "harmonic_square",
+    "known_bridge",
+    "stacked_budgets",
+    "supplied_budget",
+    "switched_iron",
+    "waveform_averages",
+]
 
 _VOLTAGE_ROUNDING = 1e-6
 
 """Excess over the linear range that solvers of operating points leave."""
-
-
-@dataclass(frozen=True, slots=True)
-class BudgetOptions:
-    """What is counted beside copper, conduction and switching.
-
-    Parameters
-    ----------
-    machine_loss:
-        AC copper, iron and magnet loss.
-    winding:
-        How warm the winding becomes; None keeps the machine's resistance.
-    capacitor_esr:
-        Series resistance of the DC-link capacitor in Ohm at the carrier frequency.
-    ripple_resistance:
-        Resistance of the winding at the carrier frequency over that of the fundamental; None leaves
-        out what the ripple makes, in copper and in iron.
-    sheet_corner:
-        Frequency in Hz at which the skin depth equals the thickness of the sheets (`sheet_factor`);
-        None leaves the skin effect out of the iron loss that the switching makes.
-    """
-
-    machine_loss: MachineLoss = field(default=NO_EXTRA_LOSS)
-    winding: WindingHeat | None = None
-    capacitor_esr: float = 0.0
-    ripple_resistance: float | None = 1.0
-    sheet_corner: float | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse negative resistances and frequencies."""
-        if self.sheet_corner is not None and not 0.0 < self.sheet_corner < np.inf:
-            raise InputError(
-                f"sheet_corner: expected a frequency such as 1000 Hz, got {self.sheet_corner:g} Hz"
-            )
-        if not 0.0 <= self.capacitor_esr < np.inf:
-            raise InputError(
-                "capacitor_esr: expected zero or a positive resistance, got "
-                f"{self.capacitor_esr:g} Ohm"
-            )
-        if self.ripple_resistance is not None and not 0.0 <= self.ripple_resistance < np.inf:
-            raise InputError(
-                f"ripple_resistance: expected a ratio such as 1, got {self.ripple_resistance:g}"
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class DriveBudget:
-    """Powers and temperatures, arrays of the shape (M, F, P): modulators, carrier frequencies,
-    points.
-
-    Parameters
-    ----------
-    torque, shaft_power:
-        Of the currents, in N m and W.
-    friction:
-        Share of the shaft power in W that friction takes; no part of the total,
-        since no alternative changes it.
-    copper, ripple_copper, iron, ripple_iron, magnet:
-        Losses of the machine in W; the second is what the ripple of the current adds, the fourth
-        what switched voltages add.
-    conduction, dead_time, switching:
-        Losses of the bridge in W; dead time is what the diodes of a MOSFET bridge add in the gaps.
-    capacitor:
-        Loss in the DC-link capacitor in W.
-    total, input_power:
-        All losses, and power from the DC source, in W.
-    junction_temperature, diode_temperature:
-        Of the hotter position in degC; equal where both share a junction.
-    winding_temperature:
-        In degC; NaN where nothing is known of the winding's heat.
-    voltage:
-        Amplitude of the phase voltage in V, peak.
-    voltage_error:
-        Amplitude in V that dead time takes, against the current, where nothing compensates it.
-    capacitor_current, ripple_current:
-        R.m.s. in A: of the DC-link capacitor, and of the ripple of a phase current.
-    thermal_residual:
-        Largest residual of the balances of heat, in K.
-    linear:
-        False beyond the linear range of the modulator less the dead time's share
-        (`dead_time_factor`): the voltage cannot be made there.
-    steady:
-        False where a junction or the winding runs away; what depends on it is NaN there.
-    cool_enough:
-        False where a junction is hotter than the device permits.
-    within_tables:
-        False where device tables were carried on beyond their ends.
-    known:
-        False where no currents were given (NaN); everything is NaN there.
-    """
-
-    torque: FloatArray
-    shaft_power: FloatArray
-    friction: FloatArray
-    copper: FloatArray
-    ripple_copper: FloatArray
-    iron: FloatArray
-    ripple_iron: FloatArray
-    magnet: FloatArray
-    conduction: FloatArray
-    dead_time: FloatArray
-    switching: FloatArray
-    capacitor: FloatArray
-    total: FloatArray
-    input_power: FloatArray
-    junction_temperature: FloatArray
-    diode_temperature: FloatArray
-    winding_temperature: FloatArray
-    voltage: FloatArray
-    voltage_error: FloatArray
-    capacitor_current: FloatArray
-    ripple_current: FloatArray
-    thermal_residual: FloatArray
-    linear: BoolArray
-    steady: BoolArray
-    cool_enough: BoolArray
-    within_tables: BoolArray
-    known: BoolArray
-
-    @property
-    def feasible(self) -> BoolArray:
-        """True where the voltage can be made and every temperature is steady and permitted."""
-        return self.linear & self.steady & self.cool_enough & self.known
-
-    @property
-    def imbalance(self) -> FloatArray:
-        """Power in less losses and shaft power, in W, shape (M, F, P)."""
-        return np.asarray(self.input_power - self.total - self.shaft_power)
 
 
 _LOSSLESS = SwitchDevice(
@@ -199,24 +75,28 @@ def known_bridge(inverter: Inverter) -> BridgeTables:
     )
 
 
-def stacked_budgets(budgets: Sequence[DriveBudget], axis: int) -> DriveBudget:
-    """Budgets of one shape along a new axis.
+@dataclass(frozen=True, slots=True)
+class Supply:
+    """What feeds N points.
 
     Parameters
     ----------
-    budgets:
-        Budgets of one shape.
-    axis:
-        Place of the new axis.
+    v_dc, dead_time:
+        Link voltage in V and dead time in s, of all points or of each, shape (N,).
+    frequency:
+        Carrier frequencies in Hz, shape (F, 1) of all points, (1, N) of each.
+    energy_factors:
+        As of `bridge_averages`, where the link voltage is not that of the tables.
     """
-    names = [part.name for part in fields(DriveBudget)]
-    return DriveBudget(
-        **{name: np.stack([getattr(b, name) for b in budgets], axis=axis) for name in names}
-    )
+
+    v_dc: FloatArray | float
+    dead_time: FloatArray | float
+    frequency: FloatArray
+    energy_factors: FloatArray | None = None
 
 
 def drive_budget(
-    machine: Machine,
+    machine: MachineOrBatch,
     inverter: Inverter,
     i_d: ArrayLike,
     i_q: ArrayLike,
@@ -231,8 +111,9 @@ def drive_budget(
     Parameters
     ----------
     machine, inverter:
-        The drive. The tables of its device are used where it has them, else its constants; without
-        a device the bridge counts as lossless, and its temperatures are NaN.
+        The drive; of several machines one per point (`MachineBatch`). The tables of its device are
+        used where it has them, else its constants; without a device the bridge counts as lossless,
+        and its temperatures are NaN.
     i_d, i_q:
         Currents in A (peak) that make the torque, broadcastable to (M, P): each modulator may have
         its own. NaN where there are none.
@@ -261,6 +142,40 @@ def drive_budget(
     )
     if not modulations or not (carrier.size and np.all((carrier > 0.0) & np.isfinite(carrier))):
         raise InputError("drive budget: give a modulator and positive carrier frequencies at least")
+    supply = Supply(inverter.v_dc, inverter.dead_time, carrier[:, None])
+    return supplied_budget(
+        machine, inverter, supply, i_d, i_q, omega_m, modulations, options=chosen, tables=tables
+    )
+
+
+def supplied_budget(
+    machine: MachineOrBatch,
+    inverter: Inverter,
+    supply: Supply,
+    i_d: ArrayLike,
+    i_q: ArrayLike,
+    omega_m: ArrayLike,
+    modulations: Sequence[ModulationName],
+    *,
+    options: BudgetOptions,
+    tables: BridgeTables,
+) -> DriveBudget:
+    """Budget at P points that may each have their own link voltage, dead time and carrier.
+
+    Parameters
+    ----------
+    machine, inverter, i_d, i_q, omega_m, modulations, options:
+        As of `drive_budget`; link voltage, dead time and carrier frequency are those of the supply.
+    supply:
+        What feeds the points.
+    tables:
+        Tables of the bridge at the inverter's link voltage (`known_bridge`).
+
+    Raises
+    ------
+    InputError
+        The shapes do not fit.
+    """
     given = [np.asarray(value, dtype=np.float64) for value in (i_d, i_q, omega_m)]
     shape = np.broadcast_shapes((len(modulations), 1), *(value.shape for value in given))
     if len(shape) != 2 or shape[0] != len(modulations):
@@ -271,17 +186,18 @@ def drive_budget(
     budgets = []
     for m, name in enumerate(modulations):
         points = np.stack([row[m] for row in rows])
-        budgets.append(_budget(machine, inverter, tables, points, name, carrier, chosen))
+        budgets.append(_budget(machine, inverter, tables, points, name, supply, options))
     return stacked_budgets(budgets, 0)
 
 
 def waveform_averages(
-    machine: Machine,
+    machine: MachineOrBatch,
     inverter: Inverter,
     tables: BridgeTables,
     found: MachineBudget,
     modulation: ModulationName,
     options: BudgetOptions,
+    supply: Supply | None = None,
 ) -> BridgeAverages:
     """Averages of the bridge at N points of the machine.
 
@@ -301,19 +217,27 @@ def waveform_averages(
         The modulator.
     options:
         What is counted beside the bridge and the winding.
+    supply:
+        Where points have link voltages of their own; None for that of the inverter.
     """
     voltage, current = np.stack([found.v_d, found.v_q]), np.stack([found.i_d, found.i_q])
+    factors = None
+    if supply is not None and np.ndim(supply.v_dc) > 0:
+        # Duty cycles know the voltages over that of the link alone.
+        voltage, factors = voltage * (inverter.v_dc / supply.v_dc), supply.energy_factors
     stiff = (
         None
         if options.ripple_resistance is None
         else inverse_inductance(machine, found.i_d, found.i_q)
     )
     method = overmodulation_of(inverter, modulation)
-    return bridge_averages(tables, modulation, voltage, current, inverter.v_dc, stiff, method)
+    return bridge_averages(
+        tables, modulation, voltage, current, inverter.v_dc, stiff, method, factors
+    )
 
 
 def harmonic_square(
-    machine: Machine,
+    machine: MachineOrBatch,
     inverter: Inverter,
     found: MachineBudget,
     omega_m: FloatArray,
@@ -352,7 +276,7 @@ def harmonic_square(
 
 
 def switched_iron(
-    options: BudgetOptions, voltage: FloatArray, v_dc: float, frequency: FloatArray
+    options: BudgetOptions, voltage: FloatArray, v_dc: FloatArray | float, frequency: FloatArray
 ) -> FloatArray:
     """Iron loss in W that the switching makes, for phase amplitudes in V and carrier
     frequencies in Hz, broadcast.
@@ -386,28 +310,26 @@ def _quiet(found: MachineBudget) -> MachineBudget:
 
 
 def _budget(
-    machine: Machine,
+    machine: MachineOrBatch,
     inverter: Inverter,
     tables: BridgeTables,
     points: FloatArray,
     modulation: ModulationName,
-    carrier: FloatArray,
+    supply: Supply,
     options: BudgetOptions,
 ) -> DriveBudget:
-    """Budget of one modulator, arrays (F, P), for rows i_d, i_q, omega_m (3,
-    P) and frequencies (F,).
-    """
+    """Budget of one modulator, arrays (F, P), for rows i_d, i_q, omega_m (3, P)."""
     known = np.all(np.isfinite(points), axis=0)
     i_d, i_q, omega_m = np.where(known, points, 0.0)
     found = machine_budget(
         machine, i_d, i_q, omega_m, loss=options.machine_loss, heat=options.winding
     )
     quiet = _quiet(found)
-    average = waveform_averages(machine, inverter, tables, quiet, modulation, options)
+    average = waveform_averages(machine, inverter, tables, quiet, modulation, options, supply)
     low_square = harmonic_square(machine, inverter, quiet, omega_m, modulation, options)
-    frequency = carrier[:, None]
+    v_dc, frequency = supply.v_dc, supply.frequency
     # The share of a carrier period in each of its two gaps.
-    gap = inverter.dead_time * frequency
+    gap = supply.dead_time * frequency
     parts = [average.conduction[..., None, :], average.switching[..., None, :] * frequency]
     parts.append(average.dead[..., None, :] * gap)
     balance = junction_balance(tables, parts[0] + parts[1] + parts[2])
@@ -416,27 +338,27 @@ def _budget(
         3.0 * np.sum(at_temperature(tables.temperatures, part, balance.temperature), axis=(0, 1))
         for part in parts
     )
-    ripple_square = average.ripple * (inverter.v_dc / frequency) ** 2
+    ripple_square = average.ripple * (v_dc / frequency) ** 2
     ripple = 3.0 * found.resistance * (options.ripple_resistance or 0.0) * ripple_square
     ripple = ripple + 3.0 * found.resistance * low_square
     link_square = np.maximum(average.dc_square - average.dc_current**2, 0.0)
     size = np.hypot(found.i_d, found.i_q)
     error = (
-        inverter.dead_time
+        supply.dead_time
         * frequency
-        * inverter.v_dc
+        * v_dc
         * average.switched
         / (1.5 * np.where(size > 0.0, size, 1.0))
     )
     voltage = np.hypot(found.v_d, found.v_q)
-    left = dead_time_factor(modulation, inverter.dead_time, frequency)
+    left = dead_time_factor(modulation, supply.dead_time, frequency)
     hottest = np.max(balance.temperature, axis=(0, 1))
     steady = balance.steady & found.steady
     losses = {
         "copper": found.copper,
         "ripple_copper": ripple,
         "iron": found.iron,
-        "ripple_iron": switched_iron(options, voltage, inverter.v_dc, frequency),
+        "ripple_iron": switched_iron(options, voltage, v_dc, frequency),
         "magnet": found.magnet,
         "conduction": conduction,
         "dead_time": dead,
@@ -450,7 +372,7 @@ def _budget(
         "shaft_power": found.shaft_power,
         "friction": machine.friction * omega_m * omega_m,
         "total": total,
-        "input_power": inverter.v_dc * average.dc_current + added,
+        "input_power": v_dc * average.dc_current + added,
         "junction_temperature": np.max(balance.temperature[:, 0], axis=0),
         "diode_temperature": np.max(balance.temperature[:, -1], axis=0),
         "winding_temperature": found.winding_temperature,
@@ -471,13 +393,13 @@ def _budget(
     )
     marks = {
         "linear": voltage * (1.0 - _VOLTAGE_ROUNDING)
-        <= amplitude_limit(inverter, modulation) * left,
+        <= fundamental_share(inverter, modulation) * v_dc * left,
         "steady": steady,
         "cool_enough": hottest <= tables.max_junction_temperature,
         "within_tables": inside,
         "known": known,
     }
-    shape = (carrier.size, known.size)
+    shape = (frequency.shape[0], known.size)
     columns: dict[str, Any] = {
         name: np.broadcast_to(np.where(known, value, np.nan), shape)
         for name, value in numbers.items()

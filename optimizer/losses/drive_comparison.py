@@ -43,10 +43,10 @@ _WARM = 100.0
 """Junction temperature in degC at which ``least-loss`` takes the on resistance."""
 
 
-_ROUNDS = 6
+ROUNDS = 6
 
 
-_EXCESS, _AIM = 1e-7, 1e-6
+EXCESS, AIM = 1e-7, 1e-6
 
 """Excess of the voltage that is corrected, and by how much the correction goes further."""
 
@@ -138,15 +138,15 @@ def strategy_currents(
     volts = np.full(torque.shape, v_max)
     found = optimal_points(machine, torque, omega_m, v_max=volts, i_max=i_max, loss=loss)
     i_d, i_q, reached = found.i_d.copy(), found.i_q.copy(), found.reached.copy()
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         made = machine_budget(
             machine, i_d, i_q, omega_m, loss=options.machine_loss, heat=options.winding
         )
         amplitude = np.hypot(made.v_d, made.v_q)
-        (over,) = np.nonzero(made.steady & (amplitude > v_max * (1.0 + _EXCESS)))
+        (over,) = np.nonzero(made.steady & (amplitude > v_max * (1.0 + EXCESS)))
         if not over.size:
             break
-        volts[over] *= v_max / amplitude[over] * (1.0 - _AIM)
+        volts[over] *= v_max / amplitude[over] * (1.0 - AIM)
         part = None if loss is None else _chosen(loss, torque.shape, over)
         again = optimal_points(
             machine, torque[over], omega_m[over], v_max=volts[over], i_max=i_max, loss=part

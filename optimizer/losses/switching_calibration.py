@@ -1,6 +1,6 @@
 """Switching energies of a device from the total loss that was measured at one point.
 
-Source: paper 000, section 3 and Table 4, with the corrections on docs/loss-budget.md.
+Source: paper 000, section 3 and Table 4, with the corrections on docs/methods/loss-budget.md.
 """
 
 from __future__ import annotations

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import Machine, linearised
+from dqforge.optimizer.observers.training import TrainingBox, usual_training_box
 from dqforge.optimizer.observers.tuning_numbers import Disturbances, Load, usual_disturbances
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
-_SHARES = np.array([0.5, 1.0])
+_SHARES = (0.5, 1.0, -0.5, -1.0)
 
 
 _FUNDAMENTAL = 4.0 / np.pi  # of a square wave, over its height
@@ -21,21 +23,33 @@ def loads_of(design: Design) -> tuple[Load, ...]:
     """Half and the whole of the largest torque by the currents of the design, motoring,
     then braking.
     """
+    return loads_at(design, _SHARES)
+
+
+def loads_at(design: Design, shares: Sequence[float]) -> tuple[Load, ...]:
+    """Loads by the currents of the design.
+
+    Parameters
+    ----------
+    design:
+        The drive.
+    shares:
+        Torques over the largest one, at most 1; negative ones brake.
+    """
     machine = design.machine
     choice = CurrentChoice(machine, design.operation.strategy, design.i_max)
-    points = choice.points(_SHARES * choice.largest_torque())
-    pairs = [
-        (float(d), sign * float(q))
-        for sign in (1.0, -1.0)
-        for d, q in zip(points.i_d, points.i_q, strict=True)
-    ]
-    return tuple(_load(machine, i_d, i_q) for i_d, i_q in pairs)
+    sizes = np.unique(np.abs(shares))
+    points = choice.points(sizes * choice.largest_torque())
+    found = dict(zip(sizes.tolist(), zip(points.i_d, points.i_q, strict=True), strict=True))
+    pairs = [(found[abs(share)], -1.0 if share < 0.0 else 1.0) for share in shares]
+    return tuple(_load(machine, float(d), sign * float(q)) for (d, q), sign in pairs)
 
 
 def _load(machine: Machine, i_d: float, i_q: float) -> Load:
     jet = machine.jet(np.array([i_d]), np.array([i_q]))
     l_d = float(jet.l_dd[0])
-    return Load(i_d, i_q, l_d, float(jet.psi_q[0]) / i_q, float(jet.psi_d[0]) - l_d * i_d)
+    l_q = float(jet.l_qq[0] if i_q == 0.0 else jet.psi_q[0] / i_q)
+    return Load(i_d, i_q, l_d, l_q, float(jet.psi_d[0]) - l_d * i_d)
 
 
 def lost_voltage(design: Design) -> tuple[float, float]:
@@ -50,6 +64,29 @@ def lost_voltage(design: Design) -> tuple[float, float]:
         least = most = inverter.dead_time
     volts = _FUNDAMENTAL * inverter.f_sw * inverter.v_dc
     return volts * least, volts * most
+
+
+def training_box(design: Design, omega_max: float) -> TrainingBox:
+    """What an observer that learns is trained on; ``omega_max`` in rad/s (electrical).
+
+    The tolerances of the design where it names them; of the dead time none to all of it, or what
+    its compensation is named to miss.
+    """
+    tolerances = design.control.tolerances
+    least, most = lost_voltage(design)
+    i_d = min(load.i_d for load in loads_of(design))
+    box = usual_training_box(most, design.i_max, omega_max, i_d)
+    if least != most:
+        box = replace(box, lost=(least, most))
+    if tolerances is None:
+        return box
+    return replace(
+        box,
+        r_s=tolerances.limits("r_s"),
+        l_d=tolerances.limits("l_d"),
+        l_q=tolerances.limits("l_q"),
+        psi_pm=tolerances.limits("psi_pm"),
+    )
 
 
 def conditions(design: Design, omega_max: float) -> Disturbances:

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.drive_motion import DriveMotion
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, cast
+from dqforge.optimizer.observers.training import Training, TrainingBox
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
 
@@ -90,6 +92,9 @@ class ObserverMethod:
         (gains, least and largest electrical speed in rad/s, largest |i_q| in A) -> factor by which
         a norm of a small error shrinks at least in every sample, however the speed changes in
         between; `NoSolutionError` where none is found. None for a method without such a proof.
+    train:
+        (gains of ``design``, machine, settings, box, largest electrical speed in rad/s) -> gains
+        with what was learned in them, and what that gains. None for a method that learns nothing.
     """
 
     name: str
@@ -106,6 +111,10 @@ class ObserverMethod:
     settle: int = 0
     sizes: Callable[[FloatArray, FloatArray], FloatArray] | None = None
     certify: Callable[[Any, float, float, float], float] | None = None
+    train: (
+        Callable[[Any, LinearMachine, ObserverSettings, TrainingBox, float], tuple[Any, Training]]
+        | None
+    ) = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

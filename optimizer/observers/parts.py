@@ -1,7 +1,8 @@
 """What all position observers are made of: their state, the arithmetic they run in,
 and noise-proof normalisation.
 
-An observer is a module of three functions (docs/position-observers.md): ``design`` makes its gains,
+An observer is a module of three functions (docs/methods/position-observers.md): ``design`` makes
+its gains,
 ``start`` its first state, ``step`` the next one. Each is written once, in the order of operations
 of the emitted C, and runs on numpy arrays in double precision for analysis and in single precision
 as the model of the C.
@@ -55,7 +56,9 @@ class ObserverState:
     speed in rad/s (electrical).
 
     ``started`` is false until the first step, which takes the currents of the instant for which the
-    angle was given. ``scalars`` are what else it remembers, none of which turns with the rotor.
+    angle was given. ``scalars`` are what else it remembers, none of which turns with the rotor;
+    ``added`` is the voltage in V that an estimator asks for, None where it asks for none; ``seen``
+    is the current in A without what that voltage makes of it, for the controllers.
     """
 
     vectors: tuple[Pair, ...]
@@ -63,6 +66,8 @@ class ObserverState:
     omega_e: Reals
     started: bool = True
     scalars: tuple[Reals, ...] = ()
+    added: Pair | None = None
+    seen: Pair | None = None
 
 
 def cast(gains: _Gains, maths: Arithmetic) -> _Gains:

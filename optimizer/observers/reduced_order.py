@@ -8,7 +8,7 @@ u_q free of coupling:
     J domega/dt = 3/2 p psi i_q - B omega
 
 Observer with the gain g > 0, from paper 001 (8.15) to (8.25), derived again
-(docs/speed-observer.md):
+(docs/methods/speed-observer.md):
 
     omega_hat = zeta - g L_q/(p psi) i_q
     dzeta/dt  = -(g + B/J) zeta + g/(p psi) u_q

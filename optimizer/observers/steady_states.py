@@ -209,6 +209,18 @@ def steady_observer(
         return _solved(method, gains, case)
 
 
+def newton_moves(slope: FloatArray, gap: FloatArray) -> FloatArray:
+    """Newton's moves, shape (N, n); where a matrix is singular the shortest that fits best, nan
+    where its numbers are not finite.
+    """
+    try:
+        return np.asarray(np.linalg.solve(slope, gap[..., None])[..., 0])
+    except np.linalg.LinAlgError:
+        finite = np.all(np.isfinite(slope), axis=(1, 2))
+        inverse = np.linalg.pinv(np.where(finite[:, None, None], slope, 0.0))
+        return np.where(finite[:, None], (inverse @ gap[..., None])[..., 0], np.nan)
+
+
 def _solved(method: ObserverMethod, gains: Any, case: _Case) -> SteadyObserver:
     """Newton's method on all cases.
 
@@ -221,10 +233,7 @@ def _solved(method: ObserverMethod, gains: Any, case: _Case) -> SteadyObserver:
         gap[:, -2] = EXACT.wrap(gap[:, -2])
         if np.max(np.abs(gap) / (1.0 + np.abs(states))) < 1e-11:
             break
-        move = np.linalg.solve(np.eye(states.shape[1]) * (1.0 + 1e-13) - jacobian, gap[..., None])[
-            ..., 0
-        ]
-        states = states + move
+        states = states + newton_moves(np.eye(states.shape[1]) * (1.0 + 1e-13) - jacobian, gap)
         states[:, -2] = EXACT.wrap(states[:, -2])
         jacobian = _derivative(method, gains, case, states)
     gap = _stepped(method, gains, case, states) - states

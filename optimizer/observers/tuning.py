@@ -18,6 +18,7 @@ from dqforge.optimizer.observers.judgement import ObserverJudgement, judge, judg
 from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.methods.registry import method_named
 from dqforge.optimizer.observers.pll import FASTEST
+from dqforge.optimizer.observers.training import Training, TrainingBox, usual_training_box
 from dqforge.optimizer.observers.tuning_numbers import (
     LARGEST_TURN,
     Disturbances,
@@ -43,12 +44,18 @@ _UNSTABLE = 10.0
 _WIDEST = 100.0
 
 
+USUAL_LOSS = 0.01
+
+"""Share of the dc link that a dead time takes where nothing is known of it."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionObserver:
     """A tuned observer: ``gains`` for the firmware, and how good it is on the linear ``machine``.
 
     ``omega_max`` is the largest electrical speed of the drive in rad/s; ``judgement`` covers the
-    whole range of speeds, ``shown`` some shares of ``omega_max`` for tables.
+    whole range of speeds, ``shown`` some shares of ``omega_max`` for tables. ``training`` is what
+    one that learns has gained by it.
     """
 
     machine: LinearMachine
@@ -60,6 +67,7 @@ class PositionObserver:
     disturbances: Disturbances
     judgement: ObserverJudgement
     shown: ObserverJudgement
+    training: Training | None = None
 
 
 def _top(omega_max: float, t_s: float) -> float:
@@ -148,6 +156,7 @@ def tune_position_observer(
     v_dc: float,
     omega_max: float,
     disturbances: Disturbances | None = None,
+    box: TrainingBox | None = None,
 ) -> PositionObserver:
     """Position observer of a design.
 
@@ -166,6 +175,8 @@ def tune_position_observer(
         Largest electrical speed in rad/s.
     disturbances:
         Noise, parameter errors and acceleration; None for the usual ones.
+    box:
+        What an observer that learns is trained on; None for the usual one.
 
     Raises
     ------
@@ -191,6 +202,33 @@ def tune_position_observer(
     if settings.tuning == "optimised":
         tuning = optimise(method, tuning, machine, t_s, known, omega_max)
     gains = method.design(machine, tuning, t_s, _top(omega_max, t_s))
+    training = None
+    if method.train is not None:
+        if box is None:
+            box = usual_training_box(USUAL_LOSS * v_dc, machine.i_max, omega_max)
+        gains, training = method.train(gains, machine, settings, box, omega_max)
     judgement = judge(method, gains, t_s, machine, known, omega_max)
     shown = judge_at(method, gains, t_s, machine, known, np.array(SHOWN) * omega_max)
-    return PositionObserver(machine, method, tuning, gains, t_s, omega_max, known, judgement, shown)
+    return PositionObserver(
+        machine, method, tuning, gains, t_s, omega_max, known, judgement, shown, training
+    )
+
+
+def retuned(position: PositionObserver, tuning: ObserverTuning) -> PositionObserver:
+    """The observer with other numbers, its judgement left as it was.
+
+    Parameters
+    ----------
+    position:
+        The observer.
+    tuning:
+        Its numbers.
+
+    Raises
+    ------
+    NoSolutionError
+        They are too fast.
+    """
+    top = _top(position.omega_max, position.t_s)
+    gains = position.method.design(position.machine, tuning, position.t_s, top)
+    return replace(position, tuning=tuning, gains=gains)

@@ -330,5 +330,5 @@ def domain_end(choice: CurrentChoice, settings: FitSettings) -> float:
     """
     if settings.torque_max is None:
         return choice.largest_torque()
-    choice.require(settings.torque_max, "fit.torque_max")
+    choice.require(settings.torque_max, "fit.max_torque")
     return settings.torque_max

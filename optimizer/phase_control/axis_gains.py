@@ -55,7 +55,7 @@ def _one_gain(
 ) -> LoopGains:
     """The zero sequence with the gains of the q axis, refused without the margin of a loop."""
     found = analyse_current_loop(r_s, l_0, t_s, q_axis.kp, q_axis.ki, loop="i_0")
-    margin, required = np.degrees([abs(found.phase_margin), settings.phase_margin_min])
+    margin, required = np.degrees([abs(found.phase_margin), settings.min_phase_margin])
     if found.stable and margin >= required:
         return found
     reached = f"a phase margin of {margin:.1f} deg" if found.stable else "no stable loop"

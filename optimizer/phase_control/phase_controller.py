@@ -2,7 +2,7 @@
 
 All quantities are amplitude-invariant; the zero-sequence quantity is the mean of the phases, so
 that v_0 = R i_0 + L_0 di_0/dt + omega_e f_0 with L_0 = L_s + 2 M_s (and 3 L_n of a choke in the
-neutral). Source: paper 002, chapters 3 to 5, as corrected in docs/current-waveforms.md.
+neutral). Source: paper 002, chapters 3 to 5, as corrected in docs/methods/current-waveforms.md.
 """
 
 from __future__ import annotations

@@ -72,8 +72,8 @@ def bounds_of(settings: Settings) -> Bounds:
         Method and settings of the loop.
     """
     if settings.method == "optimised":
-        return Bounds(settings.phase_margin_min, settings.max_sensitivity)
-    return Bounds(settings.phase_margin_min)
+        return Bounds(settings.min_phase_margin, settings.max_sensitivity)
+    return Bounds(settings.min_phase_margin)
 
 
 def firmware_text(method: FirmwareMethod) -> str:

@@ -1,7 +1,7 @@
 """MCAT's rules: from its inputs to the constants of a float build, and those that all share.
 
 Inputs go by MCAT's own keys and units: speeds in rpm, frequencies in Hz, times in s. Constants are
-not rounded here. Sources: docs/firmware-nxp.md.
+not rounded here. Sources: docs/firmware/nxp.md.
 """
 
 from __future__ import annotations

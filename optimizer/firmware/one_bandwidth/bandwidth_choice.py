@@ -80,11 +80,11 @@ def held_bandwidth(wished: float, loops: Callable[[float], LoopProfile], asked: 
     loops:
         The loops with a bandwidth in that unit.
     asked:
-        What is asked of the firmware; the ``phase_margin_min`` of its design must hold.
+        What is asked of the firmware; the ``min_phase_margin`` of its design must hold.
     """
     from scipy.optimize import brentq
 
-    least = asked.design.control.current_loop.phase_margin_min
+    least = asked.design.control.current_loop.min_phase_margin
     drives = [
         (Winding(drive.r_s, drive.l_d), Winding(drive.r_s, drive.l_q))
         for drive in drives_over_current(asked)
@@ -110,7 +110,7 @@ def held_bandwidth(wished: float, loops: Callable[[float], LoopProfile], asked: 
         if low < _LEAST_SHARE * wished:
             raise NoSolutionError(
                 f"no bandwidth of the current loops of {loops(low).firmware} keeps a phase margin "
-                f"of {math.degrees(least):.4g} deg; lower control.current_loop.phase_margin_min"
+                f"of {math.degrees(least):.4g} deg; lower control.current_loop.min_phase_margin"
             )
     if low == high:
         return high

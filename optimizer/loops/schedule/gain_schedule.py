@@ -245,7 +245,7 @@ def _require(
     Rows of the margins are currents, or currents times corners.
     """
     settings = design.control.current_loop
-    found = _fault(margins, settings.phase_margin_min)
+    found = _fault(margins, settings.min_phase_margin)
     if found is None:
         return
     row, fault = found
@@ -255,7 +255,7 @@ def _require(
     remedy = "lower max_sensitivity" if settings.method == "optimised" else "ask for a slower loop"
     raise NoSolutionError(
         f"control.current_loop: with scheduled gains the {axis} loop {fault} at {place}{corner}, "
-        f"required are {np.degrees(settings.phase_margin_min):.1f} deg; {remedy}, or narrow "
+        f"required are {np.degrees(settings.min_phase_margin):.1f} deg; {remedy}, or narrow "
         "control.tolerances"
     )
 

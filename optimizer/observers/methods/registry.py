@@ -1,5 +1,6 @@
 """The position observers by name: every word of `dqforge.machines.names.ObserverMethodName`
-but that of the speed observer has its file here, named like the method, with its record ``METHOD``.
+but that of the speed observer and those of the trackers has its file, named like the method, with
+its record ``METHOD``: here, or in the room that is named for it.
 """
 
 from __future__ import annotations
@@ -11,19 +12,33 @@ from types import MappingProxyType
 from typing import get_args
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import OBSERVER_KEYS, SPEED_OBSERVER, ObserverMethodName
+from dqforge.machines.names import (
+    LEARNED_OBSERVERS,
+    OBSERVER_KEYS,
+    SIX_STEP_METHODS,
+    SPEED_OBSERVER,
+    TRACKER_NAMES,
+    ObserverMethodName,
+)
 from dqforge.optimizer.observers import methods
 from dqforge.optimizer.observers.method import ObserverMethod
 
+_ROOMS: dict[str, str] = dict.fromkeys(LEARNED_OBSERVERS, "learned_correction")
+
+"""Rooms of the optimizer in which methods live that do not live here."""
+
 
 def _record(name: str) -> ObserverMethod:
-    file = import_module(f"{methods.__name__}.{name.replace('-', '_')}")
+    room = methods.__name__ if name not in _ROOMS else f"dqforge.optimizer.{_ROOMS[name]}"
+    file = import_module(f"{room}.{name.replace('-', '_')}")
     record: ObserverMethod = file.METHOD
     return record
 
 
 _RECORDS: dict[str, ObserverMethod] = {
-    name: _record(name) for name in get_args(ObserverMethodName) if name != SPEED_OBSERVER
+    name: _record(name)
+    for name in get_args(ObserverMethodName)
+    if name not in (SPEED_OBSERVER, *TRACKER_NAMES, *SIX_STEP_METHODS)
 }
 
 

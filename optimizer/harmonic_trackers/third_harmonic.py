@@ -160,8 +160,8 @@ def third_harmonic(
     if amplitude < _LEAST * machine.psi_pm:
         raise NoSolutionError(
             "control.observer: the third harmonic of this machine's flux is "
-            f"{amplitude / machine.psi_pm:.2%} of the fundamental, {_LEAST:.1%} are needed; choose "
-            "another method"
+            f"{100.0 * amplitude / machine.psi_pm:.2f} % of the fundamental, "
+            f"{100.0 * _LEAST:.1f} % are needed; choose another method"
         )
     if 3.0 * omega_max * t_s > 1.0:
         raise NoSolutionError(

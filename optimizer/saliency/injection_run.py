@@ -7,10 +7,10 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.plants.drive_motion import next_flux, plants
-from dqforge.optimizer.observers.methods.injection import Injection
 from dqforge.optimizer.observers.models.matsui_model import ObserverRun
 from dqforge.optimizer.observers.sampled_machine import turned
 from dqforge.optimizer.observers.trials import CurrentSensor, Trial
+from dqforge.optimizer.saliency.sampled_injection import Injection
 
 
 def track(

@@ -1,0 +1,1 @@
+"""The program around the emitted functions: which kind a design needs, and its settings."""

@@ -1,0 +1,199 @@
+"""From which wrong starts a position observer locks: angle and speed of its start off by so much,
+on the exact machine at a constant speed.
+
+Every cell of the map is a run of the emitted step, all of them at once. Currents and voltages are
+those of the steady drive, so that what a run shows is the observer's own way to the truth, as after
+a hand-over or a flying start.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.plants.drive_motion import plants, steady_voltage
+from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, SPEED_LIMIT
+from dqforge.optimizer.observers.method import ObserverMethod
+from dqforge.optimizer.observers.parts import EXACT
+from dqforge.optimizer.observers.steady_states import steady_observer
+from dqforge.optimizer.observers.tuning import PositionObserver
+
+CAPTURE_SHARES = (0.1, 0.25, 0.5, 1.0)
+
+"""Speeds of the map over the largest one."""
+
+
+START_ANGLES = np.radians(np.arange(-180.0, 181.0, 15.0))
+
+"""Errors of the angle at the start in rad, estimate minus truth."""
+
+
+START_SPEEDS = np.array([-2.0, -1.5, -1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0])
+
+"""Errors of the speed at the start over the speed: -1 starts from rest, -2 the wrong way round."""
+
+
+LOST, LOCKED, HALF_TURN = 0, 1, 2
+
+"""What became of a start: never at rest, at the rotor, or half a turn off."""
+
+
+_TIME_CONSTANTS = 15.0
+
+_SHORTEST, _LONGEST = 400, 4000  # samples
+
+_WATCHED = 0.25  # share of a run, its end, that decides
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CaptureMap:
+    """What becomes of starts.
+
+    Parameters
+    ----------
+    omega:
+        Electrical speeds in rad/s, shape (S,).
+    angles:
+        Errors of the angle at the start in rad, estimate minus truth, shape (A,).
+    speeds:
+        Errors of the speed at the start, over the speed, shape (V,).
+    outcome:
+        `LOST`, `LOCKED` or `HALF_TURN`, shape (S, V, A).
+    lock_time:
+        Time in s after which the errors stay within the limits, shape (S, V, A); inf of starts that
+        do not lock.
+    duration:
+        Length of a run in s.
+    """
+
+    omega: FloatArray
+    angles: FloatArray
+    speeds: FloatArray
+    outcome: NDArray[np.int8]
+    lock_time: FloatArray
+    duration: float
+
+    @property
+    def share(self) -> FloatArray:
+        """Share of the starts that lock, over the speeds, shape (S,).
+
+        The angle of -180 degrees, which is that of 180, does not count twice.
+        """
+        return np.asarray(np.mean(self.outcome[:, :, 1:] == LOCKED, axis=(1, 2)))
+
+    def angle_range(self, start_speed: float = 0.0) -> FloatArray:
+        """Largest error of the angle to both sides in rad from which every start locks, shape
+        (S, 2); nan where not even the true angle does.
+
+        Parameters
+        ----------
+        start_speed:
+            One of ``speeds``.
+        """
+        row = int(np.argmin(np.abs(self.speeds - start_speed)))
+        middle = int(np.argmin(np.abs(self.angles)))
+        locked = self.outcome[:, row] == LOCKED
+        found = np.full((len(self.omega), 2), np.nan)
+        for k, line in enumerate(locked):
+            if line[middle]:
+                below, above = np.flatnonzero(~line[:middle]), np.flatnonzero(~line[middle:])
+                low = int(below[-1]) + 1 if below.size else 0
+                high = middle + int(above[0]) - 1 if above.size else len(line) - 1
+                found[k] = self.angles[low], self.angles[high]
+        return found
+
+
+def _samples(
+    method: ObserverMethod, gains: Any, t_s: float, machine: LinearMachine, starts: _Starts
+) -> int:
+    """How many samples the slowest pole wants, within what a map may take."""
+    speeds = np.unique(starts.omega)
+    current = np.full(len(speeds), starts.current)
+    found = steady_observer(method, gains, t_s, plants(machine, count=len(speeds)), current, speeds)
+    radius = np.abs(found.poles[:, 0])
+    slow = radius[found.found & (radius < 1.0)]
+    if not slow.size:
+        return _LONGEST
+    wanted = -_TIME_CONSTANTS / np.log(min(float(np.max(slow)), 1.0 - 1e-9))
+    return int(np.clip(np.ceil(wanted), _SHORTEST, _LONGEST))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Starts:
+    """N starts: electrical speed in rad/s, errors of angle and speed; one current in A."""
+
+    omega: FloatArray
+    angle: FloatArray
+    speed: FloatArray
+    current: complex
+
+
+def _last_outside(
+    method: ObserverMethod,
+    gains: Any,
+    t_s: float,
+    machine: LinearMachine,
+    starts: _Starts,
+    samples: int,
+) -> NDArray[np.int64]:
+    """Index of the last sample at which each start was outside the limits around the rotor, and
+    around half a turn from it, shape (2, N).
+    """
+    omega = starts.omega
+    voltage = steady_voltage(
+        plants(machine, count=len(omega)), np.full(len(omega), starts.current), omega, t_s
+    )
+    state = method.start(np.asarray(EXACT.wrap(starts.angle)), omega * (1.0 + starts.speed))
+    last = np.zeros((2, len(omega)), dtype=np.int64)
+    with np.errstate(all="ignore"):  # a start that is lost may run away
+        for k in range(samples):
+            theta = EXACT.wrap(omega * t_s * k)
+            turn = np.exp(1j * theta)
+            v, i = voltage * turn, starts.current * turn
+            state = method.step(gains, state, (v.real, v.imag), (i.real, i.imag), EXACT)
+            error = EXACT.wrap(np.asarray(state.theta_e) - theta)
+            slow = np.abs(state.omega_e - omega) <= SPEED_LIMIT * np.abs(omega)
+            near = np.abs(error)
+            last[0, ~(slow & (near <= ANGLE_LIMIT))] = k
+            last[1, ~(slow & (near >= np.pi - ANGLE_LIMIT))] = k
+    return last
+
+
+def capture_map(
+    observer: PositionObserver,
+    i_dq: complex,
+    omega: FloatArray | None = None,
+    angles: FloatArray = START_ANGLES,
+    speeds: FloatArray = START_SPEEDS,
+) -> CaptureMap:
+    """Which starts lock.
+
+    Parameters
+    ----------
+    observer:
+        The observer, on its own machine.
+    i_dq:
+        Current i_d + j i_q of the drive in A.
+    omega:
+        Electrical speeds in rad/s, positive, shape (S,); None for shares of the largest one.
+    angles, speeds:
+        Errors at the start, as in `CaptureMap`.
+    """
+    method, gains, t_s, machine = observer.method, observer.gains, observer.t_s, observer.machine
+    at = np.array(CAPTURE_SHARES) * observer.omega_max if omega is None else omega
+    mesh = np.meshgrid(at, speeds, angles, indexing="ij")
+    starts = _Starts(mesh[0].ravel(), mesh[2].ravel(), mesh[1].ravel(), i_dq)
+    samples = _samples(method, gains, t_s, machine, starts)
+    last = _last_outside(method, gains, t_s, machine, starts, samples)
+    rest = last < (1.0 - _WATCHED) * samples
+    outcome = np.where(rest[0], LOCKED, np.where(rest[1], HALF_TURN, LOST)).astype(np.int8)
+    times = np.where(rest[0], (last[0] + 1) * t_s, np.inf)
+    shape = mesh[0].shape
+    return CaptureMap(
+        at, angles, speeds, outcome.reshape(shape), times.reshape(shape), samples * t_s
+    )

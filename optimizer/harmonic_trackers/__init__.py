@@ -1,0 +1,1 @@
+"""Position from harmonics of the phase voltages that no current carries."""

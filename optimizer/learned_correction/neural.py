@@ -1,0 +1,138 @@
+"""Flux observer whose steady angle error is corrected by a small network."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.settings import ObserverSettings
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.learned_correction import corrected_flux, network
+from dqforge.optimizer.learned_correction.assessment import assessed, training_drives
+from dqforge.optimizer.learned_correction.correction_frame import (
+    SILENT,
+    CorrectionFrame,
+    Inputs,
+    inputs_of,
+)
+from dqforge.optimizer.learned_correction.correction_words import in_words
+from dqforge.optimizer.learned_correction.network import NO_NETWORK, Network
+from dqforge.optimizer.learned_correction.wishes import frame_for
+from dqforge.optimizer.observers.method import ObserverMethod
+from dqforge.optimizer.observers.methods import flux
+from dqforge.optimizer.observers.methods.flux_gains import FluxGains
+from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair
+from dqforge.optimizer.observers.training import Training, TrainingBox
+from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
+
+HIDDEN = (8, 8)
+
+"""Neurons of the hidden layers where the design names none."""
+
+
+_EVERY = 2
+
+"""Of the drawn drives, every second one trains: twice as many gain no tenth of a degree."""
+
+
+@dataclass(frozen=True, slots=True)
+class NeuralGains:
+    """The flux observer, what the correction is told, and its network."""
+
+    flux: FluxGains
+    frame: CorrectionFrame
+    network: Network
+
+
+def design(
+    machine: LinearMachine, tuning: ObserverTuning, t_s: float, omega_max: float
+) -> NeuralGains:
+    """Gains of the flux observer, and a network that answers nought until it is trained."""
+    return NeuralGains(flux.design(machine, tuning, t_s, omega_max), SILENT, NO_NETWORK)
+
+
+def learned(gains: NeuralGains, x: Inputs, maths: Arithmetic) -> Reals:
+    """What the network answers in rad.
+
+    Parameters
+    ----------
+    x:
+        The six inputs of -1 to 1.
+    """
+    return network.answered(gains.network, gains.frame.limit, x, maths)
+
+
+def step(
+    gains: NeuralGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic = EXACT
+) -> ObserverState:
+    """One sample, see `corrected_flux.step`."""
+    return corrected_flux.step(learned, gains, state, v, i, maths)
+
+
+@lru_cache(maxsize=8)
+def _trained(
+    gains: NeuralGains,
+    machine: LinearMachine,
+    frame: CorrectionFrame,
+    box: TrainingBox,
+    hidden: tuple[int, int],
+) -> NeuralGains:
+    drives = training_drives(gains.flux, machine, box)
+    x, wanted = inputs_of(frame, drives)[:, ::_EVERY], -drives.error[::_EVERY]
+    wanted = np.clip(wanted, -frame.limit, frame.limit)
+    found = network.trained_network(x, wanted, hidden, frame.limit)
+    return replace(gains, frame=frame, network=found)
+
+
+def train(
+    gains: NeuralGains,
+    machine: LinearMachine,
+    settings: ObserverSettings,
+    box: TrainingBox,
+    omega_max: float,
+) -> tuple[NeuralGains, Training]:
+    """A network by L-BFGS over the drives of the box.
+
+    Parameters
+    ----------
+    settings:
+        Hidden layers, filter and limit, where the design names them.
+    omega_max:
+        Largest electrical speed in rad/s.
+    """
+    frame = frame_for(gains.flux, machine, settings, box)
+    hidden = HIDDEN if settings.hidden_layers is None else settings.hidden_layers
+    found = _trained(gains, machine, frame, box, hidden)
+
+    def corrects(x: FloatArray) -> FloatArray:
+        return np.asarray(learned(found, tuple(x), EXACT), dtype=np.float64)
+
+    size = found.network.size
+    return found, assessed(gains.flux, machine, box, frame, omega_max, corrects, None, size)
+
+
+def _in_words(tuning: ObserverTuning, gains: Any, t_s: float) -> str:
+    layers = f"{len(gains.network.offsets_1)}-{len(gains.network.offsets_2)}"
+    return in_words(tuning, gains, t_s, f"network 5-{layers}-1, {gains.network.size} numbers")
+
+
+METHOD = ObserverMethod(
+    name="neural",
+    code="neural",
+    title="flux observer with a correction of its steady angle by a network",
+    design=design,
+    start=corrected_flux.start,
+    step=step,
+    usual=flux.usual_flux,
+    searched=flux.METHOD.searched,
+    gains=NeuralGains,
+    scale=corrected_flux.scale,
+    in_words=_in_words,
+    sizes=corrected_flux.sizes,
+    train=train,
+)

@@ -1,0 +1,123 @@
+"""Flux observer whose steady angle error is corrected by Takagi-Sugeno rules."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.design.settings import ObserverSettings
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.transforms import Reals
+from dqforge.optimizer.learned_correction import corrected_flux, fuzzy_rules
+from dqforge.optimizer.learned_correction.assessment import assessed, training_drives
+from dqforge.optimizer.learned_correction.correction_frame import (
+    SILENT,
+    CorrectionFrame,
+    Inputs,
+    inputs_of,
+)
+from dqforge.optimizer.learned_correction.correction_words import in_words
+from dqforge.optimizer.learned_correction.fuzzy_rules import NO_RULES, FuzzyRules
+from dqforge.optimizer.learned_correction.wishes import frame_for
+from dqforge.optimizer.observers.method import ObserverMethod
+from dqforge.optimizer.observers.methods import flux
+from dqforge.optimizer.observers.methods.flux_gains import FluxGains
+from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair
+from dqforge.optimizer.observers.training import Training, TrainingBox
+from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
+
+
+@dataclass(frozen=True, slots=True)
+class NeuroFuzzyGains:
+    """The flux observer, what the correction is told, and its rules."""
+
+    flux: FluxGains
+    frame: CorrectionFrame
+    rules: FuzzyRules
+
+
+def design(
+    machine: LinearMachine, tuning: ObserverTuning, t_s: float, omega_max: float
+) -> NeuroFuzzyGains:
+    """Gains of the flux observer, and rules that answer nought until they are trained."""
+    return NeuroFuzzyGains(flux.design(machine, tuning, t_s, omega_max), SILENT, NO_RULES)
+
+
+def learned(gains: NeuroFuzzyGains, x: Inputs, maths: Arithmetic) -> Reals:
+    """The mean of the rules in rad.
+
+    Parameters
+    ----------
+    x:
+        The six inputs of -1 to 1.
+    """
+    return fuzzy_rules.answered(gains.rules, x, maths)
+
+
+def step(
+    gains: NeuroFuzzyGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic = EXACT
+) -> ObserverState:
+    """One sample, see `corrected_flux.step`."""
+    return corrected_flux.step(learned, gains, state, v, i, maths)
+
+
+@lru_cache(maxsize=8)
+def _trained(
+    gains: NeuroFuzzyGains, machine: LinearMachine, frame: CorrectionFrame, box: TrainingBox
+) -> NeuroFuzzyGains:
+    drives = training_drives(gains.flux, machine, box)
+    rules = fuzzy_rules.trained_rules(inputs_of(frame, drives), -drives.error)
+    return replace(gains, frame=frame, rules=rules)
+
+
+def train(
+    gains: NeuroFuzzyGains,
+    machine: LinearMachine,
+    settings: ObserverSettings,
+    box: TrainingBox,
+    omega_max: float,
+) -> tuple[NeuroFuzzyGains, Training]:
+    """Rules by one least-squares solve over the drives of the box.
+
+    Parameters
+    ----------
+    settings:
+        Filter and limit, where the design names them.
+    omega_max:
+        Largest electrical speed in rad/s.
+    """
+    frame = frame_for(gains.flux, machine, settings, box)
+    found = _trained(gains, machine, frame, box)
+
+    def corrects(x: FloatArray) -> FloatArray:
+        answer = corrected_flux.limited(learned(found, tuple(x), EXACT), frame.limit)
+        return np.asarray(answer, dtype=np.float64)
+
+    bound = fuzzy_rules.largest_rule(found.rules, frame)
+    numbers = len(found.rules.answers)
+    return found, assessed(gains.flux, machine, box, frame, omega_max, corrects, bound, numbers)
+
+
+def _in_words(tuning: ObserverTuning, gains: Any, t_s: float) -> str:
+    return in_words(tuning, gains, t_s, "16 rules of 5 numbers")
+
+
+METHOD = ObserverMethod(
+    name="neuro-fuzzy",
+    code="neuro_fuzzy",
+    title="flux observer with a correction of its steady angle by fuzzy rules",
+    design=design,
+    start=corrected_flux.start,
+    step=step,
+    usual=flux.usual_flux,
+    searched=flux.METHOD.searched,
+    gains=NeuroFuzzyGains,
+    scale=corrected_flux.scale,
+    in_words=_in_words,
+    sizes=corrected_flux.sizes,
+    train=train,
+)

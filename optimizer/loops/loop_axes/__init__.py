@@ -1,0 +1,1 @@
+"""Gains and margins of the loops of many machines at once."""

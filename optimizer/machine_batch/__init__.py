@@ -1,0 +1,1 @@
+"""Many machines at once: their least-loss currents, limits and current references as columns."""

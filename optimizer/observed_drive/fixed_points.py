@@ -1,0 +1,235 @@
+"""Steady states of drives on their observer, and how they answer to torque: Newton and differences.
+
+With the speed controller at rest its torque is constant and what it sees is its reference: the
+states x of a current sample and the torque T follow from
+
+    F(x, T) = x,   filtered speed = reference
+
+by Newton's method, from the steady state with exact data; where that does not lead there, along
+the way from exact to wrong data. The derivative of F there is the drive's state space; held over
+the samples of a speed period and closed by the PI it has the poles of the whole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.observed_drive.drive_cases import DriveCases, exact_cases
+from dqforge.optimizer.observed_drive.drive_model import OWN, ObservedDrive
+from dqforge.optimizer.sampled_systems import ComplexArray, SampledSystem
+
+_STEP = 1e-6
+
+
+_NEWTON_STEPS = 12
+
+
+_CLOSE = 1e-8  # largest change in a step, in sizes: rounding alone
+
+
+_LARGEST_MOVE = 0.5  # in sizes
+
+
+_STAGES = (0.25, 0.5, 0.75, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SteadyDrives:
+    """Steady states of M drives with n states, and their derivatives per current sample.
+
+    ``states`` (M, n) as in `drive_model.OWN`, behind them those of the estimator; ``torque`` (M,)
+    in N m; ``angle_error`` in rad and ``speed_error`` in rad/s (electrical) are estimate minus
+    truth, shape (M,); ``found`` (M,) whether there is a steady state within 90 degrees of the
+    rotor and the largest torque. ``a`` (M, n, n), ``b`` (M, n) and ``c`` (M, n) lead from the
+    torque reference in N m to the filtered mechanical speed in rad/s.
+    """
+
+    t_s: float
+    states: FloatArray
+    torque: FloatArray
+    angle_error: FloatArray
+    speed_error: FloatArray
+    found: NDArray[np.bool_]
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+
+    def system(self, case: int) -> SampledSystem:
+        """State space of one drive, sampled with the current."""
+        a, b, c = self.a[case], self.b[case][:, None], self.c[case][None, :]
+        return SampledSystem(a, b, c, np.zeros((1, 1)), self.t_s)
+
+    def closed(self, ratio: int, kp: float, ki: float) -> FloatArray:
+        """Transition matrices over ``ratio`` samples with the speed PI, shape (M, n + 1, n + 1).
+
+        ``kp`` in N m s/rad, ``ki`` in N m/rad.
+        """
+        count, n = self.c.shape
+        a = np.broadcast_to(np.eye(n), self.a.shape)
+        b = np.zeros_like(self.b)
+        for _ in range(ratio):
+            a, b = self.a @ a, (self.a @ b[..., None])[..., 0] + self.b
+        step = ki * ratio * self.t_s
+        whole = np.zeros((count, n + 1, n + 1))
+        whole[:, :n, :n] = a - (kp + step) * b[:, :, None] * self.c[:, None, :]
+        whole[:, :n, n], whole[:, n, n] = b, 1.0
+        whole[:, n, :n] = -step * self.c
+        return whole
+
+    def poles(self, ratio: int, kp: float, ki: float) -> ComplexArray:
+        """Poles in the z plane of the speed period, largest modulus first, shape (M, n + 1).
+
+        Where there is no steady state they are nan.
+        """
+        whole = self.closed(ratio, kp, ki)
+        finite = np.all(np.isfinite(whole), axis=(1, 2)) & self.found
+        whole[~finite] = 0.0
+        values = np.linalg.eigvals(whole).astype(np.complex128)
+        values[~finite] = np.nan
+        order = np.argsort(-np.abs(values), axis=1, kind="stable")
+        return np.take_along_axis(values, order, axis=1)
+
+    def radius(self, ratio: int, kp: float, ki: float) -> FloatArray:
+        """Largest modulus of a pole, shape (M,); inf where there is no steady state."""
+        size = np.abs(self.poles(ratio, kp, ki)[:, 0])
+        return np.where(np.isfinite(size), size, np.inf)
+
+
+@dataclass(slots=True, eq=False)
+class _Point:
+    """States, torques and sizes on the way to a steady state."""
+
+    x: FloatArray
+    torque: FloatArray
+    size: FloatArray
+    torque_size: float
+
+    def taken(self, index: NDArray[np.intp]) -> _Point:
+        return _Point(self.x[index], self.torque[index], self.size[index], self.torque_size)
+
+
+def _gaps(drive: ObservedDrive, cases: DriveCases, point: _Point) -> tuple[FloatArray, FloatArray]:
+    """What a step changes, in sizes, shape (M, n + 1): states, and speed against its reference;
+    then the derivative of that by states and torque in sizes, shape (M, n + 1, n + 1).
+    """
+    m, n = point.x.shape
+    step = _STEP * np.concatenate([point.size, np.full((m, 1), point.torque_size)], axis=1)
+    base = np.concatenate([point.x, point.torque[:, None]], axis=1)
+    moved = np.concatenate([base[None], base + np.moveaxis(step[..., None] * np.eye(n + 1), 2, 0)])
+    flat = moved.reshape(-1, n + 1)
+    after, speeds = drive.step(cases.tiled(n + 2), flat[:, :n], flat[:, n])
+    pole_pairs = drive.data.machine.pole_pairs
+    change = (after - flat[:, :n]).reshape(n + 2, m, n)
+    change[..., -2] = (change[..., -2] + np.pi) % (2.0 * np.pi) - np.pi
+    missing = speeds.reshape(n + 2, m) * pole_pairs - cases.omega
+    values = np.concatenate(
+        [change / point.size, (missing / np.maximum(np.abs(cases.omega), 1.0))[..., None]], axis=2
+    )
+    return values[0], np.moveaxis((values[1:] - values[0]) / _STEP, 0, -1)
+
+
+def _solved(
+    drive: ObservedDrive, cases: DriveCases, point: _Point
+) -> tuple[_Point, NDArray[np.bool_]]:
+    """Newton's method on all drives at once, each with a limited move; which have arrived."""
+    arrived = np.zeros(len(point.x), dtype=np.bool_)
+    point = point.taken(np.arange(len(point.x)))
+    for _ in range(_NEWTON_STEPS):
+        left = np.flatnonzero(~arrived)
+        part = point.taken(left)
+        gap, slope = _gaps(drive, cases.taken(left), part)
+        finite = np.all(np.isfinite(gap), axis=1) & np.all(np.isfinite(slope), axis=(1, 2))
+        gap[~finite], slope[~finite] = 0.0, np.eye(slope.shape[1])
+        close = finite & (np.max(np.abs(gap), axis=1) < _CLOSE)
+        move = _directions(slope, gap)
+        largest = np.maximum(np.max(np.abs(move), axis=1), _LARGEST_MOVE) / _LARGEST_MOVE
+        move = np.where((close | ~finite)[:, None], 0.0, move / largest[:, None])
+        point.x[left] = part.x + move[:, :-1] * part.size
+        point.torque[left] = part.torque + move[:, -1] * point.torque_size
+        arrived[left[close]] = True
+        if np.all(arrived):
+            break
+    return point, arrived
+
+
+def _directions(slope: FloatArray, gap: FloatArray) -> FloatArray:
+    """Newton's moves in sizes, shape (M, n + 1); by least squares where the matrix is singular."""
+    try:
+        return np.asarray(np.linalg.solve(slope, -gap[..., None])[..., 0])
+    except np.linalg.LinAlgError:
+        return np.asarray((np.linalg.pinv(slope) @ -gap[..., None])[..., 0])
+
+
+def steady_drives(drive: ObservedDrive, cases: DriveCases) -> SteadyDrives:
+    """Steady states of M drives on their observer.
+
+    Parameters
+    ----------
+    drive:
+        Control and observer, and what they believe.
+    cases:
+        The true machines, at speeds and loads.
+    """
+    with np.errstate(all="ignore"):  # beyond the range of an observer numbers may grow
+        exact, point = _begun(drive, cases)
+        found_at, arrived = _solved(drive, cases, point)
+        lost = np.flatnonzero(~arrived)
+        if len(lost):
+            way, held = point.taken(lost), np.ones(len(lost), dtype=np.bool_)
+            for share in _STAGES:
+                at = exact.taken(lost).towards(cases.taken(lost), share)
+                way, held = _solved(drive, at, way)
+            found_at.x[lost], found_at.torque[lost] = way.x, way.torque
+            arrived[lost] = held
+        return _derived(drive, cases, found_at, arrived)
+
+
+def _begun(drive: ObservedDrive, cases: DriveCases) -> tuple[DriveCases, _Point]:
+    """Where Newton starts: speeds and loads with exact data, each once."""
+    machine = drive.data.machine
+    pairs = np.stack([cases.omega, cases.load], axis=1)
+    _, first, place = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+    exact = exact_cases(machine, cases)
+    x, size, torque = drive.start(exact.taken(first))
+    torque_size = machine.torque_per_ampere * machine.i_max
+    begun, _ = _solved(drive, exact.taken(first), _Point(x, torque, size, torque_size))
+    return exact, begun.taken(np.asarray(place).reshape(-1))
+
+
+def _derived(
+    drive: ObservedDrive, cases: DriveCases, point: _Point, arrived: NDArray[np.bool_]
+) -> SteadyDrives:
+    """Central differences around the steady states."""
+    m, n = point.x.shape
+    step = _STEP * np.concatenate([point.size, np.full((m, 1), point.torque_size)], axis=1)
+    base = np.concatenate([point.x, point.torque[:, None]], axis=1)
+    moves = np.moveaxis(step[..., None] * np.eye(n + 1), 2, 0)
+    flat = np.concatenate([base + moves, base - moves]).reshape(-1, n + 1)
+    after, speeds = drive.step(cases.tiled(2 * (n + 1)), flat[:, :n], flat[:, n])
+    ends, seen = after.reshape(2, n + 1, m, n), speeds.reshape(2, n + 1, m)
+    slope = (ends[0] - ends[1]) / (2.0 * step.T[:, :, None])
+    by_speed = (seen[0] - seen[1]) / (2.0 * step.T)
+    delta, speed = _estimates(drive, point.x)
+    good = arrived & (np.abs(delta) < 0.5 * np.pi) & (np.abs(point.torque) <= drive.data.torque_max)
+    return SteadyDrives(
+        t_s=drive.data.t_s,
+        states=point.x,
+        torque=point.torque,
+        angle_error=delta,
+        speed_error=speed - point.x[:, 2],
+        found=good & np.isfinite(delta),
+        a=np.moveaxis(slope[:n], 0, -1),
+        b=slope[n],
+        c=by_speed[:n].T,
+    )
+
+
+def _estimates(drive: ObservedDrive, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Angle error in rad and electrical speed in rad/s of the estimates at the sample."""
+    i, acted = x[:, 0] + 1j * x[:, 1], x[:, 3] + 1j * x[:, 4]
+    _, delta, speed = drive.estimator.step(x[:, OWN:], acted, i)
+    return delta, speed

@@ -1,0 +1,134 @@
+"""The seam between a search and whoever computes its rows.
+
+A search hands out one generation after the other: `ask` gives the inputs of all its rows at once,
+`tell` takes their outcomes, in the order of the rows, whenever the last of them is in. In which
+order they were computed therefore cannot matter. Row i of generation g is row g P + i of the study,
+P rows per generation. A search is deterministic in its seed and its outcomes: one that was cut off
+goes on after the finished generations have been asked for and told again, which computes no row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.exploration.row_block import STATES
+from dqforge.optimizer.study_results.acceptance import AcceptedRange
+from dqforge.optimizer.study_results.summary import GoalColumn
+from dqforge.optimizer.study_search.search_space import SearchVariable
+
+PARTS = 4
+
+"""Parts of a generation, about: enough for the workers of one machine."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcomes:
+    """What became of the rows of one generation, in their order.
+
+    Parameters
+    ----------
+    goals:
+        What is made small, shape (n, G); anything where a row has no values.
+    excess:
+        How far each limit is broken, as a share of it, shape (n, L); at most 0 where it is kept.
+    known:
+        Whether a row has values, shape (n,).
+    """
+
+    goals: FloatArray
+    excess: FloatArray
+    known: NDArray[np.bool_]
+
+
+class SearchRows(Protocol):
+    """A search under way."""
+
+    @property
+    def variables(self) -> tuple[SearchVariable, ...]:
+        """What it varies, in the order of the columns of its points."""
+        ...
+
+    @property
+    def population(self) -> int:
+        """Rows of each generation."""
+        ...
+
+    @property
+    def generation(self) -> int:
+        """Generations that have been told."""
+        ...
+
+    def ask(self) -> FloatArray:
+        """Inputs of the next generation, shape (population, V): a number in the SI unit of its key
+        for a range, the place of the step of its axis for others. The same until it is told.
+        """
+        ...
+
+    def tell(self, outcomes: Outcomes) -> None:
+        """What became of the rows of the generation asked for."""
+        ...
+
+
+def generation_batch(population: int, largest: int) -> int:
+    """Rows of a part: a divisor of the population, so that no part lies in two generations; about
+    a quarter of it and no more than ``largest``.
+
+    Parameters
+    ----------
+    population:
+        Rows of a generation.
+    largest:
+        Rows that a part may have by the kind of the study.
+    """
+    wish = max(min(population // PARTS, largest), 1)
+    divisors = [size for size in range(wish, 0, -1) if population % size == 0]
+    below = divisors[0]
+    # A prime number of rows would make parts of one row each: better one part of all.
+    return population if below * 16 < wish and population <= largest else below
+
+
+def outcomes_of(
+    goals: Sequence[GoalColumn],
+    limits: Sequence[AcceptedRange],
+    columns: Mapping[str, FloatArray | NDArray[np.int32]],
+    states: NDArray[np.int8],
+) -> Outcomes:
+    """Outcomes of the rows of a generation from their columns.
+
+    Parameters
+    ----------
+    goals:
+        What is made small or large.
+    limits:
+        Limits of the study.
+    columns:
+        Columns of the rows by name, shape (n,).
+    states:
+        Places in `STATES`, shape (n,).
+    """
+    signed = [
+        np.asarray(columns[each.column], dtype=np.float64) * (1.0 if each.minimise else -1.0)
+        for each in goals
+    ]
+    broken = [_excess(each, np.asarray(columns[each.column], dtype=np.float64)) for each in limits]
+    found = np.column_stack(signed)
+    excess = np.column_stack(broken) if broken else np.zeros((states.size, 0))
+    ended = np.isin(states, [STATES.index("ok"), STATES.index("limit")])
+    known = ended & np.all(np.isfinite(found), axis=1) & np.all(np.isfinite(excess), axis=1)
+    # A row may be beyond a limit that is none of the study's, such as the end of a table.
+    elsewhere = (states == STATES.index("limit")) & ~np.any(excess > 0.0, axis=1)
+    return Outcomes(found, excess, known & ~elsewhere)
+
+
+def _excess(limit: AcceptedRange, values: FloatArray) -> FloatArray:
+    """How far values lie beyond a limit, as a share of it; negative within."""
+    bounds = [abs(bound) for bound in (limit.below, limit.above) if bound is not None]
+    size = max([bound for bound in bounds if bound > 0.0], default=1.0)
+    share = limit.excess(values) / size
+    return np.asarray(np.where(limit.met(values), np.minimum(share, 0.0), share))
