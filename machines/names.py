@@ -4,7 +4,7 @@ which type they are kept.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 FORMAT_VERSION = 1
 
@@ -89,6 +89,16 @@ VendorSpeedMethod = Literal["nxp-mcat", "ti", "infineon"]
 """The same for the speed loop; the others have none."""
 
 
+SampledRuleName = Literal["look-up-table", "circle", "predictive"]
+
+"""Current-feedback PWM by a rule that a microcontroller evaluates at each sample."""
+
+
+FeedbackMethod = Literal["hysteresis", "ramp-comparison", "trajectory", SampledRuleName]
+
+"""Current loops that switch the bridge themselves, without a modulator in between."""
+
+
 CurrentLoopMethod = Literal[
     "bandwidth",
     "damping",
@@ -97,6 +107,7 @@ CurrentLoopMethod = Literal[
     "optimised",
     "given",
     VendorMethod,
+    FeedbackMethod,
 ]
 
 
@@ -113,7 +124,24 @@ ObserverMethodName = Literal[
     "matsui-voltage",
     "matsui-current",
     "ekf",
+    "neuro-fuzzy",
+    "neural",
+    "injection",
+    "inform",
+    "inductance-mapping",
+    "third-harmonic",
+    "zero-crossing",
+    "emf-integration",
 ]
+
+
+SixStepMethod = Literal["zero-crossing", "emf-integration"]
+
+"""Methods that make the drive a six-step drive: blocks of 120 degrees, commutated by the voltage of
+the phase that floats."""
+
+
+SIX_STEP_METHODS: tuple[str, ...] = get_args(SixStepMethod)
 
 
 SPEED_OBSERVER: ObserverMethodName = "reduced-order"
@@ -121,20 +149,76 @@ SPEED_OBSERVER: ObserverMethodName = "reduced-order"
 """The one that observes the speed behind an encoder; all others observe the position."""
 
 
+_FLUX_KEYS = ("bandwidth", "pll_bandwidth", "damping", "speed_gain")
+
+
+_CORRECTION_KEYS = ("correction_filter", "correction_limit")
+
+
+SpeedMeasurementName = Literal["counts", "capture", "mixed"]
+
+"""How the speed comes from the edges of an encoder: their number in a speed period, the time
+between two of them, or their number over the time that they took."""
+
+
+TRACKER_NAMES: tuple[ObserverMethodName, ...] = (
+    "injection",
+    "inform",
+    "inductance-mapping",
+    "third-harmonic",
+)
+
+"""Those that inject a voltage or are told more than voltage and current; they are trackers
+(`dqforge.optimizer.estimators`)."""
+
+
+InjectionWave = Literal["square", "sine", "rotating"]
+
+
 OBSERVER_KEYS: dict[str, tuple[str, ...]] = {
     "reduced-order": ("pole",),
     "extended-emf": ("bandwidth", "pll_bandwidth", "damping"),
-    "flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
+    "flux": _FLUX_KEYS,
     "open-loop-flux": ("bandwidth", "pll_bandwidth", "damping", "speed_gain"),
     "matsui-voltage": ("bandwidth", "pll_bandwidth", "damping"),
     "matsui-current": ("bandwidth", "pll_bandwidth"),
     "ekf": (),
+    "neuro-fuzzy": (*_FLUX_KEYS, *_CORRECTION_KEYS),
+    "neural": (*_FLUX_KEYS, "hidden_layers", *_CORRECTION_KEYS),
+    "injection": ("wave", "voltage", "samples", "pll_bandwidth", "damping"),
+    "inform": ("voltage", "period", "pll_bandwidth", "damping"),
+    "inductance-mapping": ("voltage", "period", "pll_bandwidth", "damping"),
+    "third-harmonic": ("bandwidth", "pll_bandwidth"),
+    "zero-crossing": (),
+    "emf-integration": (),
 }
 
 """The keys of ``control.observer`` that a method takes beside ``method`` and ``tuning``."""
 
 
+LEARNED_OBSERVERS: tuple[ObserverMethodName, ...] = ("neuro-fuzzy", "neural")
+
+"""Those that correct the flux observer by what they have learned: in single precision alone."""
+
+
 ObserverTuningName = Literal["named", "optimised"]
+
+
+StartUpMethodName = Literal["auto", "i-f", "v-f", "direct", "saliency"]
+
+"""How a drive without encoder leaves standstill: a current or a voltage that turns, the observer
+from zero speed on, or the rotor found by its saliency; ``auto`` chooses."""
+
+
+AlignmentName = Literal["none", "one-step", "two-step", "voltage"]
+
+"""How the rotor is brought to a known angle: by a regulated current at once or from a quarter turn
+away, or by a voltage."""
+
+
+StartLoadName = Literal["friction", "active"]
+
+"""What the load does at rest: it resists motion, or turns the shaft by itself (a hoist)."""
 
 
 QFormats = tuple[int, int] | Literal["auto"]
@@ -162,3 +246,8 @@ ModulationName = Literal[
 Firmware = Literal["vesc", "simplefoc", "moteus", "odrive", "nxp", "st", "ti", "infineon"]
 
 """Firmware of others whose configuration files are written and read, and whose loops are judged."""
+
+
+Application = Literal["skeleton"]
+
+"""The program that is written around the emitted functions."""

@@ -148,7 +148,11 @@ class Places:
             error.source, error.message = given_by, behind_option(error.message, path)
             return
         error.source = self.source
-        error.line, error.column = nearest(self.keys, self.values, path, key=True)
+        error.line, error.column = self.of_key(path)
+
+    def of_key(self, path: KeyPath) -> Position:
+        """Where a key begins, or the nearest one round it that is in the file."""
+        return nearest(self.keys, self.values, path, key=True)
 
 
 @contextmanager

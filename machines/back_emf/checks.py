@@ -251,12 +251,14 @@ def check_ratios(fundamentals: NDArray[np.complex128], origin: Origin) -> None:
         scale[channel] = f"{_round_ratio(others / float(size)):g}"
         raise origin.error(
             f"channel {channel + 1} reads {ratio:.1f} times {word} than the others; "
-            f"probe setting? if so, give scale ({', '.join(scale)})"
+            f"probe setting? if so, write "
+            f"--scale {','.join(scale)}, in a design scale: [{', '.join(scale)}]"
         )
     if np.max(sizes) > _PROBE_RATIO * np.min(sizes):
         text = ", ".join(f"{size / np.max(sizes):.3g}" for size in sizes)
         raise origin.error(
-            f"the channels' fundamentals are as {text}; check the probes' settings and give scale"
+            f"the channels' fundamentals are as {text}; check the probes' settings and "
+            "write --scale A,B,C, in a design scale: [A, B, C]"
         )
 
 

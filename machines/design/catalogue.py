@@ -8,22 +8,17 @@ from collections.abc import Sequence
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
-from dqforge.machines.files.library_files import LibraryFiles
-
-_TEMPLATE = "template"
-
-
-_FILES = LibraryFiles("design", unlisted=(_TEMPLATE,))
+from dqforge.machines.files.library_files import DESIGNS, TEMPLATE
 
 
 def names() -> list[str]:
     """Names of the designs in the library, in alphabetical order."""
-    return _FILES.names()
+    return DESIGNS.names()
 
 
 def read_text(name: str) -> bytes:
     """Bytes of a design in the library; raises `InputError` when there is none of this name."""
-    return _FILES.read(name)
+    return DESIGNS.read(name)
 
 
 def load(name: str, settings: Sequence[str] = ()) -> Design:
@@ -31,7 +26,7 @@ def load(name: str, settings: Sequence[str] = ()) -> Design:
 
     Raises `InputError` when there is none of this name.
     """
-    return load_text(read_text(name), _FILES.source(name), settings=settings)
+    return load_text(read_text(name), DESIGNS.source(name), settings=settings)
 
 
 def template(machine: str | None = None) -> bytes:
@@ -42,4 +37,4 @@ def template(machine: str | None = None) -> bytes:
     InputError
         There is no design of this name.
     """
-    return _FILES.read_unlisted(_TEMPLATE) if machine is None else read_text(machine)
+    return DESIGNS.read_unlisted(TEMPLATE) if machine is None else read_text(machine)

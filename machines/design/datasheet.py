@@ -1,8 +1,8 @@
 """Data-sheet conventions: what the printed constants mean for a machine in star or delta,
 and whether they agree.
 
-All results are per phase, peak, in SI units (docs/inputs.md). The functions know nothing of files;
-the errors they raise have no position yet.
+All results are per phase, peak, in SI units (docs/reference/inputs.md). The functions know
+nothing of files; the errors they raise have no position yet.
 
 With p pole pairs, psi the flux linkage of the magnets (peak of phase) and
 mechanical speed omega_m::
@@ -110,6 +110,15 @@ def flux_from_back_emf(
     """
     of_terminals = kind.replace("phase", "line-to-line") if connection == "delta" else kind
     return constant * _TO_PHASE_PEAK[of_terminals] / pole_pairs
+
+
+def flux_from_kv(kv: float, kind: str, pole_pairs: int, connection: Connection = "star") -> float:
+    """Flux linkage in Wb (peak of phase) from a speed constant in rpm per volt, the reciprocal of
+    the back-EMF constant of its kind.
+
+    That of a hobby motor is per volt of the line-to-line peak.
+    """
+    return flux_from_back_emf(30.0 / (math.pi * kv), kind, pole_pairs, connection)
 
 
 def flux_from_torque_constant(

@@ -16,12 +16,15 @@ from dqforge.machines.design.plausibility.design import implausibilities
 from dqforge.machines.design.provenance import input_values, kind_assumptions
 from dqforge.machines.design.reading import Reading
 from dqforge.machines.design.schema import DesignFile
+from dqforge.machines.design.sections.application import check_application
 from dqforge.machines.design.sections.control import (
     check_loops,
+    check_observer_format,
     check_sampling,
     read_control,
     read_gain_wish,
 )
+from dqforge.machines.design.sections.current_feedback import Asked, check_feedback
 from dqforge.machines.design.sections.export import read_export
 from dqforge.machines.design.sections.field_weakening import read_weakening
 from dqforge.machines.design.sections.firmware import check_firmware
@@ -51,6 +54,8 @@ from dqforge.machines.design.sections.phase_control import (
 )
 from dqforge.machines.design.sections.references import check_references
 from dqforge.machines.design.sections.simulation.reading import read_scenario
+from dqforge.machines.design.sections.six_step_checks import BlockSections, check_six_step
+from dqforge.machines.design.sections.start_up import check_start_up
 from dqforge.machines.design.sections.topology import check_topology
 from dqforge.machines.design.sections.waveform import check_waveform, read_waveform
 from dqforge.machines.design.settings import ControlSettings
@@ -58,6 +63,11 @@ from dqforge.machines.design.speed_remarks import bare_speed_remarks
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.complaints import read_model
+from dqforge.machines.entries.former_keys import (
+    renamed_remarks,
+    text_with_present_names,
+    with_present_names,
+)
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.files.positioned_yaml import YamlDocument, parse_yaml, read_bytes
@@ -104,16 +114,33 @@ def load_text(
     InputError
         The content is wrong; with the position of the first fault, or the option that is at fault.
     """
-    document = parse_yaml(text, source)
+    document = parse_design(text, source)
     if settings:
-        document, changed = overridden(document, text.decode("utf-8-sig"), settings)
+        present = text_with_present_names(text.decode("utf-8-sig"), document)
+        document, changed = overridden(document, present, settings)
         text = changed.encode("utf-8")
+    return build_design(read_sections(document), Reading(document, text, folder))
+
+
+def build_design(file: DesignFile, reading: Reading) -> Design:
+    """Design of sections that are read already, such as those of a document changed in memory.
+
+    Raises
+    ------
+    InputError
+        The content is wrong; with the position of the first fault in ``reading.document``.
+    """
+    document = reading.document
     places = Places(
-        source, document.keys, document.values, tuple(DesignFile.model_fields), document.options
+        document.source,
+        document.keys,
+        document.values,
+        tuple(DesignFile.model_fields),
+        document.options,
     )
     try:
         with located(places, "machine"):
-            return _design(read_sections(document), Reading(document, text, folder), places)
+            return _design(file, reading, places)
     except NoSolutionError as error:
         # Nothing has been asked of the design yet: what it says is wrong.
         raise InputError(
@@ -124,6 +151,7 @@ def load_text(
 def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     """Build all parts in an order in which each check has what it needs."""
     document, remarks = reading.document, reading.remarks
+    remarks.extend(renamed_remarks(document))
     found = read_machine(file.machine, reading)
     machine = found.machine
     check_machine(file.machine, machine, document)
@@ -131,10 +159,28 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     check_sampling(file.control, file.inverter.switching_frequency.si, document)
     check_losses(file.losses, file.inverter.device is not None, machine, document)
     check_loops(file.control, machine, document)
+    check_observer_format(file.control, file.export, document)
+    named_sections = frozenset(file.model_fields_set)
+    blocks = check_six_step(
+        BlockSections(file.control, file.inverter, file.export, file.simulation, named_sections),
+        document,
+    )
+    check_application(file.control, file.export, document, any_back_emf=found.phases is not None)
+    asked = Asked(
+        file.control, file.inverter, file.operation, file.export, file.simulation is not None
+    )
+    check_feedback(asked, machine, document, any_back_emf=found.phases is not None)
     check_references(
         file.control.references,
         machine,
         file.export,
+        document,
+        any_back_emf=found.phases is not None,
+    )
+    check_start_up(
+        file.control,
+        machine,
+        file.export.control,
         document,
         any_back_emf=found.phases is not None,
     )
@@ -175,7 +221,8 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     )
     needed = bool(file.export.control or file.export.firmware) or simulated
     named = "control" in file.model_fields_set
-    control = replace(control, gains=read_gain_wish(file.control, named, needed, document))
+    wish = "none" if blocks else read_gain_wish(file.control, named, needed, document)
+    control = replace(control, gains=wish)
     remarks.extend(_remarks(file, machine, inverter, control))
     if control.gains != "none":
         remarks.extend(phase_control_remarks(control.current_loop, found.phases, inverter))
@@ -184,6 +231,15 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
     weakening = read_weakening(file.field_weakening, strategy, machine, reading)
     choice = read_choice(file.modulation_choice, strategy, inverter, machine, i_max, reading)
     losses = read_losses(file.losses, machine, reading)
+    scenario = read_scenario(
+        file.simulation,
+        machine,
+        inverter,
+        control,
+        reading,
+        waveform=found.phases is not None,
+        program=file.export.application is not None,
+    )
     design = Design(
         name=file.name,
         about=file.about,
@@ -203,14 +259,7 @@ def _design(file: DesignFile, reading: Reading, places: Places) -> Design:
         given=reading.given(),
         weakening=weakening,
         winding=read_winding_heat(file.machine, inverter.coolant_temperature),
-        simulation=read_scenario(
-            file.simulation,
-            machine,
-            inverter,
-            control,
-            reading,
-            waveform=found.phases is not None,
-        ),
+        simulation=scenario,
         modulation_choice=choice,
         flux_evidence=tuple(reading.flux_evidence),
         halves=found.halves,
@@ -241,8 +290,8 @@ def _remarks(
             "operation.overmodulation_limit is 95.14 % of six-step operation: a vector that "
             "follows the hexagon"
         )
-    if file.fit.torque_max is None:
-        remarks.append("fit.torque_max is the largest torque within the current limit")
+    if file.fit.max_torque is None:
+        remarks.append("fit.max_torque is the largest torque within the current limit")
     if "prefix" not in file.export.model_fields_set:
         remarks.append(f"export.prefix is {file.export.prefix}")
     if file.machine.friction is None and (control.speed_loop or control.observer):
@@ -252,6 +301,17 @@ def _remarks(
             f"inverter.coolant_temperature is {format_quantity(DEFAULT_COOLANT, 'degC')}"
         )
     return remarks
+
+
+def parse_design(text: bytes, source: str) -> YamlDocument:
+    """A design file as a document with the present names of its keys.
+
+    Raises
+    ------
+    InputError
+        The bytes are no YAML, or a key stands there by its former and its present name.
+    """
+    return with_present_names(parse_yaml(text, source), DesignFile)
 
 
 def read_sections(document: YamlDocument) -> DesignFile:

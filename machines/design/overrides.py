@@ -18,11 +18,13 @@ from typing import NoReturn
 
 from dqforge.machines.design.schema import DesignFile
 from dqforge.machines.entries.complaints import read_model
+from dqforge.machines.entries.former_keys import present_path
 from dqforge.machines.entries.kinds import quantities
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_yaml import MAX_DEPTH, YamlDocument, YamlValue, parse_value
 from dqforge.machines.files.yaml_edit import edited, written
 from dqforge.machines.places import KeyPath, Position, dotted
+from dqforge.machines.units.quantities import kind_said
 from dqforge.machines.wording import shown
 
 OPTION = "--set"
@@ -86,7 +88,8 @@ def read_override(text: str) -> Override:
         raise InputError(
             "there is no value behind '='; write one, or leave the option out", source=option
         )
-    return Override(parts, found, option)
+    present = present_path(parts, DesignFile)
+    return Override(tuple(map(str, present)), found, option)
 
 
 def overridden(
@@ -123,10 +126,10 @@ def overridden(
     overrides = [read_override(setting) for setting in settings]
     _refuse_overlaps(overrides)
     for override in overrides:
-        made = _put(data, override)
+        made = put(data, override)
         paths.append(made[-1])
         options.update(dict.fromkeys(made, override.option))
-    changed = _positioned(document, data, options)
+    changed = positioned(document, data, options)
     _name_sources(changed, paths)
     return changed, edited(text, document.data, data)
 
@@ -142,7 +145,7 @@ def _refuse_overlaps(overrides: Sequence[Override]) -> None:
             )
 
 
-def _put(data: dict[str, YamlValue], override: Override) -> list[KeyPath]:
+def put(data: dict[str, YamlValue], override: Override) -> list[KeyPath]:
     """Set the value; returns the paths that were made for it, that of the key itself last."""
     node: dict[str, YamlValue] | list[YamlValue] = data
     path: KeyPath = ()
@@ -199,14 +202,20 @@ def _is_entry(value: YamlValue) -> bool:
 
 def _kept_kind(old: YamlValue, new: YamlValue) -> YamlValue:
     """A new value for an entry; where it is but a number, the convention of the old one holds
-    on.
+    on, whether it stands beside the value or in its text.
     """
-    if isinstance(new, (dict, list)) or not isinstance(old, dict) or not _is_entry(old):
+    if isinstance(new, (dict, list)) or (isinstance(new, str) and kind_said(new)):
         return new
-    return {"value": new} | {key: old[key] for key in ("kind",) if key in old}
+    entry = old if isinstance(old, dict) and _is_entry(old) else {"value": old}
+    said = [kind_said(text) for text in (entry["value"],) if isinstance(text, str)]
+    named = [kind for kind in (entry.get("kind"),) if isinstance(kind, str)]
+    kinds = " ".join(dict.fromkeys(part for part in (*said, *named) if part))
+    if kinds:
+        return {"value": new, "kind": kinds}
+    return {"value": new} if entry is old else new
 
 
-def _positioned(
+def positioned(
     document: YamlDocument, data: dict[str, YamlValue], options: dict[KeyPath, str]
 ) -> YamlDocument:
     """The changed document; what an option set has no position in the file."""

@@ -12,13 +12,18 @@ from dqforge.machines.units.quantities import format_quantity
 _ALTERNATIVE = {
     "phase": "write kind: line-to-line if it was measured between two terminals",
     "peak": "write kind: rms if it is an r.m.s. value",
+    "line-to-line peak": "write kind: line-to-line rms, phase peak or phase rms otherwise",
 }
 
 
 _SHOWN = {"speed": "rpm"}
 
 
-_WHAT = {"phase": "a phase value", "peak": "a peak value"}
+_WHAT = {
+    "phase": "a phase value",
+    "peak": "a peak value",
+    "line-to-line peak": "rpm per volt between two terminals at its peak, as that of hobby motors",
+}
 
 
 def input_values(

@@ -5,8 +5,10 @@ and the files that it names.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, TypeVar, cast
 
 from dqforge.machines.design import datasheet
 from dqforge.machines.design.datasheet import Connection
@@ -14,12 +16,29 @@ from dqforge.machines.design.design import DesignFiles
 from dqforge.machines.design.values import InputValue
 from dqforge.machines.entries.rules import Quantity
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.input_files import read_regular_file
+from dqforge.machines.files.input_files import MEGABYTE, read_regular_file
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.flux_maps.evidence import FluxEvidence
 from dqforge.machines.places import KeyPath, dotted
 
 MAX_FILE_BYTES = 256_000_000
+_MOST_RECALLED = 256
+_Made = TypeVar("_Made")
+
+
+def with_slashes(name: str) -> str:
+    """The name of a file as every system reads it; a design from Windows may have the other kind
+    of slash.
+    """
+    return name.replace("\\", "/")
+
+
+@dataclass(frozen=True, slots=True)
+class Recalled:
+    """What was made once, and what making it added to each list of its `Reading`."""
+
+    made: object
+    added: tuple[tuple[Any, ...], ...]
 
 
 @dataclass(slots=True)
@@ -39,7 +58,9 @@ class Reading:
     values that follow from others, ``remarks`` sentences on what the file leaves open, ``files``
     the bytes of the files that it names, ``names`` the names of these (empty for what the package
     ships), ``flux_evidence`` what was found about its flux maps. ``connection`` is that of the
-    machine's windings.
+    machine's windings. ``supplied`` holds the files that may be named where they are in memory,
+    None where they lie in ``folder``. ``memory`` keeps what files and coefficients became, for
+    other readings that share it (`recalled`).
     """
 
     document: YamlDocument
@@ -52,6 +73,8 @@ class Reading:
     flux_evidence: list[FluxEvidence] = field(default_factory=list)
     connection: Connection = "star"
     names: list[str] = field(default_factory=list)
+    supplied: Mapping[str, bytes] | None = None
+    memory: dict[Hashable, Recalled] | None = None
 
     def given(self) -> DesignFiles:
         """Everything that was read, from which the same design can be read again."""
@@ -132,8 +155,40 @@ class Reading:
             self.converted[path] = (value, "; ".join(parts))
         return value
 
+    def recalled(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
+        """What ``make`` returns, from memory where another reading has made it for ``key``.
+
+        What it adds to this reading on the way (files, remarks, values) is added again.
+        """
+        if self.memory is None:
+            return make()
+        kept = self.memory.get(key)
+        lists: tuple[list[Any], ...] = (
+            self.derived,
+            self.remarks,
+            self.files,
+            self.flux_evidence,
+            self.names,
+        )
+        if kept is None:
+            before = [len(entries) for entries in lists]
+            made = make()
+            added = tuple(
+                tuple(entries[count:]) for entries, count in zip(lists, before, strict=True)
+            )
+            if len(self.memory) >= _MOST_RECALLED:
+                self.memory.pop(next(iter(self.memory)))
+            self.memory[key] = Recalled(made, added)
+            return made
+        for entries, more in zip(lists, kept.added, strict=True):
+            entries.extend(more)
+        return cast("_Made", kept.made)
+
     def is_beside(self, name: str) -> bool:
         """Whether there is such a file in the folder of the design or below it."""
+        name = with_slashes(name)
+        if self.supplied is not None:
+            return self.supplied.get(name) is not None
         return self.folder is not None and (self.folder / name).is_file()
 
     def read_beside(self, name: str, path: KeyPath, most_bytes: int = MAX_FILE_BYTES) -> bytes:
@@ -144,6 +199,12 @@ class Reading:
         InputError
             The name leads elsewhere, or the file cannot be read or is too large.
         """
+        name = with_slashes(name)
+        if self.supplied is not None:
+            content = self._in_memory(name, path, most_bytes)
+            self.files.append(content)
+            self.names.append(name)
+            return content
         if self.folder is None:
             raise self.document.error("a design of the library cannot name files", path)
         home = self.folder.resolve()
@@ -175,6 +236,21 @@ class Reading:
             raise self.document.error(f"the file '{name}': {error.message}", path) from None
         self.files.append(content)
         self.names.append(name)
+        return content
+
+    def _in_memory(self, name: str, path: KeyPath, most_bytes: int) -> bytes:
+        """One of the supplied files; raises `InputError` where it is not there or too large."""
+        content = None if self.supplied is None else self.supplied.get(name)
+        if content is None:
+            raise self.document.error(
+                f"there is no file '{name}' beside the design file; check the name", path
+            )
+        if len(content) > most_bytes:
+            raise self.document.error(
+                f"the file '{name}' has {len(content) / MEGABYTE:.4g} MB, at most "
+                f"{most_bytes / MEGABYTE:.4g} MB can be read",
+                path,
+            )
         return content
 
 

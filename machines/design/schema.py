@@ -22,6 +22,7 @@ from dqforge.machines.design.sections.modulation_choice import ChoiceSection
 from dqforge.machines.design.sections.operation import OperationSection
 from dqforge.machines.design.sections.simulation.schema import SimulationSection
 from dqforge.machines.design.sections.waveform import WaveformSection
+from dqforge.machines.entries.former_keys import deprecated_properties
 from dqforge.machines.entries.kinds import (
     About,
     Name,
@@ -59,6 +60,11 @@ class DesignFile(Section):
     export: ExportSection = ExportSection()
 
 
+SCHEMA_ID = "urn:dqforge:schema:design:1"
+
+"""Name of the schema; 1 is the version of the format. No host is promised, so it is no address."""
+
+
 _SIMPLE = (
     str,
     int,
@@ -69,17 +75,34 @@ _SIMPLE = (
 
 def json_schema() -> dict[str, Any]:
     """JSON Schema (draft 2020-12) of the design file, for editors and for documentation."""
-    schema: dict[str, Any] = _tidied(DesignFile.model_json_schema())
-    return {
+    return named_schema(DesignFile, SCHEMA_ID, "dqforge design file")
+
+
+def named_schema(model: type[Section], identifier: str, title: str) -> dict[str, Any]:
+    """Tidied JSON Schema of the model of a file.
+
+    Parameters
+    ----------
+    model:
+        What the file is read into.
+    identifier:
+        Its ``$id``, an absolute URI.
+    title:
+        What editors call it.
+    """
+    head = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "dqforge design file",
-    } | schema
+        "$id": identifier,
+        "title": title,
+    }
+    schema: dict[str, Any] = tidied(model.model_json_schema())
+    return head | schema
 
 
-def _tidied(schema: Any) -> Any:
+def tidied(schema: Any) -> Any:
     """Schema without generated titles and without null, which the reader refuses."""
     if isinstance(schema, list):
-        return [_tidied(item) for item in schema]
+        return [tidied(item) for item in schema]
     if not isinstance(schema, dict):
         return schema
     tidy: dict[str, Any] = {}
@@ -88,13 +111,15 @@ def _tidied(schema: Any) -> Any:
             key == "default" and not isinstance(value, _SIMPLE)
         ):
             continue
-        if key == "anyOf":
+        if key == "properties":
+            tidy[key] = tidied(deprecated_properties(value))
+        elif key == "anyOf":
             choices = [choice for choice in value if choice != {"type": "null"}]
             # An optional entry with several forms arrives as a choice within a choice.
-            tidy |= _tidied(choices[0]) if len(choices) == 1 else {"anyOf": _tidied(choices)}
+            tidy |= tidied(choices[0]) if len(choices) == 1 else {"anyOf": tidied(choices)}
         elif key == "description" and isinstance(value, str):
             # Docstrings are wrapped; a description has one line for each of its paragraphs.
             tidy[key] = re.sub(r"(?<!\n)\n(?!\n)", " ", value)
         else:
-            tidy[key] = _tidied(value)
+            tidy[key] = tidied(value)
     return tidy

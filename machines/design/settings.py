@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from dqforge.machines.losses.mission import Mission
 from dqforge.machines.modulation.hexagon import HEXAGON, SIX_STEP
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import (
     SPEED_OBSERVER,
+    AlignmentName,
+    Application,
     AxisGainRule,
     BreakpointMode,
     Core,
     CurrentFrame,
     CurrentLoopMethod,
+    FeedbackMethod,
     Feedforward,
     Firmware,
     FitForm,
     FitMethod,
+    InjectionWave,
     ModulationName,
     NumberFormat,
     ObserverMethodName,
@@ -28,6 +32,9 @@ from dqforge.machines.names import (
     OvermodulationName,
     QFormats,
     SpeedLoopMethod,
+    SpeedMeasurementName,
+    StartLoadName,
+    StartUpMethodName,
     Strategy,
     WaveformForm,
 )
@@ -137,7 +144,11 @@ class CurrentLoopSettings:
     gains follow the inductances of a machine that saturates. The others are for machines whose
     back-EMF is not sinusoidal: ``frame`` None for the one that the machine asks for,
     ``feedforward``, ``axis_gains``, whether ``harmonic_integrators`` run, and whether
-    ``limited_waveforms`` go on where the link ends the plain ones.
+    ``limited_waveforms`` go on where the link ends the plain ones. The last six are for methods
+    that switch the bridge themselves, None for their defaults
+    (`docs/methods/current-feedback-pwm.md`):
+    ``band`` and ``outer_band`` in A, ``carrier`` and ``sampling`` in Hz, ``comparator_band`` in V,
+    and the most ``pulses`` of a leg per electrical period.
     """
 
     method: CurrentLoopMethod = "magnitude-optimum"
@@ -146,7 +157,7 @@ class CurrentLoopSettings:
     spread: float = 2.0
     kp: float | None = None
     ki: float | None = None
-    phase_margin_min: float = 0.5235987755982988
+    min_phase_margin: float = 0.5235987755982988
     q_formats: QFormats | None = None
     max_sensitivity: float = 1.6
     schedule: bool = False
@@ -155,6 +166,17 @@ class CurrentLoopSettings:
     axis_gains: AxisGainRule = "own"
     harmonic_integrators: bool = True
     limited_waveforms: bool = False
+    band: float | None = None
+    outer_band: float | None = None
+    carrier: float | None = None
+    comparator_band: float | None = None
+    sampling: float | None = None
+    pulses: int | None = None
+
+    @property
+    def switches(self) -> bool:
+        """Whether the method switches the bridge itself, without gains and modulator."""
+        return self.method in get_args(FeedbackMethod)
 
 
 def filter_share(filter_time: float, t_s: float) -> float:
@@ -165,12 +187,30 @@ def filter_share(filter_time: float, t_s: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
+class SpeedMeasurementSettings:
+    """The speed from the edges of an encoder.
+
+    ``lines`` per revolution; of each, ``edges`` are captured (four are counted). ``clock`` in Hz
+    drives the timer of ``counter_bits`` bits that captures them. From the mechanical speed
+    ``omega_from`` in rad/s on the speed loop must hold with the delay of the measurement.
+    """
+
+    method: SpeedMeasurementName
+    lines: int
+    clock: float
+    counter_bits: int
+    edges: int
+    omega_from: float
+
+
+@dataclass(frozen=True, slots=True)
 class SpeedLoopSettings:
     """PI speed controller that commands torque; it runs every ``ratio``-th current sample.
 
     ``filter_time`` in s is a first-order filter on the measured speed (0 for none). ``kp`` in N m
-    s/rad and ``ki`` in N m/rad are for the method ``given``. The other fields are as in
-    `CurrentLoopSettings`.
+    s/rad and ``ki`` in N m/rad are for the method ``given``. ``measurement`` is how the speed is
+    measured, None where it is taken as exact. With ``counts_observer`` the lag of a position
+    observer is one of the loop's small delays. The other fields are as in `CurrentLoopSettings`.
     """
 
     method: SpeedLoopMethod = "symmetrical-optimum"
@@ -181,9 +221,11 @@ class SpeedLoopSettings:
     filter_time: float = 0.0
     kp: float | None = None
     ki: float | None = None
-    phase_margin_min: float = 0.5235987755982988
+    min_phase_margin: float = 0.5235987755982988
     q_formats: QFormats | None = None
     max_sensitivity: float = 1.6
+    measurement: SpeedMeasurementSettings | None = None
+    counts_observer: bool = False
 
 
 ToleranceName = Literal["r_s", "l_d", "l_q", "psi_pm", "inertia", "v_dc", "dead_time"]
@@ -233,7 +275,11 @@ class ObserverSettings:
     ``pole`` is for the reduced-order speed observer, whose pole lies at ``-pole`` (rad/s,
     positive). The others are for the position observers, None for what the method usually has:
     ``bandwidth`` and ``pll_bandwidth`` in rad/s, ``damping`` of the phase-locked loop,
-    ``speed_gain`` the share of the speed in the correction of the flux.
+    ``speed_gain`` the share of the speed in the correction of the flux. Of those that learn:
+    neurons of both ``hidden_layers``, time constant of ``correction_filter`` in s and
+    ``correction_limit`` in rad.
+    Of trackers that inject: ``wave``, its amplitude ``voltage`` in V, ``samples`` per period of it,
+    and ``period`` in s between sequences of pulses.
     """
 
     pole: float | None = None
@@ -243,6 +289,47 @@ class ObserverSettings:
     damping: float | None = None
     speed_gain: float | None = None
     tuning: ObserverTuningName = "named"
+    wave: InjectionWave | None = None
+    voltage: float | None = None
+    samples: int | None = None
+    period: float | None = None
+    hidden_layers: tuple[int, int] | None = None
+    correction_filter: float | None = None
+    correction_limit: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StartUpSettings:
+    """How a drive without encoder comes from standstill to speed; None where that is computed.
+
+    ``load_torque`` in N m is the largest that must be started. Currents in A (peak): of the ramp,
+    of the alignment, along d until the observer at speed has taken over, and the one that trips.
+    Torques in N m accelerate the ramp, and the reference after it; ``hand_over`` in rad/s
+    (mechanical) is where the observer at speed takes over. Times in s. ``damping`` is that of the
+    ramp; ``v_dc_min`` in V trips below. ``observer`` is the one from standstill on.
+    """
+
+    method: StartUpMethodName = "auto"
+    alignment: AlignmentName | None = None
+    load: StartLoadName = "friction"
+    load_torque: float | None = None
+    brake: bool = False
+    current: float | None = None
+    alignment_current: float | None = None
+    alignment_time: float | None = None
+    acceleration_torque: float | None = None
+    damping: float | None = None
+    hand_over: float | None = None
+    held_current: float | None = None
+    fade_time: float | None = None
+    patience: float | None = None
+    run_torque: float | None = None
+    retries: int = 2
+    retry_pause: float | None = None
+    flying_start: bool = False
+    trip_current: float | None = None
+    v_dc_min: float | None = None
+    observer: ObserverSettings | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,13 +385,33 @@ class FirmwareSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class SixStepSettings:
+    """A six-step drive, which commutates blocks by the voltage of the phase that floats.
+
+    ``voltage_offset`` and ``voltage_noise`` in V (standard deviation) are those of that voltage as
+    it is measured, None for what is usual; ``voltage_bits`` those of its converter. ``filter_time``
+    in s is a first-order filter of it. ``start_current`` in A (peak) is that of alignment and
+    forced start, ``align_time`` in s the whole time of the alignment; None for computed ones.
+    """
+
+    voltage_offset: float | None = None
+    voltage_noise: float | None = None
+    voltage_bits: int = 12
+    filter_time: float = 0.0
+    start_current: float | None = None
+    align_time: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class ControlSettings:
     """Sampling and controllers; ``t_s`` is the current-control sampling period in s.
 
     ``tolerances`` is the box in which every loop must hold, None where only the data themselves
     count. ``gains`` are ``optional`` where the design says nothing of control: a machine without
     them still has its current references. ``firmware`` is that of others whose loops are judged
-    beside those of the emitted code, None without one.
+    beside those of the emitted code, None without one. ``start_up`` is how the drive starts without
+    an encoder, None where it does not. ``six_step`` is that of a six-step drive, None for drives in
+    rotor coordinates.
     """
 
     t_s: float
@@ -316,6 +423,8 @@ class ControlSettings:
     gains: GainWish = "required"
     references: ReferenceSettings = ReferenceSettings()
     firmware: FirmwareSettings | None = None
+    start_up: StartUpSettings | None = None
+    six_step: SixStepSettings | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,10 +450,14 @@ class WaveformSettings:
 
 @dataclass(frozen=True, slots=True)
 class LoadPoint:
-    """One operating point: torque in N m and mechanical speed in rad/s."""
+    """One operating point: torque in N m and mechanical speed in rad/s.
+
+    ``weight`` is its share in a mean over the points, relative to those of the others.
+    """
 
     torque: float
     omega_m: float
+    weight: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -395,7 +508,8 @@ class ExportSettings:
 
     ``control`` are the number formats in which the control functions are emitted,
     each in a header of its own. ``frame_tables`` asks for tables of the frames dqx and dqy.
-    ``firmware`` names firmware of others whose configuration files are written.
+    ``firmware`` names firmware of others whose configuration files are written. ``application`` is
+    the program around the functions, None for none.
     """
 
     prefix: str
@@ -403,3 +517,4 @@ class ExportSettings:
     control: tuple[NumberFormat, ...] = ()
     frame_tables: bool = False
     firmware: tuple[Firmware, ...] = ()
+    application: Application | None = None

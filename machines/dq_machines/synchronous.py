@@ -19,14 +19,18 @@ if TYPE_CHECKING:  # which works on the arrays that are named here
 
 
 def torque_from_flux(
-    pole_pairs: int, psi_d: FloatArray, psi_q: FloatArray, i_d: FloatArray, i_q: FloatArray
+    pole_pairs: int | NDArray[np.int64],
+    psi_d: FloatArray,
+    psi_q: FloatArray,
+    i_d: FloatArray,
+    i_q: FloatArray,
 ) -> FloatArray:
     """Air-gap torque T = 3/2 p (psi_d i_q - psi_q i_d) in N m, any broadcastable shapes.
 
     Parameters
     ----------
     pole_pairs:
-        Number of pole pairs p.
+        Number of pole pairs p, or those of several machines.
     psi_d, psi_q:
         Flux linkages in Wb (peak of phase), any shape.
     i_d, i_q:
@@ -35,7 +39,7 @@ def torque_from_flux(
     return 1.5 * pole_pairs * (psi_d * i_q - psi_q * i_d)
 
 
-def copper_loss(r_s: float, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+def copper_loss(r_s: float | FloatArray, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
     """Copper loss 3/2 R |i|^2 in W for peak dq currents in A, any broadcastable shapes.
 
     Paper 000 (12) prints R |i|^2, which holds for another scaling of the currents.
@@ -43,7 +47,7 @@ def copper_loss(r_s: float, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
     Parameters
     ----------
     r_s:
-        Phase resistance in Ohm.
+        Phase resistance in Ohm, or those of several machines.
     i_d, i_q:
         Currents in A (peak), any shapes that fit.
     """
@@ -172,7 +176,47 @@ class Machine(Protocol):
         ...
 
 
-class MachineFormulas:
+class FluxSource(Protocol):
+    """What torque and voltage are computed from: one machine, or columns of several."""
+
+    @property
+    def pole_pairs(self) -> int | NDArray[np.int64]:
+        """Number of pole pairs p."""
+        ...
+
+    @property
+    def r_s(self) -> float | FloatArray:
+        """Phase resistance in Ohm."""
+        ...
+
+    def flux(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Flux linkages (psi_d, psi_q) in Wb at currents in A."""
+        ...
+
+
+class FluxFormulas:
+    """Torque and voltage, which follow alike from the flux linkage of one machine and of several;
+    a base for both. Of several machines the last axis of currents is theirs.
+    """
+
+    __slots__ = ()
+
+    def torque(self: FluxSource, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+        """Torque in N m at currents in A, any broadcastable shapes."""
+        psi_d, psi_q = self.flux(i_d, i_q)
+        return torque_from_flux(self.pole_pairs, psi_d, psi_q, i_d, i_q)
+
+    def voltage(
+        self: FluxSource, i_d: FloatArray, i_q: FloatArray, omega_e: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Steady-state voltages (v_d, v_q) in V at currents in A and electrical speed
+        in rad/s (paper 000, (1)).
+        """
+        psi_d, psi_q = self.flux(i_d, i_q)
+        return self.r_s * i_d - omega_e * psi_q, self.r_s * i_q + omega_e * psi_d
+
+
+class MachineFormulas(FluxFormulas):
     """What follows from flux linkage, resistance and pole pairs alike in every machine model;
     a base for models.
     """
@@ -199,20 +243,6 @@ class MachineFormulas:
     def torque_per_ampere(self: Machine) -> float:
         """Torque per ampere of i_q at zero current, 3/2 p psi_pm, in N m/A (peak)."""
         return 1.5 * self.pole_pairs * self.psi_pm
-
-    def torque(self: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
-        """Torque in N m at currents in A, any broadcastable shapes."""
-        psi_d, psi_q = self.flux(i_d, i_q)
-        return torque_from_flux(self.pole_pairs, psi_d, psi_q, i_d, i_q)
-
-    def voltage(
-        self: Machine, i_d: FloatArray, i_q: FloatArray, omega_e: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Steady-state voltages (v_d, v_q) in V at currents in A and electrical speed
-        in rad/s (paper 000, (1)).
-        """
-        psi_d, psi_q = self.flux(i_d, i_q)
-        return self.r_s * i_d - omega_e * psi_q, self.r_s * i_q + omega_e * psi_d
 
 
 @dataclass(frozen=True, slots=True)

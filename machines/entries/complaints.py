@@ -24,7 +24,7 @@ _Model = TypeVar("_Model", bound=BaseModel)
 
 
 # What engineers call the keys elsewhere.
-_SYNONYMS = {
+SYNONYMS = {
     "motor": "machine",
     "drive": "inverter",
     "converter": "inverter",
@@ -51,7 +51,14 @@ _SYNONYMS = {
     "flux_linkage": "magnet_flux",
     "ke": "back_emf_constant",
     "k_e": "back_emf_constant",
-    "kv": "back_emf_constant",
+    "k_v": "kv",
+    "speed_constant": "kv",
+    "velocity_constant": "kv",
+    "l": "inductance",
+    "ls": "inductance",
+    "l_s": "inductance",
+    "phase_inductance": "inductance",
+    "phase_resistance": "resistance",
     "kt": "torque_constant",
     "k_t": "torque_constant",
     "i_max": "max_current",
@@ -90,7 +97,11 @@ _SYNONYMS = {
 # What to write for keys that every design needs.
 _EXAMPLES = {
     "dqforge": f"dqforge: {FORMAT_VERSION}",
+    "dqforge_study": "dqforge_study: 1",
     "name": "name: My first drive",
+    "design": "design: design.yaml, a file beside the study or a drive of the library",
+    "count": "count: 100000",
+    "seed": "seed: 1",
     "resistance": "resistance: 2.35 Ohm",
     "axes": "axes: magnet-d",
     "file": "file: map.csv",
@@ -230,19 +241,19 @@ def _unknown(path: KeyPath, root: type[BaseModel]) -> str:
     where = f"{shown_path}: " if shown_path else ""
     allowed = tuple(_section(inside, root).model_fields)
     homes = [dotted(home) or "the top level" for home in _homes(key, root)]
-    if homes and _SYNONYMS.get(key) not in allowed:
+    if homes and SYNONYMS.get(key) not in allowed:
         return (
             f"{where}unknown key '{key}'; it belongs in {' or '.join(homes[:3])}, check the "
             "indentation"
         )
-    return where + unknown_key(key, allowed, _SYNONYMS)
+    return where + unknown_key(key, allowed, SYNONYMS)
 
 
 def _homes(key: str, model: type[BaseModel], path: KeyPath = ()) -> list[KeyPath]:
     """Sections that have a key."""
     found = [path] if key in model.model_fields else []
     for name, field in model.model_fields.items():
-        for inner in _models_in(field.annotation):
+        for inner in models_in(field.annotation):
             found += _homes(key, inner, (*path, name))
     return found
 
@@ -269,6 +280,7 @@ _TEMPLATES = {
     "model_attributes_type": (
         "expected a section with keys, got {got}; write its keys indented below"
     ),
+    "dict_type": "expected a mapping, got {got}; write its keys indented below",
     "tuple_type": "expected a list such as [1, 2], got {got}",
     "greater_than": "expected a number greater than {gt:g}, got {got}",
     "greater_than_equal": "expected a number of at least {ge:g}, got {got}",
@@ -282,13 +294,16 @@ _TEMPLATES = {
 def _expected(fault: ErrorDetails, value: YamlValue, path: KeyPath, root: type[BaseModel]) -> str:
     """What was expected instead of a value, and what to write."""
     got = spoken(value)
-    if path == ("dqforge",):
+    if path in (("dqforge",), ("dqforge_study",)):
         return (
-            f"this program reads version {FORMAT_VERSION} of the format, got {got}; write dqforge: "
-            f"{FORMAT_VERSION}"
+            f"this program reads version {FORMAT_VERSION} of the format, got {got}; write "
+            f"{path[0]}: {FORMAT_VERSION}"
         )
     if fault["type"] == "literal_error":
         return not_one_of(value, _choices(path, root))
+    model = str(fault["type"]).startswith("model_")
+    if model and path[:2] == ("inverter", "device") and isinstance(value, str):
+        return f"expected a section with keys, got {got}; write {{name: {value}}}"
     template = _TEMPLATES.get(fault["type"], "{got} is not understood here")
     return template.format(got=got, **fault.get("ctx", {}))
 
@@ -301,15 +316,16 @@ def _section(path: KeyPath, root: type[BaseModel]) -> type[BaseModel]:
         if part in TAGS:
             model = forms[TAGS.index(str(part))]
         elif isinstance(part, str):
-            forms = _models_in(model.model_fields[part].annotation)
+            forms = models_in(model.model_fields[part].annotation)
             model = forms[0]
     return model
 
 
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
+def models_in(annotation: Any) -> list[type[BaseModel]]:
+    """Sections that a type permits."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [model for inner in get_args(annotation) for model in _models_in(inner)]
+    return [model for inner in get_args(annotation) for model in models_in(inner)]
 
 
 def _choices(path: KeyPath, root: type[BaseModel]) -> tuple[str, ...]:

@@ -73,6 +73,10 @@ _FAMILIES = re.compile(
 )
 
 
+_DEVICE = re.compile(r"con|prn|aux|nul|(?:com|lpt)[0-9]")
+"""Names that Windows keeps for devices, whatever their suffix."""
+
+
 _STANDARD = frozenset((_C + _CPP).split())
 
 
@@ -92,6 +96,13 @@ SUFFIXES = tuple(
         "_observer_q15",
         "_observer_q31",
         "_speed_observer",
+        "_speed_measurement",
+        "_start_observer",
+        "_startup",
+        "_six_step",
+        "_current_feedback",
+        "_hardware",
+        "_application",
         "_waveform",
         "_modulation",
         "_gains",
@@ -112,6 +123,8 @@ def taken_header(prefix: str) -> str:
     """
     for suffix in SUFFIXES:
         name = (prefix + suffix).casefold()
+        if _DEVICE.fullmatch(name):
+            return f"{name}.h, which Windows keeps for a device"
         if name in _STANDARD:
             return f"{name}.h, a header of the standard library"
         if name in _OTHERS or _FAMILIES.fullmatch(name):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
@@ -21,9 +21,11 @@ from dqforge.machines.entries.rules import (
     CountRule,
     Quantity,
     QuantityRule,
+    any_word_of,
     auto_or,
     byte_count,
     firmware_names,
+    in_other_words,
     not_truth,
     number_formats,
     plain_text,
@@ -31,11 +33,15 @@ from dqforge.machines.entries.rules import (
 from dqforge.machines.entries.two_sided import Between
 from dqforge.machines.names import Firmware, NumberFormat, QFormats
 from dqforge.machines.places import KeyPath
+from dqforge.machines.units.registry import DIMENSIONS
 
 _PHASE = ("phase", "line-to-line")
 
 
 _PEAK = ("peak", "rms")
+
+
+_PHASE_OR_LINE = ("phase peak", "phase rms", "line-to-line peak", "line-to-line rms")
 
 
 _LINE_OR_WINDING = (*_PEAK, "line peak", "line rms", "winding peak", "winding rms")
@@ -65,7 +71,12 @@ FileName = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text
 ColumnName = Annotated[str, Field(min_length=1), AfterValidator(partial(plain_text, limit=80))]
 
 
-ByteCount = Annotated[int, BeforeValidator(byte_count)]
+def _text_too(schema: dict[str, Any]) -> None:
+    """Let a whole number be written with a unit."""
+    schema |= {"type": [schema["type"], "string"], "examples": ["2 KiB"]}
+
+
+ByteCount = Annotated[int, BeforeValidator(byte_count), Field(json_schema_extra=_text_too)]
 
 
 Bits = Annotated[int, Field(ge=0, le=31)]
@@ -94,13 +105,25 @@ else:  # not a union, whose complaints would name the alternatives inside the pa
     ]
 
 
+def _one_or_list(names: tuple[str, ...]) -> WithJsonSchema:
+    """Schema of a name, or a list of some."""
+    name = {"enum": list(names)}
+    return WithJsonSchema({"anyOf": [name, {"type": "array", "items": name}]})
+
+
 ControlFormats = Annotated[
-    tuple[NumberFormat, ...], Field(strict=False, max_length=3), BeforeValidator(number_formats)
+    tuple[NumberFormat, ...],
+    Field(strict=False, max_length=3),
+    BeforeValidator(number_formats),
+    _one_or_list(get_args(NumberFormat)),
 ]
 
 
 FirmwareNames = Annotated[
-    tuple[Firmware, ...], Field(strict=False, max_length=8), BeforeValidator(firmware_names)
+    tuple[Firmware, ...],
+    Field(strict=False, max_length=8),
+    BeforeValidator(firmware_names),
+    _one_or_list(get_args(Firmware)),
 ]
 
 
@@ -110,6 +133,14 @@ Resistance = Annotated[Quantity, QuantityRule("resistance", 1e-6, 1e3, _PHASE, "
 Inductance = Annotated[Quantity, QuantityRule("inductance", 1e-9, 10.0, _PHASE, "phase")]
 
 
+_CHANNELS = ("phase", "line-to-line")
+ChannelPlace = Annotated[
+    Literal["phase", "line-to-line"],
+    BeforeValidator(partial(in_other_words, names=_CHANNELS, words=DIMENSIONS["back-emf"].places)),
+    WithJsonSchema(any_word_of(_CHANNELS)),
+]
+
+
 Flux = Annotated[
     Quantity,
     QuantityRule("flux", 1e-6, 20.0, ("peak", "rms", "power-invariant"), "peak", zero=True),
@@ -117,14 +148,12 @@ Flux = Annotated[
 
 
 BackEmfConstant = Annotated[
-    Quantity,
-    QuantityRule(
-        "back-emf",
-        1e-6,
-        1e3,
-        ("phase peak", "phase rms", "line-to-line peak", "line-to-line rms"),
-        zero=True,
-    ),
+    Quantity, QuantityRule("back-emf", 1e-6, 1e3, _PHASE_OR_LINE, zero=True)
+]
+
+
+SpeedConstant = Annotated[
+    Quantity, QuantityRule("speed-constant", 1e-3, 1e6, _PHASE_OR_LINE, "line-to-line peak")
 ]
 
 
@@ -223,6 +252,9 @@ SpeedIntegralGain = Annotated[Quantity, QuantityRule("speed-integral-gain", 0.0,
 Ratio = Annotated[Quantity, QuantityRule("number", 1.0, 100.0)]
 
 
+MapFactor = Annotated[Quantity, QuantityRule("number", 0.2, 5.0)]
+
+
 ResistanceRatio = Annotated[Quantity, QuantityRule("number", 0.0, 1e4)]
 
 
@@ -248,6 +280,8 @@ SlewRate = Annotated[Quantity, QuantityRule("current-slew", 1.0, 1e12)]
 
 
 Share = Annotated[Quantity, QuantityRule("number", 0.0, 0.9)]
+
+PointWeight = Annotated[Quantity, QuantityRule("number", 1e-6, 1e6)]
 
 
 SixStepShare = Annotated[Quantity, QuantityRule("number", 0.907, 1.0)]

@@ -10,15 +10,17 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
+from dqforge.machines.entries.kind_choice import KindChoice
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware, NumberFormat
+from dqforge.machines.units.kind_words import KindWords, kind_words, words_pattern
 from dqforge.machines.units.quantities import format_quantity, parse_quantity, read_quantity
 from dqforge.machines.units.registry import DIMENSIONS
 from dqforge.machines.wording import close_matches, shown
@@ -61,8 +63,9 @@ class EntryError(ValueError):
 class Quantity:
     """An entry as it was read: `si` in `unit`, the `text` of the file, and where it comes from.
 
-    `kind` is the convention (``line-to-line``), `kind_given` whether the file names it, `inverted`
-    whether the file has the reciprocal. `dimension` is the key of its dimension, `bare` says that
+    `kind` is the convention (``line-to-line``), `kind_given` whether the file names it beside the
+    value or within its text, which then stands in `text` without it; `inverted` says that the file
+    has the reciprocal. `dimension` is the key of its dimension, `bare` says that
     the file has no unit, and `remark` what a unit was taken for that leaves it open.
     """
 
@@ -121,6 +124,8 @@ class QuantityRule(Rule):
         The convention if none is named; None when one must be.
     zero:
         Whether zero is accepted although `low` is greater.
+    kind_open:
+        Whether a value may leave its kind open where none is the default.
     """
 
     dimension: str
@@ -129,6 +134,7 @@ class QuantityRule(Rule):
     kinds: tuple[str, ...] = ()
     default_kind: str | None = None
     zero: bool = False
+    kind_open: bool = False
 
     def read(self, raw: object) -> Quantity:
         """Entry for a value from the file.
@@ -155,18 +161,18 @@ class QuantityRule(Rule):
                 f"expected {wanted.name} such as '{wanted.example}', got {got}", "value"
             )
         try:
-            reading = read_quantity(value, self.dimension)
+            reading = read_quantity(value, self.dimension, kinds=bool(self.kinds))
         except InputError as error:
             raise EntryError(error.message, "value") from None
         self._check_plausible(reading.si, reading.text, bare=reading.bare)
-        kind = self._kind(entry)
+        kind = self._kind_said(entry, reading.kind)
         source, inferred, note = _origin(entry)
         return Quantity(
             reading.si,
             wanted.unit,
             reading.text,
-            kind,
-            "kind" in entry,
+            kind or self._kind_by_custom(reading.text, bare=reading.bare),
+            kind is not None,
             reading.inverted,
             source,
             inferred,
@@ -218,22 +224,31 @@ class QuantityRule(Rule):
                 return f"write e.g. '{text} {unit}'"
         return f"write e.g. '{DIMENSIONS[self.dimension].example}'"
 
-    def _kind(self, entry: dict[str, object]) -> str | None:
+    def _kind_said(self, entry: dict[str, object], words: KindWords | None) -> str | None:
+        """The kind that the text of an entry or its key ``kind`` names."""
         if not self.kinds:
             return None
-        if "kind" not in entry:
-            if self.default_kind is None:
-                value = entry["value"]
-                choices = ", ".join(self.kinds)
-                raise EntryError(
-                    f"the kind is missing (data sheets differ); write {{value: {value}, kind: "
-                    f"{self.kinds[0]}}} with one of {choices}"
-                )
+        choice = KindChoice(self.kinds, DIMENSIONS[self.dimension].places)
+        said = [] if words is None else [words]
+        named = entry.get("kind")
+        if "kind" in entry and not isinstance(named, str):
+            raise EntryError(not_one_of(named, self.kinds), "kind")
+        try:
+            said += [choice.named(named)] if isinstance(named, str) else []
+            return choice.meant(said)
+        except InputError as error:
+            raise EntryError(error.message, "kind" if "kind" in entry else "value") from None
+
+    def _kind_by_custom(self, text: str, *, bare: bool) -> str | None:
+        """The kind of a value whose file does not name it."""
+        if not self.kinds or self.kind_open or self.default_kind is not None:
             return self.default_kind
-        kind = entry["kind"]
-        if not isinstance(kind, str) or kind not in self.kinds:
-            raise EntryError(not_one_of(kind, self.kinds), "kind")
-        return kind
+        one, *others = self.kinds
+        text = f"{text} {DIMENSIONS[self.dimension].unit}" if bare else text
+        raise EntryError(
+            f"the kind is missing (data sheets differ); write '{text} {one}', or "
+            f"{', '.join(others)} in its place"
+        )
 
     def json_schema(self) -> dict[str, Any]:
         """JSON Schema of an entry: number, text or mapping."""
@@ -245,16 +260,17 @@ class QuantityRule(Rule):
             }
         }
         required = ["value"]
+        text = wanted.example
         if self.kinds:
-            properties["kind"] = {"enum": list(self.kinds)}
+            properties["kind"] = any_word_of(self.kinds) | {
+                "description": f"one of {', '.join(self.kinds)}; may stand in the text"
+            }
             if self.default_kind is not None:
                 properties["kind"]["default"] = self.default_kind
-            else:
-                required.append("kind")
-        choices: list[dict[str, Any]] = [_mapping_schema(properties, required)]
-        if "kind" not in required:
-            choices = [{"type": "number"}, {"type": "string"}, *choices]
-        return {"anyOf": choices, "examples": [wanted.example]} if len(choices) > 1 else choices[0]
+            text = f"{text} {self.kinds[-1]}"
+        numbers = [{"type": "number"}] if self.default_kind or not self.kinds else []
+        choices = [*numbers, {"type": "string"}, _mapping_schema(properties, required)]
+        return {"anyOf": choices, "examples": list(dict.fromkeys((wanted.example, text)))}
 
 
 @dataclass(frozen=True, slots=True)
@@ -384,6 +400,33 @@ def number_formats(value: object) -> object:
     if value not in get_args(NumberFormat):
         raise EntryError(not_one_of(value, get_args(NumberFormat)))
     return [value]
+
+
+def in_other_words(value: object, names: tuple[str, ...], words: Mapping[str, str]) -> object:
+    """One of the names for a text that says it in other words; other values as they are.
+
+    ``words`` are in small letters, for what is no place of `dqforge.machines.units.kind_words`.
+    """
+    if not isinstance(value, str):
+        return value
+    known = dict(words) | {name: name for name in names}
+    if (found := known.get(value.strip().casefold())) is not None:
+        return found
+    try:
+        said = kind_words(value)
+        meant = None if said is None else KindChoice(names, words).meant([said])
+    except InputError:
+        return value
+    return value if meant is None else meant
+
+
+def any_word_of(names: tuple[str, ...], pattern: str = "") -> dict[str, Any]:
+    """JSON Schema of a name that may be said in other words: editors offer the names.
+
+    ``pattern`` is that of the words, unless they are those of kinds.
+    """
+    words = {"type": "string", "pattern": pattern or words_pattern()}
+    return {"anyOf": [{"enum": list(names)}, words]}
 
 
 def firmware_names(value: object) -> object:

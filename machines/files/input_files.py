@@ -13,6 +13,7 @@ import stat
 from pathlib import Path
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.lately_read import remember
 
 MEGABYTE = 1_000_000
 
@@ -51,7 +52,7 @@ def read_regular_file(place: str | Path, most_bytes: int, shown: str | None = No
             place, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
         )
     except (OSError, ValueError) as error:
-        raise InputError(_reason(error), source=name) from None
+        raise InputError(_reason(error, place), source=name) from None
     try:
         found = os.fstat(descriptor)
         if not stat.S_ISREG(found.st_mode):
@@ -67,7 +68,7 @@ def read_regular_file(place: str | Path, most_bytes: int, shown: str | None = No
         with os.fdopen(descriptor, "rb", closefd=False) as file:
             content = file.read(most_bytes + 1)
     except OSError as error:
-        raise InputError(_reason(error), source=name) from None
+        raise InputError(_reason(error, place), source=name) from None
     finally:
         os.close(descriptor)
     if (
@@ -76,10 +77,11 @@ def read_regular_file(place: str | Path, most_bytes: int, shown: str | None = No
         raise InputError(
             f"the file has more than {most_bytes / MEGABYTE:.4g} MB, {limit}", source=name
         )
+    remember(name, content)
     return content
 
 
-def _reason(error: OSError | ValueError) -> str:
+def _reason(error: OSError | ValueError, place: str | Path) -> str:
     """Why a file cannot be opened, and what to do."""
     if not isinstance(error, OSError):
         return "the file cannot be read: this is no file name; check it"
@@ -87,7 +89,8 @@ def _reason(error: OSError | ValueError) -> str:
         return "its links lead in a circle; name the file itself"
     if error.errno in (errno.ENOENT, errno.ENOTDIR):
         return "there is no such file; check the name"
-    if error.errno == errno.EISDIR:
+    # Windows may open no folder, and says so of a folder as of a file without permission.
+    if error.errno == errno.EISDIR or (error.errno == errno.EACCES and Path(place).is_dir()):
         return "this is a folder; name a regular file"
     if error.errno == errno.EACCES:
         return "the file may not be read; check its permissions"

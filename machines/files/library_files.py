@@ -8,13 +8,57 @@ from importlib import resources
 from importlib.resources.abc import Traversable
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.lately_read import remember
 from dqforge.machines.wording import close_matches, shown
+
+DESIGN_SCHEMA, STUDY_SCHEMA = "design.schema.json", "study.schema.json"
+
+"""Names of the schemas, in the package and beside the files that `dqforge new` writes."""
+
 
 _SUFFIX = ".yaml"
 
 
 # Names are matched before they meet the file system, so none can leave the folder.
 _NAME = re.compile(r"[a-z0-9]+(?:-[a-z0-9]+)*")
+
+
+# A line with a key alone begins the first section, and ends the head of a file.
+_SECTION = re.compile(rb"^[a-z_]+:[ \t]*(?:#.*)?$", re.MULTILINE)
+
+
+def _library() -> Traversable:
+    return resources.files("dqforge.machines") / "library"
+
+
+def schema_bytes(name: str) -> bytes:
+    """Bytes of a schema that ships with the package: `DESIGN_SCHEMA` or `STUDY_SCHEMA`."""
+    return (_library() / "schemas" / name).read_bytes()
+
+
+def with_modeline(text: bytes, schema: str) -> bytes:
+    """A YAML text whose first line tells editors the schema.
+
+    Parameters
+    ----------
+    text:
+        UTF-8 without byte order mark.
+    schema:
+        The file of the schema as seen from that of the text, so that both may be moved together
+        and no network is needed.
+    """
+    return f"# yaml-language-server: $schema={schema}\n".encode() + text
+
+
+@dataclass(frozen=True, slots=True)
+class LibraryEntry:
+    """An entry of the library: ``key`` is what commands call it, ``name`` and ``about`` are those
+    of its file.
+    """
+
+    key: str
+    name: str
+    about: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +80,7 @@ class LibraryFiles:
     unlisted: tuple[str, ...] = ()
 
     def _folder(self) -> Traversable:
-        library = resources.files("dqforge.machines") / "library"
-        return library / self.below if self.below else library
+        return _library() / self.below if self.below else _library()
 
     def names(self) -> list[str]:
         """Names of the entries, in alphabetical order."""
@@ -68,8 +111,32 @@ class LibraryFiles:
 
     def read_unlisted(self, name: str) -> bytes:
         """Bytes of a file that is there, listed or not."""
-        return (self._folder() / self.source(name)).read_bytes()
+        content = (self._folder() / self.source(name)).read_bytes()
+        remember(self.source(name), content)
+        return content
+
+    def entries(self) -> list[LibraryEntry]:
+        """All entries by the heads of their files: nothing is built of them."""
+        return [self._entry(name) for name in self.names()]
+
+    def _entry(self, name: str) -> LibraryEntry:
+        from dqforge.machines.files.positioned_yaml import parse_yaml  # completion needs no YAML
+
+        head = _SECTION.split(self.read_unlisted(name), maxsplit=1)[0]
+        data = parse_yaml(head, self.source(name)).data
+        title, about = (" ".join(str(data[part]).split()) for part in ("name", "about"))
+        return LibraryEntry(name, title, about)
 
     def source(self, name: str) -> str:
         """What messages call the file of an entry."""
         return name + _SUFFIX
+
+
+TEMPLATE = "template"
+
+"""Name of the design file that a new one starts from."""
+
+
+DESIGNS, STUDIES = LibraryFiles("design", unlisted=(TEMPLATE,)), LibraryFiles("study", "studies")
+
+"""The drives and the studies that ship with the package."""

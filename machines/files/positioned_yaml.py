@@ -69,7 +69,8 @@ class YamlDocument:
 
     ``keys`` and ``values`` map the path of a part, such as ``("machine", "poles")``, to where its
     key and its value begin. List entries have the position of their value in both. ``options``
-    holds the option of the command line for each part that one set.
+    holds the option of the command line for each part that one set, ``renamed`` the former path of
+    each key that the file writes by a former name.
     """
 
     source: str
@@ -77,6 +78,7 @@ class YamlDocument:
     keys: dict[KeyPath, Position]
     values: dict[KeyPath, Position]
     options: dict[KeyPath, str] = field(default_factory=dict)
+    renamed: dict[KeyPath, KeyPath] = field(default_factory=dict)
 
     def position(self, path: KeyPath, *, key: bool = False) -> Position:
         """Where a part begins, or the nearest enclosing part that is in the file."""

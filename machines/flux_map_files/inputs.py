@@ -79,7 +79,7 @@ def read_flux_map(
     fit: FluxFitName = "auto",
     extrapolate: bool = False,
 ) -> FluxMap:
-    """The flux map in a file of any layout that a design may name (docs/flux-maps.md).
+    """The flux map in a file of any layout that a design may name (docs/methods/flux-maps.md).
 
     Parameters
     ----------

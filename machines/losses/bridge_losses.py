@@ -5,7 +5,8 @@ Averages depend on the waveforms and on the temperatures of the tables, not on t
 frequency: they are taken once per point and modulator, at every temperature of the tables, and the
 balance of heat then interpolates in the temperature for any number of frequencies.
 
-Sources: docs/loss-budget.md; DC-link current: J. W. Kolar, S. D. Round, "Analytical calculation of
+Sources: docs/methods/loss-budget.md; DC-link current: J. W. Kolar, S. D. Round, "Analytical
+calculation of
 the RMS current stress on the DC-link capacitor of voltage-PWM converter systems", IEE Proceedings -
 Electric Power Applications 153(4), 2006, doi:10.1049/ip-epa:20050458 (of which this is the general
 form, for any modulator).
@@ -158,6 +159,7 @@ def bridge_averages(
     v_dc: float,
     stiffness: FloatArray | None = None,
     overmodulation: OvermodulationName = "none",
+    energy_factors: FloatArray | None = None,
 ) -> BridgeAverages:
     """Averages of losses, DC-link current and ripple over an electrical period.
 
@@ -177,6 +179,9 @@ def bridge_averages(
         None leaves it zero.
     overmodulation:
         What becomes of voltages beyond the circle in the hexagon, where duty cycles saturate else.
+    energy_factors:
+        Energies of the transistors' events and of the recoveries over those of the tables, shape
+        (2, N); None for one.
 
     Returns
     -------
@@ -192,6 +197,8 @@ def bridge_averages(
         i_d, i_q = current[:, part]
         wave = sector_waveforms(modulation, v_d, v_q, i_d, i_q, v_dc, overmodulation)
         found = junction_losses(tables, wave, one_rail=one_rail)
+        if energy_factors is not None:
+            found[1] *= energy_factors[:, None, part]
         losses[..., part] = found if tables.separate_diode else np.sum(found, axis=2, keepdims=True)
         link[:, part] = _link(wave)
         if stiffness is not None:

@@ -165,6 +165,34 @@ def _resistances(model: DeviceModel, total: float) -> tuple[float, ...]:
     return own, diode, total - own
 
 
+def energy_factors(inverter: Inverter, v_dc: FloatArray) -> FloatArray | None:
+    """Energies at other link voltages over those at the inverter's: of the transistors' events and
+    of the recoveries, shape (2, N).
+
+    None where tables at several voltages, or turn-on and turn-off by different powers of it, leave
+    no one factor for all currents.
+
+    Parameters
+    ----------
+    inverter:
+        With its device and its own link voltage.
+    v_dc:
+        Link voltages in V, shape (N,).
+    """
+    given = inverter.device_model
+    model = DeviceModel.from_switch_device(required_device(inverter)) if given is None else given
+    events = [energy for energy in (model.turn_on, model.turn_off) if energy is not None]
+    recoveries = [] if model.recovery is None else [model.recovery]
+    exponents = []
+    for energies in (events, recoveries):
+        powers = {energy.exponent for energy in energies}
+        if len(powers) > 1 or any(len(energy.voltages) > 1 for energy in energies):
+            return None
+        exponents.append(powers.pop() if powers else 1.0)
+    ratio = v_dc / inverter.v_dc
+    return np.stack([ratio**exponent for exponent in exponents])
+
+
 def bridge_tables(inverter: Inverter) -> BridgeTables:
     """Tables of the inverter's device at its DC voltage; its constants as tables where it has none.
 

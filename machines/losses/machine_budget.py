@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
-from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.dq_machines.machine_batch import MachineOrBatch
 from dqforge.machines.errors import InputError
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
 
@@ -138,7 +138,7 @@ def warm_ratio(
 
 
 def machine_budget(
-    machine: Machine,
+    machine: MachineOrBatch,
     i_d: FloatArray,
     i_q: FloatArray,
     omega_m: FloatArray,
@@ -160,7 +160,7 @@ def machine_budget(
     Parameters
     ----------
     machine:
-        Any machine.
+        Any machine, or one per point.
     i_d, i_q, omega_m:
         Currents in A (peak) that make the torque, and mechanical speed in rad/s,
         of one shape (...).

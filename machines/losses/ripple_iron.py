@@ -31,7 +31,7 @@ _THIN = 0.3
 _THICK = 50.0
 
 
-def harmonic_voltage_square(amplitude: ArrayLike, v_dc: float) -> FloatArray:
+def harmonic_voltage_square(amplitude: ArrayLike, v_dc: FloatArray | float) -> FloatArray:
     """Mean square of the harmonic voltage vector in V^2, shape (...): 4/(sqrt 3 pi) V v_dc - V^2.
 
     Parameters
@@ -40,7 +40,7 @@ def harmonic_voltage_square(amplitude: ArrayLike, v_dc: float) -> FloatArray:
         Fundamental phase voltage V in V (peak), any shape (...), within the linear range; the
         vector is amplitude-invariant.
     v_dc:
-        DC-link voltage in V.
+        DC-link voltage in V, a number or of a shape that fits.
     """
     volts = np.asarray(amplitude, dtype=np.float64)
     return np.asarray(
@@ -77,7 +77,11 @@ def sheet_factor(frequency: ArrayLike, corner: float) -> FloatArray:
 
 
 def ripple_iron_loss(
-    eddy: float, amplitude: ArrayLike, v_dc: float, f_sw: ArrayLike, corner: float | None = None
+    eddy: float,
+    amplitude: ArrayLike,
+    v_dc: FloatArray | float,
+    f_sw: ArrayLike,
+    corner: float | None = None,
 ) -> FloatArray:
     """Iron loss in W by the switching, shape (...): k_c < |v_h|^2 > F(f_sw).
 

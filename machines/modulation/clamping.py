@@ -163,7 +163,7 @@ def switching_loss_factor(name: ModulationName, load_angle: ArrayLike) -> FloatA
     for losses proportional to the current; x from the peak of the phase's reference. The intervals
     in degrees are -60 to 0 (DPWM0), -30 to 30 (DPWM1), 0 to 60 (DPWM2), -60 to -30 and 30 to 60
     (DPWM3), psi - 60 to psi (GDPWM), and -60 to 60 in every other half wave (DPWMMIN, DPWMMAX).
-    DDT-GDPWM: see docs/loss-budget.md.
+    DDT-GDPWM: see docs/methods/loss-budget.md.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
 
 
-def dead_time_factor(name: ModulationName, dead_time: float, f_sw: ArrayLike) -> FloatArray:
+def dead_time_factor(name: ModulationName, dead_time: ArrayLike, f_sw: ArrayLike) -> FloatArray:
     """Linear range with compensated dead time over that without, for any direction of the currents.
 
     ::
@@ -35,10 +35,8 @@ def dead_time_factor(name: ModulationName, dead_time: float, f_sw: ArrayLike) ->
     ----------
     name:
         The modulator.
-    dead_time:
-        Dead time t_d in s.
-    f_sw:
-        Carrier frequencies in Hz, any shape (...).
+    dead_time, f_sw:
+        Dead time t_d in s and carrier frequencies in Hz, broadcast to the shape (...).
 
     Returns
     -------
@@ -46,4 +44,5 @@ def dead_time_factor(name: ModulationName, dead_time: float, f_sw: ArrayLike) ->
         0 where the dead time takes the whole period.
     """
     gaps = 1.0 if MODULATORS[name].rests else 2.0
-    return np.asarray(np.maximum(1.0 - gaps * dead_time * np.asarray(f_sw, dtype=np.float64), 0.0))
+    lost = gaps * np.asarray(dead_time, dtype=np.float64) * np.asarray(f_sw, dtype=np.float64)
+    return np.asarray(np.maximum(1.0 - lost, 0.0))

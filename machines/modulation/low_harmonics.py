@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.dq_machines.machine_batch import BATCHES, MachineOrBatch
 from dqforge.machines.modulation.hexagon import INSCRIBED, SIX_STEP, overmodulated
 from dqforge.machines.modulation.ripple import inverse_inductance
 from dqforge.machines.names import OvermodulationName
@@ -123,7 +123,7 @@ def voltage_harmonics(name: OvermodulationName, share: ArrayLike) -> FloatArray:
 
 def low_harmonics(
     name: OvermodulationName,
-    machine: Machine,
+    machine: MachineOrBatch,
     i_d: ArrayLike,
     i_q: ArrayLike,
     omega_m: ArrayLike,
@@ -138,7 +138,7 @@ def low_harmonics(
     name:
         The method; with ``none`` everything is zero.
     machine:
-        Any machine; a saturated one is linearised at the operating point.
+        Any machine, or one per point; a saturated one is linearised at the operating point.
     i_d, i_q, omega_m:
         Currents in A (peak) and mechanical speed in rad/s, broadcastable to N points; NaN where
         there is none.
@@ -169,7 +169,8 @@ def low_harmonics(
         part = places[start : start + _CHUNK]
         points = np.stack([d[part], q[part], omega[part]])
         direction = np.arctan2(v_q[part], v_d[part])
-        found = _harmonics(name, machine, points, share[part], direction, v_dc)
+        here = machine.taken(part) if isinstance(machine, BATCHES) else machine
+        found = _harmonics(name, here, points, share[part], direction, v_dc)
         for key, values in found.items():
             empty[key][part] = values
     return LowHarmonics(**empty)
@@ -177,7 +178,7 @@ def low_harmonics(
 
 def _harmonics(
     name: OvermodulationName,
-    machine: Machine,
+    machine: MachineOrBatch,
     points: FloatArray,
     share: FloatArray,
     direction: FloatArray,
@@ -204,7 +205,7 @@ def _harmonics(
 
 
 def _current_ripple(
-    machine: Machine, points: FloatArray, voltage: NDArray[np.complex128]
+    machine: MachineOrBatch, points: FloatArray, voltage: NDArray[np.complex128]
 ) -> FloatArray:
     """Ripple of i_d and i_q in A, shape (N, 2, 720), for harmonic voltages v_d + j v_q in V
     (N, 720).
@@ -216,7 +217,7 @@ def _current_ripple(
     bins = np.fft.rfft(stack, axis=1)
     order = 6.0 * np.arange(bins.shape[1])[:, None, None]
     matrix = (
-        machine.r_s * np.eye(2)
+        np.asarray(machine.r_s)[..., None, None, None] * np.eye(2)
         + across[:, None]
         + 1j * order * (omega_e[:, None, None] * inductance)[:, None]
     )
@@ -225,11 +226,10 @@ def _current_ripple(
     return np.asarray(np.swapaxes(np.fft.irfft(currents, _ANGLES, axis=1), 1, 2))
 
 
-def _torque(machine: Machine, points: FloatArray, ripple: FloatArray) -> FloatArray:
+def _torque(machine: MachineOrBatch, points: FloatArray, ripple: FloatArray) -> FloatArray:
     """Torque in N m, shape (N, 720), with the flux linearised at the points (3, N)."""
     inductance = np.linalg.inv(inverse_inductance(machine, points[0], points[1]))
     flux = np.stack(machine.flux(points[0], points[1]), axis=-1)[:, :, None] + inductance @ ripple
     current = points[:2].T[:, :, None] + ripple
-    return np.asarray(
-        1.5 * machine.pole_pairs * (flux[:, 0] * current[:, 1] - flux[:, 1] * current[:, 0])
-    )
+    factor = 1.5 * np.asarray(machine.pole_pairs)[..., None]
+    return np.asarray(factor * (flux[:, 0] * current[:, 1] - flux[:, 1] * current[:, 0]))

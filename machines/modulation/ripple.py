@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.machine_batch import MachineOrBatch
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.modulation.clamping import hand_over
 from dqforge.machines.modulation.modulators import (
@@ -163,14 +164,14 @@ def harmonic_distortion_factor(
     return np.asarray(m**2 * (c2 + m * (c3 + m * c4)))
 
 
-def inverse_inductance(machine: Machine, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
+def inverse_inductance(machine: MachineOrBatch, i_d: FloatArray, i_q: FloatArray) -> FloatArray:
     """Inverse of the incremental inductances in 1/H, shape (N, 2, 2), at currents in A,
     shape (N,).
 
     Parameters
     ----------
     machine:
-        Any machine.
+        Any machine, or one per point.
     i_d, i_q:
         Currents in A (peak), shape (N,).
     """

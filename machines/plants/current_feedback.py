@@ -1,5 +1,5 @@
-"""PWM by current feedback: hysteresis, ramp comparison and predictive control of a
-machine's phase currents.
+"""PWM by current feedback: hysteresis, ramp comparison, predictive control and the schemes of
+`dqforge.machines.plants.current_regulators` on a machine's phase currents.
 
 The regulators of paper 001, section 6.2.4, simulated at constant speed as references for what a
 carrier-based modulator makes: the bridge is ideal, the currents are solved exactly between the
@@ -25,9 +25,19 @@ from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.errors import InputError
+from dqforge.machines.plants.current_regulators.schemes import (
+    Circle,
+    FurtherScheme,
+    Sampled,
+    Trajectory,
+    check_further,
+    check_further_points,
+    further_start,
+    further_work,
+)
 from dqforge.machines.plants.current_trace import CurrentTrace
 from dqforge.machines.plants.fed_machine import I_D, I_Q, Z_D, Z_Q, BridgeDrive, Plant, build_plant
-from dqforge.machines.plants.switching_events import Controller, follow
+from dqforge.machines.plants.switching_events import Controller, LegByLeg, follow
 from dqforge.machines.transforms import dq_to_phases
 
 # All switching states of the bridge, (8, 3).
@@ -104,7 +114,7 @@ class Predictive:
 Scheme = Hysteresis | RampComparison | Predictive
 
 
-class _HysteresisController:
+class _HysteresisController(LegByLeg):
     def __init__(self, scheme: Hysteresis) -> None:
         self.interval = math.inf
         self.scale = self._band = scheme.band
@@ -121,7 +131,7 @@ class _HysteresisController:
         return legs
 
 
-class _RampController:
+class _RampController(LegByLeg):
     def __init__(self, scheme: RampComparison, v_dc: float) -> None:
         self.interval = 0.5 / scheme.f_carrier
         self.scale = v_dc
@@ -144,7 +154,7 @@ class _RampController:
         return legs
 
 
-class _PredictiveController:
+class _PredictiveController(LegByLeg):
     def __init__(self, scheme: Predictive) -> None:
         self.interval = scheme.t_s
         self.scale = 1.0
@@ -286,7 +296,7 @@ def _points(*values: ArrayLike) -> list[FloatArray]:
 
 def simulate_currents(
     drive: BridgeDrive,
-    scheme: Scheme,
+    scheme: Scheme | FurtherScheme,
     i_d: ArrayLike,
     i_q: ArrayLike,
     omega_m: ArrayLike,
@@ -322,7 +332,10 @@ def simulate_currents(
     NoSolutionError
         The comparators of ramp comparison chatter.
     """
-    _check_scheme(drive, scheme)
+    if isinstance(scheme, Sampled | Circle | Trajectory):
+        check_further(drive, scheme)
+    else:
+        _check_scheme(drive, scheme)
     if periods < 1 or settling < 0:
         raise InputError(
             f"periods, settling: expected at least 1 and 0, got {periods} and {settling}"
@@ -336,6 +349,14 @@ def simulate_currents(
     machine = drive.machine
     omega_e = machine.pole_pairs * omega_m_flat
     period = 2.0 * math.pi / np.abs(omega_e)
+    if isinstance(scheme, Sampled | Circle | Trajectory):
+        plant = build_plant(drive, d, q, omega_e)
+        check_further_points(plant, scheme)
+        _check_count(float(np.max(period * further_work(plant, scheme))) * (periods + settling))
+        v_d, v_q = machine.voltage(d, q, omega_e)
+        suggested = dq_to_phases(v_d, v_q, np.zeros(d.size)) > 0.0
+        steering, state, legs = further_start(plant, scheme, suggested)
+        return follow(plant, steering, state, legs, settling * period, periods * period)
     _check_work(drive, scheme, float(np.max(period)) * (periods + settling))
     rotating = not isinstance(scheme, RampComparison) or scheme.frame == "synchronous"
     plant = build_plant(drive, d, q, omega_e, rotating=rotating)
@@ -361,6 +382,10 @@ def _check_work(drive: BridgeDrive, scheme: Scheme, duration: float) -> None:
         )
     else:
         count *= 6.0 * scheme.f_carrier if isinstance(scheme, RampComparison) else 3.0 / scheme.t_s
+    _check_count(count)
+
+
+def _check_count(count: float) -> None:
     if count > 1e6:
         raise InputError(
             f"about {count:.2g} commutations per point would be simulated, at most 1e6 are; "

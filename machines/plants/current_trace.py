@@ -119,6 +119,19 @@ class CurrentTrace:
             np.stack([[one.i_d, one.i_q, 0 * one.i_q]]).reshape(1, 3), one.omega_e * wanted
         )
 
+    def samples_of(self, point: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Weights (5, S), which sum to 1, phase currents in A and their errors, both (5, S, 3), of
+        one point at the nodes of all pieces.
+        """
+        one = self.plant.part(slice(point, point + 1))
+        series = one.series(self.state[:, point, None])
+        length = self.length[:, point]
+        times = _PLACES[:, None] * length
+        states = np.stack([evaluate(series, time[:, None])[:, 0] for time in times])
+        theta = one.omega_e * (self.time[:, point] + times)
+        weight = _SHARES[:, None] * length / np.sum(length)
+        return weight, one.phase_currents(states, theta), one.phase_errors(states, theta)
+
     def rms_error(self) -> FloatArray:
         """Root mean square of the errors of the three phase currents in A, shape (N,)."""
         weight, theta, states = self._samples()

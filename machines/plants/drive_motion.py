@@ -254,7 +254,8 @@ def drive_motion(
 
     References
     ----------
-    docs/current-and-speed-loops.md (controller with decoupling, delay of one period and a half).
+    docs/methods/current-and-speed-loops.md (controller with decoupling, delay of one period and a
+    half).
     """
     omega = np.asarray(omega_e, dtype=np.float64)
     plant = plants(machine, errors, max(omega.shape[1], np.shape(i_dq)[-1] if np.ndim(i_dq) else 1))

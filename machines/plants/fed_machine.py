@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
@@ -87,6 +88,8 @@ class Plant:
         Electrical speed in rad/s, shape (N,), not 0.
     matrix:
         M of x' = M x, shape (N, 9, 9).
+    number:
+        Number of each point, shape (N,), by which a controller with a memory finds its own.
     """
 
     drive: BridgeDrive
@@ -94,6 +97,7 @@ class Plant:
     i_q: FloatArray
     omega_e: FloatArray
     matrix: FloatArray
+    number: NDArray[np.intp]
 
     @property
     def longest_step(self) -> FloatArray:
@@ -106,7 +110,12 @@ class Plant:
     def part(self, index: BoolArray | slice) -> Plant:
         """The plant at some of the points."""
         return Plant(
-            self.drive, self.i_d[index], self.i_q[index], self.omega_e[index], self.matrix[index]
+            self.drive,
+            self.i_d[index],
+            self.i_q[index],
+            self.omega_e[index],
+            self.matrix[index],
+            self.number[index],
         )
 
     def start(
@@ -210,4 +219,4 @@ def build_plant(
     matrix[:, Z_D, ONE], matrix[:, Z_Q, ONE] = i_d, i_q
     if not rotating:
         matrix[:, Z_D, Z_Q], matrix[:, Z_Q, Z_D] = omega_e, -omega_e
-    return Plant(drive, i_d, i_q, omega_e, matrix)
+    return Plant(drive, i_d, i_q, omega_e, matrix, np.arange(i_d.size))

@@ -12,7 +12,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import OpenPhase
+from dqforge.machines.names import OpenPhase, StartLoadName
 
 ControlMode = Literal["speed", "torque", "current", "open-loop"]
 
@@ -23,7 +23,7 @@ InverterModel = Literal["averaged", "switched"]
 Shape = Literal["hold", "linear"]
 
 
-SpeedSource = Literal["difference", "exact", "observer"]
+SpeedSource = Literal["difference", "exact", "observer", "measured"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,13 +105,18 @@ class Encoder:
 
     ``lines`` per revolution give four times as many counts; 0 is an exact angle. ``speed`` comes
     from the ``difference`` of the counts over a period of the speed controller, from the
-    ``observer`` of the design, or is ``exact``. ``misalignment`` in rad (electrical) is added to
-    the angle.
+    ``observer`` of the design, is ``measured`` as the design says, or is ``exact``.
+    ``misalignment`` in rad (electrical) is added to the angle. For a ``measured`` speed ``edges``
+    of each line are captured by a timer of ``clock`` Hz.
+    ``absent``: there is none, the drive starts by `control.start_up`.
     """
 
     lines: int = 0
     speed: SpeedSource = "difference"
     misalignment: float = 0.0
+    edges: int = 4
+    clock: float = 0.0
+    absent: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,6 +200,18 @@ class PhaseOpening:
 
 
 @dataclass(frozen=True, slots=True)
+class ElasticBrake:
+    """A brake that holds the shaft by a spring where it is at ``time`` in s.
+
+    ``stiffness`` in N m/rad, positive, and ``damping`` in N m s/rad (mechanical).
+    """
+
+    time: float
+    stiffness: float
+    damping: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Scenario:
     """One simulation.
 
@@ -234,6 +251,13 @@ class Scenario:
     duties:
         Duty cycles of all legs over time for ``open-loop``, in the order of `TOPOLOGIES`, instead
         of the references; empty for none.
+    load_kind:
+        ``active``: the load acts always, as a hoist does; ``friction``: it is the magnitude of a
+        torque that acts against the motion, whichever way, and holds a shaft at rest.
+    brake:
+        A brake that grips during the run; None for none.
+    stop:
+        Instant in s at which the command of a drive without encoder goes; None for never.
     """
 
     duration: float
@@ -255,3 +279,6 @@ class Scenario:
     sensorless: Sensorless | None = None
     open_phase: PhaseOpening | None = None
     duties: tuple[Profile, ...] = ()
+    load_kind: StartLoadName = "active"
+    brake: ElasticBrake | None = None
+    stop: float | None = None

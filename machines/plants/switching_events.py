@@ -56,6 +56,36 @@ class Controller(Protocol):
         """Switching state (N, 3) from a sampling instant on."""
         ...
 
+    def react(
+        self,
+        plant: Plant,
+        state: FloatArray,
+        time: FloatArray,
+        legs: BoolArray,
+        wanted: NDArray[np.intp],
+    ) -> BoolArray:
+        """Switching state (N, 3) from an instant on at which the margin of the leg `wanted` (N,)
+        has become positive.
+        """
+        ...
+
+
+class LegByLeg:
+    """Reaction of comparators that rule a leg each: the leg that wants to commutate does."""
+
+    def react(
+        self,
+        _plant: Plant,
+        _state: FloatArray,
+        _time: FloatArray,
+        legs: BoolArray,
+        wanted: NDArray[np.intp],
+    ) -> BoolArray:
+        """Switching state (N, 3) with the leg `wanted` (N,) turned over."""
+        turned = legs.copy()
+        turned[np.arange(wanted.size), wanted] ^= True
+        return turned
+
 
 def _first_crossing(
     plant: Plant,
@@ -139,7 +169,13 @@ class _Walk:
 
     def _commutate(self, points: BoolArray, legs: NDArray[np.intp]) -> None:
         index = np.nonzero(points)[0]
-        self.legs[index, legs[index]] ^= True
+        self.legs[index] = self.controller.react(
+            self.plant.part(points),
+            self.state[index],
+            self.time[index],
+            self.legs[index],
+            legs[index],
+        )
         theta = self.plant.omega_e * self.time
         self.state = np.where(
             points[:, None], self.plant.switched(self.state, theta, self.legs), self.state

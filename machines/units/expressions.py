@@ -11,8 +11,8 @@ from __future__ import annotations
 import re
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.units.meaning import TEN, Powers, is_of
-from dqforge.machines.units.registry import COMPOUNDS, KIND_SUFFIXES, SYMBOLS, TIMES, Dimension
+from dqforge.machines.units.meaning import TEN, Powers, is_of, weighed
+from dqforge.machines.units.registry import COMPOUNDS, SYMBOLS, TIMES, Dimension
 from dqforge.machines.wording import close_matches, shown
 
 _SUPERSCRIPT = str.maketrans("\u2070¹²³\u2074\u207a\u207b", "01234+-")
@@ -23,11 +23,27 @@ _TOKEN = re.compile(
     r"(?P<glued>(?:-?[1-4](?![0-9]))?)"
     r"|(?P<exponent>(?:\^|\*\*)\s*(?:[+-]?[1-4](?![0-9])|\([+-]?[1-4]\)|\{[+-]?[1-4]\})|[\u207a\u207b]?[¹²³\u2074])"
     r"|(?P<number>10*)(?![0-9])"
-    r"|(?P<operator>[*·⋅/()]))"
+    r"|(?P<operator>[*·⋅/()]|-(?=\s*[A-Za-zµμΩ\N{OHM SIGN}])))"
 )
 
 
-_TIMES_SIGNS = ("*", "·", "⋅")
+_TIMES_SIGNS = ("*", "·", "⋅", "-")
+
+
+_ABBREVIATED = (
+    (re.compile(r"\br\.\s?p\.\s?m\.?", re.IGNORECASE), "rpm"),
+    (re.compile(r"(?<=[A-Za-zµμΩ])\."), " "),  # N.m, oz.-in.
+    (re.compile(r"(?<![0-9])1,000(?![0-9,])"), "1000"),
+    # What is per rad/s or per 1000 U/min names a speed: per radian and second there is nothing.
+    (
+        re.compile(
+            r"(/|\bper\b)\s*((?:1000\s*)?(?:rad|rev|tr|[Ur])\s*/\s*(?:s|sec|min)"
+            r"|1000\s+1\s*/\s*(?:s|sec|min))(?![A-Za-z0-9^*\u207b-])"
+        ),
+        r"\1(\2)",
+    ),
+)
+"""What data sheets write, and what it is in full."""
 
 
 Token = tuple[str, str]
@@ -42,7 +58,7 @@ def parse_unit(unit: str, wanted: Dimension) -> Powers:
     InputError
         The text is no unit expression, holds an unknown symbol, or can be read in two ways.
     """
-    return _Parser(unit, wanted).powers()
+    return weighed(_Parser(unit, wanted).powers(), wanted)
 
 
 def _tokens(unit: str, wanted: Dimension) -> list[Token]:
@@ -51,7 +67,9 @@ def _tokens(unit: str, wanted: Dimension) -> list[Token]:
     ``per`` divides, and as the first word divides one.
     """
     tokens: list[Token] = []
-    position = 0
+    for pattern, full in _ABBREVIATED:
+        unit = pattern.sub(full, unit)
+    unit, position = unit.strip(), 0
     while position < len(unit):
         match = _TOKEN.match(unit, position)
         if match is None or match.lastgroup is None:
@@ -62,7 +80,6 @@ def _tokens(unit: str, wanted: Dimension) -> list[Token]:
         if match["symbol"] == "per" and not match["glued"]:
             tokens += [("operator", "/")] if tokens else [("number", "1"), ("operator", "/")]
         elif match["symbol"]:
-            _refuse_kind(match["symbol"], unit, wanted)
             tokens.append(("symbol", match["symbol"]))
             if match["glued"]:
                 tokens.append(("exponent", match["glued"]))
@@ -195,32 +212,17 @@ def _names(symbol: str, wanted: Dimension) -> tuple[str, ...]:
     raise InputError(_unknown(symbol, wanted))
 
 
-def _refuse_kind(symbol: str, unit: str, wanted: Dimension) -> None:
-    """Raise what to write on ``Arms``, ``A_pk`` or ``V rms``, which hide in a unit
-    what the key ``kind`` says.
-    """
-    if symbol in SYMBOLS or symbol in COMPOUNDS:
-        return
-    alone = len(symbol) > 1 and symbol.casefold() in KIND_SUFFIXES
-    glued = None if alone else re.fullmatch(r"([munkµμ]?[AV])_?([A-Za-z]+)", symbol)
-    ending = glued[2] if glued else symbol
-    what = KIND_SUFFIXES.get(ending.casefold())
-    if what is None or not (alone or glued):
-        return
-    plain = re.sub(r"\s+/", "/", unit.replace(symbol, glued[1] if glued else "", 1)).strip()
-    kind = wanted.kinds.get(what, "")
-    beside = f", with {kind} beside it" if kind else ""
-    raise InputError(
-        f"{shown(unit)} is no unit: {shown(ending)} says of which kind the value is; write "
-        f"{shown(plain)}{beside}"
-    )
-
-
 def _unknown(symbol: str, wanted: Dimension) -> str:
-    # Suggestions that give the wanted dimension come first.
+    # Suggestions that give the wanted dimension come first; MOHM may be milli or mega.
+    alike = {
+        name: m
+        for m, name in reversed(SYMBOLS.items())
+        if m.casefold() == symbol.casefold() and len(symbol) > 1
+    }
     matches = close_matches(symbol, [*SYMBOLS, *COMPOUNDS], limit=8)
+    matches = list(alike.values()) if len(alike) > 1 else matches
     fitting = [m for m in matches if m in SYMBOLS and is_of({SYMBOLS[m]: 1}, wanted)]
-    found = (fitting or matches)[:2]
+    found = sorted((fitting or matches)[:2]) if len(alike) > 1 else (fitting or matches)[:2]
     hint = (
         f"did you mean {' or '.join(repr(m) for m in found)}?"
         if found

@@ -21,6 +21,7 @@ from dqforge.machines.units.registry import (
     CYCLIC,
     DEFINITIONS,
     DIMENSIONS,
+    FORCES,
     LONG_TIMES,
     Dimension,
 )
@@ -92,6 +93,14 @@ def convert(number: float, powers: Powers, wanted: Dimension, text: str) -> Conv
 def is_of(powers: Powers, dimension: Dimension) -> bool:
     """Whether the unit library gives a unit the dimension, whatever it means."""
     return _dimension_of(_key(_library(powers))) == _base_of(dimension.base)
+
+
+def weighed(powers: Powers, wanted: Dimension) -> Powers:
+    """Powers with masses as weights, where that is what is wanted: oz-in of a torque."""
+    if FORCES.keys().isdisjoint(powers) or is_of(powers, wanted):
+        return powers
+    found = {FORCES.get(name, name): power for name, power in powers.items()}
+    return found if is_of(found, wanted) else powers
 
 
 def _angles(number: float, powers: Powers, wanted: Dimension) -> tuple[float, str]:
@@ -249,8 +258,8 @@ def _what_it_is(key: _Key, wanted: str) -> str:
 
     Empty where it is nothing that the program knows.
     """
-    powers = dict(key)
     for dimension in DIMENSIONS.values():
+        powers = weighed(dict(key), dimension)
         if dimension.name == wanted or not is_of(powers, dimension):
             continue
         try:

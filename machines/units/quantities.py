@@ -10,9 +10,11 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.units.expressions import parse_unit
+from dqforge.machines.units.kind_words import KindWords, kind_words, without_kind
 from dqforge.machines.units.meaning import convert
 from dqforge.machines.units.registry import COMPOUNDS, DIMENSIONS, SYMBOLS, Dimension
 from dqforge.machines.wording import close_matches, shown
@@ -21,6 +23,7 @@ __all__ = [
     "Reading",
     "close_matches",
     "format_quantity",
+    "kind_said",
     "parse_option",
     "parse_quantity",
     "read_quantity",
@@ -32,6 +35,18 @@ MAX_LENGTH = 60
 
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
+
+
+# 2.1 x 10^-5, 2.1·10⁻⁵; without a sign of power the exponent needs its own: x 10-5.
+_TEN = re.compile(
+    r"\s*[xX\N{MULTIPLICATION SIGN}*·⋅]\s*10(?:\s*(?:\^|\*\*)\s*[({]?([+-]?[0-9]{1,2})[)}]?"
+    r"|([\u207a\u207b]?[\u2070¹²³\u2074-\u2079]{1,2})|([+-][0-9]{1,2}))(?![0-9])"
+)
+
+
+_SUPERSCRIPT = str.maketrans(
+    "\u2070¹²³\u2074\u2075\u2076\u2077\u2078\u2079\u207a\u207b", "0123456789+-"
+)
 
 
 _COMMA = re.compile(r"[+-]?[0-9]+(?:[.,][0-9]+)*,[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]{1,3})?")
@@ -47,7 +62,8 @@ class Reading:
     """A quantity as it was read: `si` in the dimension's unit, and how it came about.
 
     `bare` says that the text had no unit, `inverted` that the reciprocal was given ("190 rpm/V"),
-    and `remark` what a unit was taken for that leaves it open ("0.04 V/Hz").
+    and `remark` what a unit was taken for that leaves it open ("0.04 V/Hz"). `kind` is what the
+    text says of its kind ("12 Vrms/krpm"), and `text` then the rest of it.
     """
 
     si: float
@@ -55,6 +71,7 @@ class Reading:
     bare: bool = False
     inverted: bool = False
     remark: str = ""
+    kind: KindWords | None = None
 
 
 def parse_quantity(value: str | float, dimension: str) -> float:
@@ -100,17 +117,56 @@ def parse_option(text: str | None, dimension: str, option: str) -> float | None:
     return found.si
 
 
-def read_quantity(value: str | float, dimension: str) -> Reading:
-    """Like `parse_quantity`, with the text and how it was read."""
+def read_quantity(value: str | float, dimension: str, *, kinds: bool = False) -> Reading:
+    """Like `parse_quantity`, with the text and how it was read.
+
+    With ``kinds`` the text may say of which kind the value is, ``12 Vrms/krpm line-to-line``.
+    """
     wanted = DIMENSIONS[dimension]
     if not isinstance(value, str):
         return Reading(_finite(value, wanted), str(value), bare=True)
-    text = value.strip().translate(_DASHES)
-    number, unit = _split(text, wanted)
+    return _read_text(value.strip().translate(_DASHES), dimension, kinds)
+
+
+def kind_said(text: str) -> str:
+    """The words of a quantity that say of which kind it is, whatever its dimension; empty where
+    there are none, or where the text is no quantity.
+    """
+    for name, dimension in DIMENSIONS.items():
+        try:
+            found = read_quantity(text, name, kinds=True) if dimension.places else None
+        except InputError:
+            continue
+        if found is not None and found.kind is not None and not found.bare:
+            return found.kind.text
+    return ""
+
+
+@lru_cache(maxsize=4096)
+def _read_text(text: str, dimension: str, kinds: bool) -> Reading:
+    """The same for a text; rows of a study say most of theirs again and again."""
+    wanted = DIMENSIONS[dimension]
+    number, length = _number(text, wanted)
+    unit, words = without_kind(text[length:].strip())
+    if words and not kinds:
+        plain = f"{text[:length]} {unit}".strip()
+        raise InputError(
+            f"{shown(text)}: {shown(words)} says of which kind the value is, and this one has no "
+            f"kind; write {shown(plain)}"
+        )
+    plain = f"{text[:length]} {unit}".strip() if words else text
+    kind = kind_words(words) if words else None
     if not unit:
-        return Reading(number, text, bare=True)
+        return Reading(number, plain, bare=True, kind=kind)
+    unit = wanted.aliases.get(unit.casefold(), unit)
     found = convert(number, parse_unit(unit, wanted), wanted, text)
-    return Reading(_finite(found.si, wanted), text, inverted=found.inverted, remark=found.remark)
+    return Reading(
+        _finite(found.si, wanted),
+        plain,
+        inverted=found.inverted,
+        remark=found.remark,
+        kind=kind,
+    )
 
 
 def _finite(number: float, wanted: Dimension) -> float:
@@ -125,8 +181,8 @@ def _finite(number: float, wanted: Dimension) -> float:
     return converted
 
 
-def _split(text: str, wanted: Dimension) -> tuple[float, str]:
-    """Number and unit text of a quantity; the unit is empty for a bare number."""
+def _number(text: str, wanted: Dimension) -> tuple[float, int]:
+    """The number that a quantity begins with, and how many characters it has."""
     example = f"write {wanted.name} such as '{wanted.example}'"
     if len(text) > MAX_LENGTH:
         raise InputError(f"{shown(text)} is too long for a quantity; {example}")
@@ -138,7 +194,18 @@ def _split(text: str, wanted: Dimension) -> tuple[float, str]:
         if text.partition(" ")[0] in SYMBOLS | COMPOUNDS:
             raise InputError(f"{shown(text)} has a unit but no number; {example}")
         raise InputError(f"{shown(text)} is not a number with a unit; {example}")
-    return _finite(float(match.group()), wanted), text[match.end() :].strip()
+    number, end = match.group(), match.end()
+    power = _TEN.match(text, end)
+    if power is not None and "e" not in number.lower():
+        exponent = next(part for part in power.groups() if part)
+        number, end = f"{number}e{exponent.translate(_SUPERSCRIPT)}", power.end()
+    plain, *tolerance = re.split(r"±|\+/-", text)
+    if tolerance:
+        raise InputError(
+            f"{shown(text)} has a tolerance; write {shown(plain.strip())}, and how far it may be "
+            "off under control.tolerances"
+        )
+    return _finite(float(number), wanted), end
 
 
 def _refuse_comma(text: str) -> None:

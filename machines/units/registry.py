@@ -55,13 +55,35 @@ _BASES = {
     "U": ("turn", ""),
     "r": ("turn", ""),
     "tr": ("turn", ""),
-    "rpm": ("revolutions_per_minute", ""),
-    "RPM": ("revolutions_per_minute", ""),
-    "krpm": ("krpm", ""),
     "kRPM": ("krpm", ""),
     "rps": ("rps", ""),
     "%": ("percent", ""),
     "ppm": ("ppm", ""),
+    "gf": ("force_gram", ""),
+    "kgf": ("force_kilogram", ""),
+}
+
+
+# Words, also with a capital or in capitals; an ounce and a pound may be a mass or a force (FORCES).
+_WORDS = {
+    "ohm": ("ohm", "nuµμmk"),
+    "ohms": ("ohm", "nuµμmk"),
+    "volt": ("volt", ""),
+    "volts": ("volt", ""),
+    "amp": ("ampere", ""),
+    "amps": ("ampere", ""),
+    "ampere": ("ampere", ""),
+    "amperes": ("ampere", ""),
+    "sec": ("second", ""),
+    "rpm": ("revolutions_per_minute", ""),
+    "krpm": ("krpm", ""),
+    "oz": ("ounce", ""),
+    "lb": ("pound", ""),
+    "lbs": ("pound", ""),
+    "ozf": ("force_ounce", ""),
+    "lbf": ("force_pound", ""),
+    "in": ("inch", ""),
+    "ft": ("foot", ""),
 }
 
 
@@ -69,7 +91,22 @@ SYMBOLS: dict[str, str] = {
     prefix + symbol: _PREFIXES[prefix] + name
     for symbol, (name, prefixes) in _BASES.items()
     for prefix in ("", *prefixes)
+} | {
+    prefix + spelling: _PREFIXES[prefix] + name
+    for word, (name, prefixes) in _WORDS.items()
+    for spelling in (word, word.upper(), word.capitalize())
+    for prefix in ("", *prefixes)
 }
+
+
+FORCES = {
+    "ounce": "force_ounce",
+    "pound": "force_pound",
+    "kilogram": "force_kilogram",
+    "gram": "force_gram",
+}
+
+"""Masses whose names stand for their weight as well: oz-in and kg cm of a torque."""
 
 
 # Written as one word on many data sheets; an exponent belongs to the last part ("kgm2", "kgcm^2").
@@ -77,6 +114,21 @@ COMPOUNDS: dict[str, tuple[str, str]] = {
     "Nm": ("newton", "meter"),
     "mNm": ("millinewton", "meter"),
     "kNm": ("kilonewton", "meter"),
+    "uNm": ("micronewton", "meter"),
+    "µNm": ("micronewton", "meter"),
+    "μNm": ("micronewton", "meter"),
+    "Ncm": ("newton", "centimeter"),
+    "Nmm": ("newton", "millimeter"),
+    "kgfcm": ("force_kilogram", "centimeter"),
+    "gfcm": ("force_gram", "centimeter"),
+    "ozin": ("ounce", "inch"),
+    "inoz": ("inch", "ounce"),
+    "ozfin": ("force_ounce", "inch"),
+    "lbin": ("pound", "inch"),
+    "inlb": ("inch", "pound"),
+    "lbfin": ("force_pound", "inch"),
+    "lbft": ("pound", "foot"),
+    "ftlb": ("foot", "pound"),
     "Vs": ("volt", "second"),
     "mVs": ("millivolt", "second"),
     "Ws": ("watt", "second"),
@@ -84,6 +136,8 @@ COMPOUNDS: dict[str, tuple[str, str]] = {
     "kgm": ("kilogram", "meter"),
     "kgcm": ("kilogram", "centimeter"),
     "gcm": ("gram", "centimeter"),
+    "kgmm": ("kilogram", "millimeter"),
+    "gmm": ("gram", "millimeter"),
 }
 
 
@@ -125,26 +179,10 @@ ENERGETIC = _prefixed("joule")
 POWERS = _prefixed("watt") | {"horsepower", "metric_horsepower"}
 
 
-MECHANICAL = _prefixed("joule", "newton", "gram")
+MECHANICAL = _prefixed("joule", "newton", "gram") | {*FORCES, *FORCES.values()}
 
 
 ELECTRICAL = _prefixed("volt", "weber", "henry", "farad")
-
-
-# What engineers append to A and V, and which kind of value it tells.
-KIND_SUFFIXES = {
-    "rms": "rms",
-    "eff": "rms",
-    "pk": "peak",
-    "peak": "peak",
-    "p": "peak",
-    "max": "peak",
-} | {
-    "ll": "line",
-    "dc": "",
-    "ac": "",
-    "ph": "",
-}
 
 
 Unnamed = Literal["refused", "radians", "revolutions"]
@@ -182,9 +220,11 @@ class Dimension:
         do not belong here.
     told:
         Whether it is told that the angle was left out.
-    kinds:
-        What to write beside the value for ``rms``, ``peak`` and ``line``,
-        in place of a unit such as Arms.
+    places:
+        What a place of `dqforge.machines.units.kind_words` is called here, where values of this
+        dimension have no kind of its name; empty where it goes without saying.
+    aliases:
+        Units by other names, in lower case: ``kv`` for rpm/V.
     """
 
     name: str
@@ -199,7 +239,8 @@ class Dimension:
     unnamed: Unnamed = "refused"
     electrical: bool = False
     told: bool = False
-    kinds: Mapping[str, str] = field(default_factory=dict)
+    places: Mapping[str, str] = field(default_factory=dict)
+    aliases: Mapping[str, str] = field(default_factory=dict)
 
 
 _NO_HZ = (
@@ -207,19 +248,22 @@ _NO_HZ = (
 )
 
 
-_RMS_OR_PEAK = {"rms": "kind: rms", "peak": "kind: peak"}
+_OF_WINDINGS = {"terminal": "line-to-line", "winding": "phase"}
 
 
-_LINE_KINDS = {
-    "rms": "kind: line-to-line rms or phase rms",
-    "peak": "kind: line-to-line peak or phase peak",
-    "line": "kind: line-to-line peak or line-to-line rms",
-}
+# The voltage of a line is the one between two of them; its resistance may be either.
+_OF_VOLTAGES = _OF_WINDINGS | {"line": "line-to-line"}
+
+
+_OF_CURRENTS = {"phase": "", "terminal": "line", "line": ""}
+
+
+_OF_PHASES = {"phase": "", "winding": ""}
 
 
 DIMENSIONS: dict[str, Dimension] = {
-    "resistance": Dimension("a resistance", "Ohm", "ohm", "2 mOhm"),
-    "inductance": Dimension("an inductance", "H", "henry", "1.61 mH"),
+    "resistance": Dimension("a resistance", "Ohm", "ohm", "2 mOhm", places=_OF_WINDINGS),
+    "inductance": Dimension("an inductance", "H", "henry", "1.61 mH", places=_OF_WINDINGS),
     "capacitance": Dimension("a capacitance", "F", "farad", "4.7 mF"),
     "flux": Dimension(
         "a flux linkage",
@@ -233,6 +277,7 @@ DIMENSIONS: dict[str, Dimension] = {
         angle=-1,
         unnamed="radians",
         electrical=True,
+        places=_OF_PHASES,
     ),
     "back-emf": Dimension(
         "a back-EMF constant",
@@ -247,7 +292,19 @@ DIMENSIONS: dict[str, Dimension] = {
         angle=-1,
         unnamed="radians",
         told=True,
-        kinds=_LINE_KINDS,
+        places=_OF_VOLTAGES,
+    ),
+    "speed-constant": Dimension(
+        "a speed constant",
+        "rpm/V",
+        "revolutions_per_minute/volt",
+        "190 rpm/V",
+        CYCLIC | _prefixed("weber") | MECHANICAL,
+        "a speed constant is written in rpm/V; V/krpm is a back_emf_constant, Wb a magnet_flux",
+        angle=1,
+        unnamed="revolutions",
+        places=_OF_VOLTAGES,
+        aliases={"kv": "rpm/V"},
     ),
     "torque-constant": Dimension(
         "a torque constant",
@@ -256,9 +313,9 @@ DIMENSIONS: dict[str, Dimension] = {
         "0.6 N m/A",
         ANGULAR | ELECTRICAL,
         "a torque constant is written in N m/A; V s/rad is a back_emf_constant, Wb a magnet_flux",
-        kinds=_RMS_OR_PEAK,
+        places=_OF_CURRENTS,
     ),
-    "current": Dimension("a current", "A", "ampere", "12 A", kinds=_RMS_OR_PEAK),
+    "current": Dimension("a current", "A", "ampere", "12 A", places=_OF_CURRENTS),
     "voltage": Dimension("a voltage", "V", "volt", "48 V"),
     "frequency": Dimension(
         "a frequency",

@@ -185,7 +185,7 @@ def _operation(design: Design, scale: Scale) -> list[Figure]:
     if fit.torque_max is not None:
         share = fit.torque_max / scale.torque
         figures.append(
-            Figure("fit.torque_max", "its share of the largest torque", share, "%", 0.05, 1.01)
+            Figure("fit.max_torque", "its share of the largest torque", share, "%", 0.05, 1.01)
         )
     if fit.budget is not None:
         for name in ("torque_error", "loss_penalty"):

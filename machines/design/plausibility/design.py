@@ -4,7 +4,7 @@ what drives usually have.
 Every figure is formed from several entries, such as the drop over the resistance as a share of the
 voltage, so that a wrong unit or kind shows in some of them. The ranges are wide: between a servo
 motor of 50 W and a traction drive of 1 MW each holds with room to spare. What lies outside is not
-refused, but told (docs/inputs.md lists the figures).
+refused, but told (docs/reference/inputs.md lists the figures).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def implausibilities(design: Design, sections: DesignFile) -> list[str]:
         *_machine(design, scale),
         *_mechanics(design, scale),
         *_losses(design, scale),
-        *_rated(sections, scale),
+        *_rated(sections, design, scale),
         *_temperatures(sections, design, scale),
         *_inverter(design, scale),
         *device_figures(design.inverter),
@@ -194,13 +194,18 @@ def _losses(design: Design, scale: Scale) -> list[Figure]:
     ]
 
 
-def _rated(sections: DesignFile, scale: Scale) -> list[Figure]:
-    """Name plate against limits."""
+def _rated(sections: DesignFile, design: Design, scale: Scale) -> list[Figure]:
+    """Name plate against limits, and its current against its torque."""
     rated, figures = sections.machine.rated, []
     if rated.current is not None:
-        current = peak_current(rated.current.si, rated.current.kind or "")
+        kind, connection = rated.current.kind or "", sections.machine.connection
+        current = peak_current(rated.current.si, kind, connection)
         what = "the current limit over the rated current"
         figures.append(Figure("machine.max_current", what, scale.current / current, "", 0.5, 10.0))
+        if rated.torque is not None:
+            made = largest_torque_within(design.machine, current) / rated.torque.si
+            what = "the torque that it makes, over the rated torque,"
+            figures.append(Figure("machine.rated.current", what, made, "", 0.75, 1.4))
     if rated.torque is not None:
         what = "the largest torque over the rated torque"
         figures.append(

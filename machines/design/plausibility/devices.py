@@ -2,7 +2,7 @@
 
 The figures are chosen so that a factor of ten in any entry shows in one of them: switching energy
 over voltage and current is a time, drop times current times thermal resistance a temperature rise,
-ratios are free of the size. Ranges and reasons: docs/devices.md.
+ratios are free of the size. Ranges and reasons: docs/methods/devices.md.
 """
 
 from __future__ import annotations

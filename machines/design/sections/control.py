@@ -5,15 +5,29 @@ what is checked across it.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, get_args
 
-from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
+from pydantic import Field
 
 from dqforge.machines.design.from_section import settings_from
 from dqforge.machines.design.reading import ROUNDING_OF_DATA, Reading
+from dqforge.machines.design.sections.chosen_together import chosen_together
+from dqforge.machines.design.sections.control_loops import (
+    CurrentLoopSection,
+    SpeedLoopSection,
+    check_method,
+    check_schedule,
+)
+from dqforge.machines.design.sections.export import ExportSection
 from dqforge.machines.design.sections.firmware import AnyFirmware, read_firmware
+from dqforge.machines.design.sections.observer import ObserverSection, check_observer
 from dqforge.machines.design.sections.per_unit import PerUnitSection, read_bases
 from dqforge.machines.design.sections.references import ReferencesSection, read_references
+from dqforge.machines.design.sections.six_step import SixStepSection, read_six_step
+from dqforge.machines.design.sections.speed_measurement import (
+    check_measurement,
+    read_measurement,
+)
+from dqforge.machines.design.sections.start_up import StartUpSection, read_start_up
 from dqforge.machines.design.sections.tolerances import TolerancesSection, read_tolerances
 from dqforge.machines.design.settings import (
     ControlSettings,
@@ -21,200 +35,29 @@ from dqforge.machines.design.settings import (
     GainWish,
     ObserverSettings,
     SpeedLoopSettings,
+    StartUpSettings,
 )
 from dqforge.machines.devices.inverter import Inverter
-from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
+from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.kinds import (
-    Bandwidth,
-    CurrentGain,
-    CurrentIntegralGain,
-    FilterTime,
-    GainFormats,
-    PhaseMargin,
     Rate,
     Section,
-    SpeedGain,
-    SpeedIntegralGain,
 )
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import (
-    OBSERVER_KEYS,
+    LEARNED_OBSERVERS,
     SPEED_OBSERVER,
-    AxisGainRule,
-    CurrentFrame,
-    CurrentLoopMethod,
-    Feedforward,
-    ObserverMethodName,
-    ObserverTuningName,
-    SpeedLoopMethod,
-    VendorMethod,
 )
-from dqforge.machines.places import KeyPath, about
+from dqforge.machines.places import about
 from dqforge.machines.units.quantities import format_quantity
 
-_CURRENT = CurrentLoopSettings()
 
+class StartUpWithObserverSection(StartUpSection):
+    """From standstill to speed without an encoder."""
 
-_SPEED = SpeedLoopSettings()
-
-
-class CurrentLoopSection(Section):
-    """PI current controllers of both axes."""
-
-    method: CurrentLoopMethod = Field(
-        default=_CURRENT.method, description="how the gains are found"
-    )
-    bandwidth: Bandwidth | None = Field(
-        default=None,
-        description="for bandwidth and damping (there the natural frequency): in Hz or rad/s",
-    )
-    damping: float = Field(
-        default=_CURRENT.damping, gt=0.0, le=10.0, description="damping ratio, for damping"
-    )
-    spread: float = Field(
-        default=_CURRENT.spread, gt=1.0, le=100.0, description="a of the symmetrical optimum"
-    )
-    kp: CurrentGain | None = Field(default=None, description="for given: proportional gain (V/A)")
-    ki: CurrentIntegralGain | None = Field(
-        default=None, description="for given: integral gain (V/(A s))"
-    )
-    phase_margin_min: PhaseMargin | None = Field(
-        default=None, description="least phase margin (rad; write deg); default 30 deg"
-    )
-    q_formats: GainFormats | None = Field(
-        default=None,
-        description=(
-            "fractional bits of the per-unit integers kp and ki t_s, such as [10, 15], or auto"
-        ),
-    )
-    max_sensitivity: float = Field(
-        default=_CURRENT.max_sensitivity,
-        ge=1.05,
-        le=4.0,
-        description="for optimised: largest M_s within the tolerances",
-    )
-    schedule: bool = Field(
-        default=_CURRENT.schedule,
-        description="gains over the current, for machines that saturate: a header of its own",
-    )
-    frame: CurrentFrame | None = Field(
-        default=_CURRENT.frame,
-        description=(
-            "for machines of model: waveform: dq (sinusoidal references), dqx, dqy, or table "
-            "(references over the angle); default: what the machine asks for"
-        ),
-    )
-    feedforward: Feedforward = Field(
-        default=_CURRENT.feedforward,
-        description=(
-            "for machines of model: waveform, what is added to the PI: references (their whole "
-            "voltage), emf, measured (back-EMF, and coupling of measured currents) or none"
-        ),
-    )
-    axis_gains: AxisGainRule = Field(
-        default=_CURRENT.axis_gains,
-        description=(
-            "for machines of model: waveform: own gains for the zero-sequence axis, or one set"
-        ),
-    )
-    harmonic_integrators: bool = Field(
-        default=_CURRENT.harmonic_integrators,
-        description=(
-            "for machines of model: waveform: integrators that turn with the harmonics of dead "
-            "time and back-EMF"
-        ),
-    )
-    limited_waveforms: bool = Field(
-        default=_CURRENT.limited_waveforms,
-        description=(
-            "for machines of model: waveform, frame table: currents over torque, speed and angle "
-            "where the link limits them, instead of less torque"
-        ),
-    )
-
-
-class SpeedLoopSection(Section):
-    """PI speed controller that commands torque."""
-
-    method: SpeedLoopMethod = Field(default=_SPEED.method, description="how the gains are found")
-    ratio: int = Field(
-        default=_SPEED.ratio, ge=1, le=100_000, description="current samples per speed sample"
-    )
-    bandwidth: Bandwidth | None = Field(
-        default=None,
-        description="for bandwidth and damping (there the natural frequency): in Hz or rad/s",
-    )
-    damping: float = Field(
-        default=_SPEED.damping, gt=0.0, le=10.0, description="damping ratio, for damping"
-    )
-    spread: float = Field(
-        default=_SPEED.spread, gt=1.0, le=100.0, description="a of the symmetrical optimum"
-    )
-    filter_time: FilterTime | None = Field(
-        default=None, description="first-order filter on the speed (s); default 0"
-    )
-    kp: SpeedGain | None = Field(
-        default=None, description="for given: proportional gain (N m s/rad)"
-    )
-    ki: SpeedIntegralGain | None = Field(
-        default=None, description="for given: integral gain (N m/rad)"
-    )
-    phase_margin_min: PhaseMargin | None = Field(
-        default=None, description="least phase margin (rad; write deg); default 30 deg"
-    )
-    q_formats: GainFormats | None = Field(
-        default=None,
-        description=(
-            "fractional bits of the per-unit integers kp and ki t_s, such as [10, 10], or auto"
-        ),
-    )
-    max_sensitivity: float = Field(
-        default=_SPEED.max_sensitivity,
-        ge=1.05,
-        le=4.0,
-        description="for optimised: largest M_s within the tolerances",
-    )
-
-
-def _known(value: Any, words: ValidatorFunctionWrapHandler) -> Any:
-    """Let a registered method pass; all else is judged by the words of the package."""
-    return value if isinstance(value, str) and value in OBSERVER_KEYS else words(value)
-
-
-def _users(key: str) -> str:
-    """The methods that take a key, in words."""
-    return " and ".join(name for name, keys in OBSERVER_KEYS.items() if key in keys)
-
-
-class ObserverSection(Section):
-    """Speed or position observer."""
-
-    method: Annotated[ObserverMethodName, WrapValidator(_known)] = Field(
-        default=SPEED_OBSERVER, description="how speed or position is observed"
-    )
-    pole: Bandwidth | None = Field(
-        default=None,
-        description="for reduced-order: the pole lies at -pole (rad/s, or Hz times 2 pi)",
-    )
-    bandwidth: Bandwidth | None = Field(
-        default=None,
-        description="of the EMF filter or of the flux correction at rest (rad/s, or Hz times 2 pi)",
-    )
-    pll_bandwidth: Bandwidth | None = Field(
-        default=None,
-        description="natural frequency of the phase-locked loop (rad/s, or Hz times 2 pi)",
-    )
-    damping: Annotated[float, Field(gt=0.0, le=10.0)] | None = Field(
-        default=None, description="damping ratio of the phase-locked loop; default 1"
-    )
-    speed_gain: Annotated[float, Field(ge=0.0, le=10.0)] | None = Field(
-        default=None,
-        description=f"for {_users('speed_gain')}: share of the speed in the correction of the flux",
-    )
-    tuning: ObserverTuningName = Field(
-        default="named",
-        description="named: what is left open has its usual value; optimised: it is searched for",
+    observer: ObserverSection | None = Field(
+        default=None, description="estimator from standstill on, for saliency"
     )
 
 
@@ -248,19 +91,16 @@ class ControlSection(Section):
         default=None,
         description="firmware of others whose loops run the drive: vesc, simplefoc, ...",
     )
+    six_step: SixStepSection | None = Field(
+        default=None,
+        description="for the observers zero-crossing and emf-integration: the six-step drive",
+    )
+    start_up: StartUpWithObserverSection | None = Field(
+        default=None, description="from standstill to speed without an encoder"
+    )
     gains: bool = Field(
         default=True, description="false: no loops are tuned, the header holds the references alone"
     )
-
-
-_EXAMPLES: dict[tuple[str | int, str], str] = {
-    ("current_loop", "bandwidth"): "500 Hz",
-    ("current_loop", "kp"): "1.1 V/A",
-    ("current_loop", "ki"): "32 V/(A s)",
-    ("speed_loop", "bandwidth"): "20 Hz",
-    ("speed_loop", "kp"): "0.1 N m s/rad",
-    ("speed_loop", "ki"): "6 N m/rad",
-}
 
 
 def check_loops(control: ControlSection, machine: Machine, document: YamlDocument) -> None:
@@ -268,14 +108,18 @@ def check_loops(control: ControlSection, machine: Machine, document: YamlDocumen
 
     Raises `InputError` with a position.
     """
-    _check_method(control.current_loop, ("control", "current_loop"), document)
-    _check_schedule(control.current_loop, machine, document)
+    check_method(control.current_loop, ("control", "current_loop"), document)
+    check_schedule(control.current_loop, machine, document)
     wants_inertia = []
     if control.speed_loop is not None:
-        _check_method(control.speed_loop, ("control", "speed_loop"), document)
+        check_method(control.speed_loop, ("control", "speed_loop"), document)
+        check_measurement(control.speed_loop.measurement, control.observer is not None, document)
         wants_inertia.append("speed_loop")
+    low = None if control.start_up is None else control.start_up.observer
+    if low is not None and low.method != SPEED_OBSERVER:
+        check_observer(low, document, ("control", "start_up", "observer"))
     if control.observer is not None:
-        _check_observer(control.observer, document)
+        check_observer(control.observer, document)
         if control.observer.method == SPEED_OBSERVER:
             wants_inertia.append("observer")
         if machine.psi_pm == 0.0:
@@ -292,90 +136,20 @@ def check_loops(control: ControlSection, machine: Machine, document: YamlDocumen
         raise document.error(message, ("control", wants_inertia[0]), key=True)
 
 
-def _check_observer(observer: ObserverSection, document: YamlDocument) -> None:
-    path, used = ("control", "observer"), OBSERVER_KEYS[observer.method]
-    if observer.method == SPEED_OBSERVER and observer.pole is None:
-        message = (
-            "control.observer: the method 'reduced-order' needs the key 'pole'; write pole: 400 "
-            "rad/s"
-        )
-        raise document.error(message, path, key=True)
-    for key in ("pole", "bandwidth", "pll_bandwidth", "damping", "speed_gain"):
-        if getattr(observer, key) is not None and key not in used:
-            raise document.error(
-                f"control.observer: the method '{observer.method}' does not use '{key}'; remove "
-                f"it, or write another method (it uses {', '.join(used) or 'no key but tuning'})",
-                (*path, key),
-                key=True,
-            )
-
-
-def _needed(loop: CurrentLoopSection | SpeedLoopSection) -> tuple[str, ...]:
-    """The keys that a method cannot do without.
-
-    TI makes the gains of the speed loop of the bandwidth of the current loop.
-    """
-    if loop.method == "given":
-        return ("kp", "ki")
-    if loop.method == "ti" and isinstance(loop, SpeedLoopSection):
-        return ()
-    named = ("bandwidth", "damping", *get_args(VendorMethod))
-    return ("bandwidth",) if loop.method in named else ()
-
-
-def _check_method(
-    loop: CurrentLoopSection | SpeedLoopSection, path: KeyPath, document: YamlDocument
+def check_observer_format(
+    control: ControlSection, export: ExportSection, document: YamlDocument
 ) -> None:
-    needed = _needed(loop)
-    where = ".".join(map(str, path))
-    for key in needed:
-        if getattr(loop, key) is None:
-            example = _EXAMPLES[path[-1], key]
-            raise document.error(
-                f"{where}: the method '{loop.method}' needs the key '{key}'; write {key}: "
-                f"{example}",
-                (*path, "method"),
-            )
-    for key in ("bandwidth", "kp", "ki"):
-        if getattr(loop, key) is not None and key not in needed:
-            method = "bandwidth" if key == "bandwidth" else "given"
-            raise document.error(
-                f"{where}: the method '{loop.method}' does not use '{key}'; write method: "
-                f"{method}, or remove the key",
-                (*path, key),
-                key=True,
-            )
-    if "max_sensitivity" in loop.model_fields_set and loop.method != "optimised":
-        raise document.error(
-            f"{where}: the method '{loop.method}' does not use 'max_sensitivity'; write method: "
-            "optimised, or remove the key",
-            (*path, "max_sensitivity"),
-            key=True,
-        )
+    """Refuse integers where the observer has none.
 
-
-def _check_schedule(loop: CurrentLoopSection, machine: Machine, document: YamlDocument) -> None:
-    path = ("control", "current_loop", "schedule")
-    if not loop.schedule:
-        return
-    if isinstance(machine, LinearMachine):
+    Raises `InputError` with a position.
+    """
+    method = None if control.observer is None else control.observer.method
+    if method in LEARNED_OBSERVERS and not set(export.control) <= {"float32"}:
         message = (
-            "control.current_loop.schedule: the machine's inductances are constant, so are the "
-            "gains; remove it"
+            f"control.observer: the method '{method}' is not there in fixed point; write "
+            "export.control: float32, or method: flux"
         )
-        raise document.error(message, path)
-    if loop.method in get_args(VendorMethod):
-        message = (
-            f"control.current_loop.schedule: the gains by '{loop.method}' are constant in that "
-            "firmware; write another method, or schedule: false"
-        )
-        raise document.error(message, path)
-    if loop.method == "given":
-        message = (
-            "control.current_loop.schedule: given gains are constant; write another method, or "
-            "schedule: false"
-        )
-        raise document.error(message, path)
+        raise document.error(message, ("control", "observer", "method"))
 
 
 def sampling_warning(machine: Machine, f_s: float) -> str:
@@ -410,6 +184,14 @@ def check_sampling(section: ControlSection, f_sw: float, document: YamlDocument)
         )
 
 
+def _left_open(section: ControlSection) -> bool:
+    """Whether a speed loop on a position observer is left to the rule for both."""
+    loop, observer = section.speed_loop, section.observer
+    if loop is None or observer is None or observer.method == SPEED_OBSERVER:
+        return False
+    return loop.method == "symmetrical-optimum" and "spread" not in loop.model_fields_set
+
+
 @about("control")
 def read_control(
     section: ControlSection,
@@ -437,26 +219,48 @@ def read_control(
     warning = sampling_warning(machine, f_s)
     reading.remarks.extend([warning] if warning else [])
     speed_loop, observer = section.speed_loop, section.observer
+    bases = read_bases(
+        section.per_unit, machine, inverter, i_max, rated_speed, reading, any_back_emf=any_back_emf
+    )
+    largest = bases.speed if machine.omega_m_max is None else machine.omega_m_max
+    own_loop = (
+        None
+        if speed_loop is None
+        else settings_from(
+            SpeedLoopSettings,
+            speed_loop,
+            measurement=read_measurement(speed_loop.measurement, largest),
+        )
+    )
+    own_observer = None if observer is None else settings_from(ObserverSettings, observer)
+    tolerances = read_tolerances(
+        section.tolerances, speed_loop is not None, machine, inverter, i_max, reading
+    )
+    if own_loop is not None and own_observer is not None and _left_open(section):
+        own_loop, own_observer = chosen_together(
+            own_loop, own_observer, inverter, tolerances, reading
+        )
     return ControlSettings(
         t_s=1.0 / f_s,
         current_loop=settings_from(CurrentLoopSettings, section.current_loop),
-        speed_loop=None if speed_loop is None else settings_from(SpeedLoopSettings, speed_loop),
-        observer=None if observer is None else settings_from(ObserverSettings, observer),
-        bases=read_bases(
-            section.per_unit,
-            machine,
-            inverter,
-            i_max,
-            rated_speed,
-            reading,
-            any_back_emf=any_back_emf,
-        ),
-        tolerances=read_tolerances(
-            section.tolerances, speed_loop is not None, machine, inverter, i_max, reading
-        ),
+        speed_loop=own_loop,
+        observer=own_observer,
+        bases=bases,
+        tolerances=tolerances,
         references=read_references(section.references),
         firmware=read_firmware(section.firmware),
+        six_step=read_six_step(section.six_step, None if observer is None else observer.method),
+        start_up=_read_start_up(section.start_up, reading),
     )
+
+
+def _read_start_up(
+    section: StartUpWithObserverSection | None, reading: Reading
+) -> StartUpSettings | None:
+    """The start, with the settings of its own observer."""
+    own = None if section is None else section.observer
+    low = None if own is None else settings_from(ObserverSettings, own)
+    return read_start_up(section, reading, observer=low)
 
 
 def read_gain_wish(

@@ -14,6 +14,7 @@ from dqforge.machines.entries.kinds import (
     Prefix,
     Section,
 )
+from dqforge.machines.names import Application
 
 _EXPORT = ExportSettings(prefix="motor")
 
@@ -40,6 +41,13 @@ class ExportSection(Section):
         description=(
             "configuration files of other firmware: vesc, simplefoc, moteus, odrive, nxp, st, ti, "
             "infineon or a list of them; default none"
+        ),
+    )
+    application: Application | None = Field(
+        default=None,
+        description=(
+            "skeleton: a program with interrupts, offsets, alignment or start, stop and faults "
+            "around the control functions; default none"
         ),
     )
 

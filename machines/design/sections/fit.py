@@ -14,6 +14,7 @@ from dqforge.machines.design.settings import (
 )
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.dq_machines.torque_limit import largest_torque_within
+from dqforge.machines.entries.former_keys import former
 from dqforge.machines.entries.kinds import (
     ByteCount,
     Listing,
@@ -58,8 +59,9 @@ class FitSection(Section):
     flat_at_zero: bool = Field(
         default=_FIT.flat_at_zero, description="no linear term of i_d at zero torque"
     )
-    torque_max: Torque | None = Field(
+    max_torque: Torque | None = Field(
         default=None,
+        json_schema_extra=former("torque_max"),
         description="end of the domain (N m); default the largest torque within the current limit",
     )
     breakpoints: Listing[Torque] | None = Field(
@@ -93,7 +95,7 @@ def check_fit(
     _check_form(fit, operation, machine, document)
     _check_budget(fit, document)
     largest = largest_torque_within(machine, i_max, operation.strategy)
-    end = largest if fit.torque_max is None else fit.torque_max.si
+    end = largest if fit.max_torque is None else fit.max_torque.si
     if fit.breakpoints is not None:
         _check_breakpoints(fit.breakpoints, fit.segments, end, document)
 
@@ -216,6 +218,7 @@ def read_fit(
         section,
         form=form,
         budget=budget,
+        torque_max=None if section.max_torque is None else section.max_torque.si,
         format="float32" if section.format is None and budget is None else section.format,
         full_scale=(bases.torque, bases.current),
     )

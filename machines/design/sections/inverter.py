@@ -123,7 +123,9 @@ def read_inverter_device(
     if isinstance(section.device, DeviceSection):
         return _constants(section.device, reading), None
     reference = section.device
-    model = _model(reference, reading)
+    model = reading.recalled(
+        (_PATH, reference.file, reference.name), lambda: _model(reference, reading)
+    )
     for finding in model.findings:
         reading.remarks.append(f"inverter.device ({model.name}): {finding}")
     guess = si_of(reference.junction_temperature)

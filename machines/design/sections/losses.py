@@ -23,6 +23,7 @@ from dqforge.machines.entries.kinds import (
     Listing,
     PointSpeed,
     PointTorque,
+    PointWeight,
     Section,
 )
 from dqforge.machines.entries.rules import si_of
@@ -40,6 +41,10 @@ class PointSection(Section):
 
     torque: PointTorque = Field(description="torque (N m)")
     speed: PointSpeed = Field(description="mechanical speed (rad/s; write rpm)")
+    weight: PointWeight | None = Field(
+        default=None,
+        description="share of the point in the mean losses of a study (%), 1 unless given",
+    )
 
 
 class LossSection(Section):
@@ -146,7 +151,12 @@ def read_losses(
         raise reading.document.error(message, ("losses",), key=True)
     return LossSettings(
         points=tuple(
-            LoadPoint(torque=point.torque.si, omega_m=point.speed.si) for point in section.points
+            LoadPoint(
+                torque=point.torque.si,
+                omega_m=point.speed.si,
+                weight=1.0 if point.weight is None else point.weight.si,
+            )
+            for point in section.points
         ),
         strategies=section.strategies,
         modulations=section.modulations,

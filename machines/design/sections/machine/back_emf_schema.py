@@ -8,6 +8,7 @@ from pydantic import Field
 
 from dqforge.machines.entries.kinds import (
     Angle,
+    ChannelPlace,
     FileName,
     Flux,
     HarmonicShare,
@@ -64,8 +65,8 @@ class BackEmfSection(Section):
         default=None,
         description="time between two samples (s; write us), for captures that do not say it",
     )
-    connection: Literal["phase", "line-to-line"] = Field(
-        default="phase", description="what the channels measured"
+    connection: ChannelPlace = Field(
+        default="phase", description="what the channels measured: phase or line-to-line"
     )
     scale: Annotated[tuple[float, float, float], Field(strict=False)] = Field(
         default=(1.0, 1.0, 1.0), description="factors of the channels (probes)"

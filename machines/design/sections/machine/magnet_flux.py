@@ -10,13 +10,17 @@ from dqforge.machines.design.values import InputValue
 from dqforge.machines.entries.rules import Quantity
 from dqforge.machines.units.quantities import format_quantity
 
+FLUX_KEYS = ("magnet_flux", "back_emf_constant", "torque_constant", "kv")
+
+"""Keys that imply the flux linkage of the magnets, in order of trust."""
+
 
 def read_magnet_flux(section: MachineSection, pole_pairs: int, reading: Reading) -> float:
     """Flux linkage of the magnets from the first of the keys that imply it, once all agree."""
     statements = _flux_statements(section, pole_pairs, reading)
     if not statements:
         raise reading.document.error(
-            "machine needs magnet_flux, back_emf_constant or torque_constant; write e.g. "
+            "machine needs magnet_flux, back_emf_constant, torque_constant or kv; write e.g. "
             "magnet_flux: 0.06 Wb (0 Wb for a reluctance machine)",
             ("machine",),
             key=True,
@@ -65,6 +69,11 @@ def _flux_statements(
         )
         implied = f"implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
         reading.converted["machine.torque_constant"] = (constant.si, implied)
+    if (speed := section.kv) is not None:
+        psi_pm = datasheet.flux_from_kv(speed.si, speed.kind or "", pole_pairs, section.connection)
+        statements.append(FluxStatement("kv", _said(speed), psi_pm, counts_poles=True))
+        implied = f"implies a magnet flux of {format_quantity(psi_pm, 'Wb')}"
+        reading.converted["machine.kv"] = (speed.si, implied)
     return statements
 
 

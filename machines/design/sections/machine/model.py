@@ -8,16 +8,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from dqforge.machines.design import datasheet
 from dqforge.machines.design.reading import Reading
 from dqforge.machines.design.sections.machine.back_emf import read_phase_machine, read_saliency
 from dqforge.machines.design.sections.machine.delta import check_connection
 from dqforge.machines.design.sections.machine.flux_map import FluxMaps, read_flux_maps
-from dqforge.machines.design.sections.machine.magnet_flux import read_magnet_flux
+from dqforge.machines.design.sections.machine.inductances import read_inductances
+from dqforge.machines.design.sections.machine.magnet_flux import FLUX_KEYS, read_magnet_flux
 from dqforge.machines.design.sections.machine.schema import MachineSection, SaturationSection
 from dqforge.machines.dq_machines.flux_map import FluxMap, mirrored
 from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.saturation import SaturationModel
+from dqforge.machines.dq_machines.scaled_machines import ScaledMachines
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import DqforgeError
@@ -47,6 +51,7 @@ _NEEDED: dict[MachineModel, tuple[tuple[str, str], ...]] = {
 
 
 _OWN: dict[str, MachineModel] = {
+    "inductance": "linear",
     "inductance_d": "linear",
     "inductance_q": "linear",
     "flux_map": "flux-map",
@@ -108,10 +113,11 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
         return MachineReading(
             LinearMachine(l_d=l_d, l_q=l_q, psi_pm=phases.psi_pm, **common), salient or phases
         )
-    if section.inductance_d is not None and section.inductance_q is not None:
+    if section.model == "linear":
+        l_d, l_q = read_inductances(section, reading)
         linear = LinearMachine(
-            l_d=reading.per_phase(section.inductance_d, "machine.inductance_d"),
-            l_q=reading.per_phase(section.inductance_q, "machine.inductance_q"),
+            l_d=l_d,
+            l_q=l_q,
             psi_pm=_at_temperature(
                 read_magnet_flux(section, pole_pairs, reading), section, reading
             ),
@@ -121,17 +127,27 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
     _refuse_magnet_coefficient(section, reading)
     if section.saturation is not None:
         _refuse_constants(section, reading)
-        maps = FluxMaps(_saturation_map(section.saturation, common["i_max"], reading))
+        coefficients = section.saturation
+        maps = reading.recalled(
+            (coefficients, common["i_max"]),
+            lambda: FluxMaps(_saturation_map(coefficients, common["i_max"], reading)),
+        )
     else:
-        known = any((section.magnet_flux, section.back_emf_constant, section.torque_constant))
+        known = any(getattr(section, key) for key in FLUX_KEYS)
         expected = read_magnet_flux(section, pole_pairs, reading) if known else None
-        maps = read_flux_maps(section, pole_pairs, reading, expected, common["i_max"])
-    machine = SaturatedMachine(flux_map=maps.symmetric, **common)
+        at = section.connection, section.rated.current, section.temperature.magnet
+        maps = reading.recalled(
+            (section.flux_map, pole_pairs, expected, common["i_max"], *at),
+            lambda: read_flux_maps(section, pole_pairs, reading, expected, common["i_max"]),
+        )
+    machine = _scaled(SaturatedMachine(flux_map=maps.symmetric, **common), section, reading)
     _check_range(machine, reading)
     if section.flux_map is None or section.flux_map.symmetry != "keep" or maps.whole is None:
         return MachineReading(machine)
     both = (maps.whole, mirrored(maps.whole))
-    positive, negative = (SaturatedMachine(flux_map=half, **common) for half in both)
+    positive, negative = (
+        _scaled(SaturatedMachine(flux_map=half, **common), section, None) for half in both
+    )
     return MachineReading(machine, halves=(positive, negative))
 
 
@@ -145,11 +161,38 @@ def _check_model(section: MachineSection, reading: Reading) -> None:
                 f"model: {model}"
             )
             raise document.error(message + ", or remove the key", ("machine", key), key=True)
+    if section.map_scale is not None and section.model not in ("flux-map", "saturation"):
+        raise document.error(
+            "machine.map_scale scales the flux map of a machine that saturates, this is model "
+            f"'{section.model}'; change its own constants, and remove the key",
+            ("machine", "map_scale"),
+            key=True,
+        )
+    if section.inductance is not None:
+        return
     for key, example in _NEEDED[section.model]:
         if getattr(section, key) is None:
             raise document.error(
-                f"machine needs the key '{key}'; write {key}: {example}", ("machine",), key=True
+                f"machine needs the key '{key}'; write {key}: {example}"
+                + ", or inductance: 1.6 mH for both axes" * (section.model == "linear"),
+                ("machine",),
+                key=True,
             )
+
+
+def _scaled(
+    machine: SaturatedMachine, section: MachineSection, reading: Reading | None
+) -> SaturatedMachine:
+    """The machine with the factors of its map, where it has any; ``reading`` takes the remark."""
+    if section.map_scale is None:
+        return machine
+    names = ("magnet", "inductance_d", "inductance_q", "current")
+    given = {name: si_of(getattr(section.map_scale, name)) for name in names}
+    factors = {name: np.array([value]) for name, value in given.items() if value is not None}
+    if reading is not None and factors:
+        told = ", ".join(f"{name} {values[0]:g}" for name, values in factors.items())
+        reading.remarks.append(f"the flux map is scaled (machine.map_scale): {told}")
+    return ScaledMachines.varied(machine, 1, factors).machine(0)
 
 
 def _resistance(section: MachineSection, reading: Reading) -> float:
@@ -221,7 +264,7 @@ def _refuse_magnet_coefficient(section: MachineSection, reading: Reading) -> Non
 
 
 def _refuse_constants(section: MachineSection, reading: Reading) -> None:
-    for key in ("magnet_flux", "back_emf_constant", "torque_constant"):
+    for key in FLUX_KEYS:
         if getattr(section, key) is not None:
             message = (
                 f"machine.{key} does not belong to the model 'saturation', whose coefficients say "

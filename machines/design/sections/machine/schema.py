@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from functools import partial
+from typing import Annotated, get_args
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from dqforge.machines.design.datasheet import Connection
 from dqforge.machines.design.sections.machine.back_emf_schema import BackEmfSection
@@ -19,6 +20,7 @@ from dqforge.machines.entries.kinds import (
     Inertia,
     Listing,
     MachineCurrent,
+    MapFactor,
     MutualInductance,
     Nonnegative,
     PolePairs,
@@ -29,12 +31,28 @@ from dqforge.machines.entries.kinds import (
     Resistance,
     Section,
     Speed,
+    SpeedConstant,
     Temperature,
     ThermalResistance,
     Torque,
     TorqueConstant,
 )
+from dqforge.machines.entries.rules import any_word_of, in_other_words
 from dqforge.machines.names import MachineModel
+
+_CONNECTIONS = get_args(Connection)
+_WINDINGS = {"y": "star", "wye": "star", "d": "delta", "δ": "delta", "triangle": "delta"}
+
+
+WindingConnection = Annotated[
+    Connection,
+    BeforeValidator(partial(in_other_words, names=_CONNECTIONS, words=_WINDINGS)),
+    WithJsonSchema(
+        any_word_of(
+            _CONNECTIONS, "^([Ss]tar|STAR|[Dd]elta|DELTA|[YyDdΔδ]|[Ww]ye|WYE|[Tt]riangle|TRIANGLE)$"
+        )
+    ),
+]
 
 
 class RatedSection(Section):
@@ -151,6 +169,23 @@ class AcResistanceSection(Section):
     frequency: Frequency = Field(description="electrical frequency of the ratio (Hz)")
 
 
+class MapScaleSection(Section):
+    """How a machine differs from its flux map: factors of the map, 1 each without an entry."""
+
+    magnet: MapFactor | None = Field(
+        default=None, description="open-circuit flux linkage over that of the map"
+    )
+    inductance_d: MapFactor | None = Field(
+        default=None, description="d inductances over those of the map"
+    )
+    inductance_q: MapFactor | None = Field(
+        default=None, description="q inductances over those of the map"
+    )
+    current: MapFactor | None = Field(
+        default=None, description="currents at which it saturates over those of the map"
+    )
+
+
 class InductanceHarmonicSection(Section):
     """One even harmonic of the inductances: L_aa = L_s + sum A cos(h theta), M_bc = M_s +
     sum B cos(h theta).
@@ -170,8 +205,9 @@ class InductanceHarmonicSection(Section):
 class MachineSection(Section):
     """The machine.
 
-    Model linear needs inductance_d, inductance_q and one of magnet_flux, back_emf_constant and
-    torque_constant (several must agree); flux-map and saturation need the section of their name.
+    Model linear needs inductance, or inductance_d and inductance_q, and one of magnet_flux,
+    back_emf_constant, torque_constant and kv (several must agree); flux-map and saturation need the
+    section of their name.
     """
 
     model: MachineModel = Field(
@@ -181,11 +217,11 @@ class MachineSection(Section):
             "coefficients; waveform: any back-EMF shape"
         ),
     )
-    connection: Connection = Field(
+    connection: WindingConnection = Field(
         default="star",
         description=(
-            "of the windings; the data of a delta are converted to the star that acts alike at the "
-            "terminals"
+            "of the windings, star (Y, wye) or delta (D); the data of a delta are converted to the "
+            "star that acts alike at the terminals"
         ),
     )
     pole_pairs: PolePairs | None = Field(
@@ -196,6 +232,13 @@ class MachineSection(Section):
     )
     resistance: Resistance = Field(
         description="stator resistance (Ohm); kind phase (default) or line-to-line"
+    )
+    inductance: Inductance | None = Field(
+        default=None,
+        description=(
+            "inductance where a data sheet has but one, for both axes (H); kind phase (default) or "
+            "line-to-line"
+        ),
     )
     inductance_d: Inductance | None = Field(
         default=None,
@@ -225,6 +268,13 @@ class MachineSection(Section):
             "of a delta line or winding"
         ),
     )
+    kv: SpeedConstant | None = Field(
+        default=None,
+        description=(
+            "speed per volt, the Kv of a hobby motor (rpm/V); kind line-to-line peak (default), "
+            "line-to-line rms, phase peak or phase rms"
+        ),
+    )
     self_inductance: Inductance | None = Field(
         default=None, description="for model waveform: L_s of a phase (H)"
     )
@@ -246,6 +296,10 @@ class MachineSection(Section):
     )
     saturation: SaturationSection | None = Field(
         default=None, description="for model saturation: the coefficients"
+    )
+    map_scale: MapScaleSection | None = Field(
+        default=None,
+        description="for models flux-map and saturation: factors of the map, for tolerances",
     )
     iron_loss: IronLossSection | None = Field(default=None, description="iron loss, if it is known")
     ac_resistance: AcResistanceSection | None = Field(

@@ -9,6 +9,7 @@ from dqforge.machines.design.reading import Reading
 from dqforge.machines.design.sections.simulation.schema import (
     CurrentProfileSection,
     CurrentSensorSection,
+    EncoderSection,
     PhaseOpeningSection,
     PlantErrorsSection,
     SensorlessSection,
@@ -22,7 +23,7 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.entries.rules import Quantity, si_of
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import SPEED_OBSERVER, Topology
+from dqforge.machines.names import SPEED_OBSERVER, StartLoadName, Topology
 from dqforge.machines.places import KeyPath
 from dqforge.machines.plants.scenario import (
     ControlMode,
@@ -64,6 +65,12 @@ def _profile(
     points: Sequence[Any] = section.points or ()
     times = [point.time for point in points]
     values = tuple(getattr(point, value).si for point in points) or (rest,)
+    if points and times[0].si > 0.0 and values[0] != 0.0:
+        reading.remarks.append(
+            f"simulation.{name} is {getattr(points[0], value).text} from the start on, since its "
+            f"first point holds before {times[0].text} too; begin with {{time: 0 s, ...}} for "
+            "another value until then"
+        )
     return _points(
         times, values, section.shape, path, reading, (section.amplitude, section.frequency)
     )
@@ -183,6 +190,12 @@ def _errors(section: PlantErrorsSection) -> PlantErrors:
     return PlantErrors(*(si_of(entry) or 0.0 for entry in entries))
 
 
+def _load_kind(section: SimulationSection, control: ControlSettings) -> StartLoadName:
+    """That of the start where there is no encoder; a torque that always acts where there is."""
+    start = control.start_up if section.encoder.absent else None
+    return "active" if start is None else start.load
+
+
 def _opening(
     section: PhaseOpeningSection | None, waveform: bool, topology: Topology, reading: Reading
 ) -> PhaseOpening | None:
@@ -216,10 +229,12 @@ def read_scenario(
     reading: Reading,
     *,
     waveform: bool = False,
+    program: bool = False,
 ) -> Scenario | None:
     """Simulation of the design, None where the file asks for none.
 
-    ``waveform`` says whether the machine is one in phase quantities.
+    ``waveform`` says whether the machine is one in phase quantities, ``program`` whether the
+    program around the functions is emitted.
 
     Raises
     ------
@@ -230,9 +245,8 @@ def read_scenario(
     if section is None:
         return None
     mode, reference, reference_d = _references(section, reading)
-    _check(section, mode, (machine, inverter, control), reading)
+    _check(section, mode, (machine, inverter, control), reading, program=program)
     link = section.v_dc
-    encoder = section.encoder
     return Scenario(
         duration=section.duration.si,
         mode=mode,
@@ -243,7 +257,7 @@ def read_scenario(
         v_dc=None if link is None else _profile(link, "voltage", "v_dc", reading, inverter.v_dc),
         inverter=section.inverter,
         dead_time=si_of(section.dead_time),
-        encoder=Encoder(encoder.lines, encoder.speed, si_of(encoder.misalignment) or 0.0),
+        encoder=_encoder(section.encoder, control, reading),
         sensor=_sensor(section.current_sensor, reading),
         errors=_errors(section.errors),
         omega_m=si_of(section.initial.speed) or 0.0,
@@ -252,7 +266,67 @@ def read_scenario(
         sub_steps=section.steps,
         sensorless=_sensorless(section.sensorless, control, reading),
         open_phase=_opening(section.open_phase, waveform, inverter.topology, reading),
+        load_kind=section.load.kind or _load_kind(section, control),
+        stop=si_of(section.stop),
     )
+
+
+def _encoder(section: EncoderSection, control: ControlSettings, reading: Reading) -> Encoder:
+    """The encoder, with the lines and the measurement of the speed that the controller has.
+
+    Raises `InputError` with a position.
+    """
+    measurement = None if control.speed_loop is None else control.speed_loop.measurement
+    misalignment = si_of(section.misalignment) or 0.0
+    given, path = section.model_fields_set, (*_PATH, "encoder")
+    where = "control.speed_loop.measurement"
+    if measurement is None:
+        if section.speed == "measured":
+            raise reading.document.error(
+                f"simulation.encoder.speed: measured needs {where}; write its method, lines and "
+                "clock, or speed: difference",
+                (*path, "speed"),
+            )
+        return Encoder(section.lines, section.speed, misalignment, absent=section.absent)
+    if "speed" in given and section.speed != "measured":
+        return Encoder(section.lines, section.speed, misalignment, absent=section.absent)
+    if "lines" in given and section.lines != measurement.lines:
+        raise reading.document.error(
+            f"simulation.encoder.lines {section.lines} contradicts {where}.lines "
+            f"{measurement.lines}; write one number",
+            (*path, "lines"),
+        )
+    return Encoder(
+        measurement.lines, "measured", misalignment, measurement.edges, measurement.clock
+    )
+
+
+def _check_start(
+    section: SimulationSection, mode: ControlMode, control: ControlSettings, reading: Reading
+) -> None:
+    """What a drive without encoder needs.
+
+    Raises `InputError` with a position.
+    """
+    path: KeyPath = (*_PATH, "encoder")
+    if control.start_up is None:
+        message = (
+            "simulation.encoder: a drive without encoder starts by control.start_up; write it, or "
+            "give it an encoder"
+        )
+        raise reading.document.error(message, path, key=True)
+    if mode != "speed":
+        message = (
+            "simulation.encoder: a drive without encoder follows a speed; write simulation.speed, "
+            "or give it an encoder"
+        )
+        raise reading.document.error(message, path, key=True)
+    if section.sensorless is not None:
+        message = (
+            "simulation.sensorless: without encoder control.start_up says where the observer takes "
+            "over; remove it"
+        )
+        raise reading.document.error(message, (*_PATH, "sensorless"), key=True)
 
 
 def _check(
@@ -260,6 +334,8 @@ def _check(
     mode: ControlMode,
     drive: tuple[Machine, Inverter, ControlSettings],
     reading: Reading,
+    *,
+    program: bool,
 ) -> None:
     """What the rest of the design must have for the simulation.
 
@@ -276,6 +352,11 @@ def _check(
         raise fault(
             "a speed reference needs control.speed_loop; write it, or give a torque", "speed"
         )
+    if section.encoder.absent:
+        _check_start(section, mode, control, reading)
+    elif section.stop is not None and not (program and mode == "speed"):
+        message = "it is for a drive without encoder, or with export.application; remove it"
+        raise fault(message, "stop")
     if section.shaft is None and machine.inertia is None:
         message = "simulation: a free shaft needs machine.inertia; write it, or simulation.shaft"
         raise reading.document.error(message, _PATH, key=True)

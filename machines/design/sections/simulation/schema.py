@@ -17,7 +17,7 @@ from dqforge.machines.entries.kinds import (
     Voltage,
 )
 from dqforge.machines.entries.rules import Quantity, QuantityRule, not_truth
-from dqforge.machines.names import OpenPhase
+from dqforge.machines.names import OpenPhase, StartLoadName
 from dqforge.machines.plants.scenario import (
     CurrentSensor,
     Encoder,
@@ -122,6 +122,18 @@ class TorqueProfileSection(Section):
     frequency: ProfileFrequency | None = Field(default=None, description="of that sine (Hz)")
 
 
+class LoadSection(TorqueProfileSection):
+    """Load torque over time."""
+
+    kind: StartLoadName | None = Field(
+        default=None,
+        description=(
+            "active: it acts at rest too; friction: it resists motion either way and holds the "
+            "shaft; default active, without encoder that of control.start_up"
+        ),
+    )
+
+
 class CurrentProfileSection(Section):
     """Currents over time."""
 
@@ -162,12 +174,22 @@ class EncoderSection(Section):
     speed: SpeedSource = Field(
         default=_ENCODER.speed,
         description=(
-            "difference of the counts over a speed period, exact, or that of control.observer"
+            "difference of the counts over a speed period, exact, that of control.observer, or "
+            "measured by control.speed_loop.measurement, the default where that is there"
         ),
     )
     misalignment: Angle | None = Field(
         default=None, description="added to the electrical angle (rad; write deg)"
     )
+    absent: bool = Field(
+        default=_ENCODER.absent,
+        description="there is none, control.start_up starts the drive; encoder: none for short",
+    )
+
+
+def _no_encoder(value: object) -> object:
+    """The word none as what it stands for."""
+    return {"absent": True} if value == "none" else value
 
 
 class SensorlessSection(Section):
@@ -250,8 +272,8 @@ class SimulationSection(Section):
     )
     torque: TorqueProfileSection | None = Field(default=None, description="torque reference")
     current: CurrentProfileSection | None = Field(default=None, description="current references")
-    load: TorqueProfileSection = Field(
-        default=TorqueProfileSection(), description="load torque, against positive speed"
+    load: LoadSection = Field(
+        default=LoadSection(), description="load torque, against positive speed"
     )
     shaft: SpeedProfileSection | None = Field(
         default=None, description="speed that a load machine imposes; default: the shaft is free"
@@ -266,7 +288,9 @@ class SimulationSection(Section):
     dead_time: DeadTime | None = Field(
         default=None, description="dead time (s); default inverter.dead_time"
     )
-    encoder: EncoderSection = Field(default=EncoderSection(), description="position sensor")
+    encoder: Annotated[EncoderSection, BeforeValidator(_no_encoder)] = Field(
+        default=EncoderSection(), description="position sensor, or none"
+    )
     sensorless: SensorlessSection | None = Field(
         default=None,
         description=(
@@ -282,6 +306,9 @@ class SimulationSection(Section):
     initial: InitialSection = Field(default=InitialSection(), description="state at the start")
     open_phase: PhaseOpeningSection | None = Field(
         default=None, description="a phase that opens (machines of model: waveform); default: none"
+    )
+    stop: Instant | None = Field(
+        default=None, description="the command of a drive without encoder goes (s); default: never"
     )
     seed: Whole = Field(default=1, ge=0, le=2**31, description="of the noise")
     steps: Annotated[int, Field(ge=1, le=1000), BeforeValidator(not_truth)] | None = Field(

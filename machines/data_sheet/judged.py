@@ -1,0 +1,177 @@
+"""What a reader of designs says of the values of a data sheet: of each by itself, and of those that
+are known so far together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+from dqforge.machines.data_sheet.design_text import design_text
+from dqforge.machines.data_sheet.sheet_values import BY_KEY, SHEET_VALUES, missing
+from dqforge.machines.design import datasheet
+from dqforge.machines.design.design import Design
+from dqforge.machines.design.loader import build_design, read_sections
+from dqforge.machines.design.plausibility.design import implausibilities
+from dqforge.machines.design.plausibility.figures import MARK
+from dqforge.machines.design.reading import Reading
+from dqforge.machines.design.schema import DesignFile
+from dqforge.machines.entries.kinds import quantities
+from dqforge.machines.entries.rules import Quantity
+from dqforge.machines.errors import InputError
+from dqforge.machines.files.positioned_yaml import YamlDocument, parse_yaml
+from dqforge.machines.places import KeyPath, dotted, leading_path
+from dqforge.machines.units.quantities import format_quantity
+
+_SOURCE = "design.yaml"
+
+_STAND_INS = {
+    "poles": ("machine.pole_pairs", "4"),
+    "magnets": ("machine.magnet_flux", "10 mWb"),
+    "voltage": ("inverter.v_dc", "48 V"),
+    "current": ("machine.max_current", "10 A"),
+    "resistance": ("machine.resistance", "0.1 Ohm"),
+}
+
+"""By its need, what stands in for what is not known yet; no sentence is told of it."""
+
+
+_ALONE = ("voltage", "current", "resistance")
+
+"""Needs without which the reader does not look at the others."""
+
+
+_TIME_CONSTANT = 1e-3
+
+"""Inductance over resistance (s) where the inductance is not known yet."""
+
+
+def read_alone(key: str, text: str) -> Quantity | None:
+    """A value as the reader of designs has it, whatever the others are.
+
+    None for the name, which is no quantity.
+
+    Raises
+    ------
+    InputError
+        It is none for its key; the message is the reader's own.
+    """
+    values = dict(_STAND_INS[need] for need in _ALONE) | {key: text}
+    sections = read_sections(_document(values, design_text(values)))
+    found = {dotted(path): quantity for path, quantity in quantities(sections)}
+    return found.get(key)
+
+
+def remarks_so_far(values: Mapping[str, str]) -> list[str]:
+    """Sentences on what is implausible in values that are known so far.
+
+    Parameters
+    ----------
+    values:
+        By the dotted key, each accepted by `read_alone`.
+
+    Raises
+    ------
+    InputError
+        Two contradict each other, or together they are no machine.
+    """
+    open_needs = {value.need for value in missing(values)}
+    if open_needs:
+        # Ratings are held against the whole machine, so they wait for it.
+        parts = {key: text for key, text in values.items() if BY_KEY[key].need}
+        file, design = _built(parts | _stand_ins(values, open_needs))
+        found = implausibilities(design, file)
+        return [sentence for sentence in found if _is_of_known(sentence, values)]
+    file, design = _built(values)
+    sentences = implausibilities(design, file)
+    machine = design.machine
+    if machine.omega_m_max is not None:
+        fastest = machine.omega_m_max
+        warning = datasheet.back_emf_warning(
+            machine.pole_pairs, machine.psi_pm, fastest, design.inverter.v_dc
+        )
+        sentences += [warning] if warning else []
+    return sentences
+
+
+def _stand_ins(values: Mapping[str, str], needs: Collection[str]) -> dict[str, str]:
+    found = dict(_STAND_INS[need] for need in needs if need in _STAND_INS)
+    if "inductance" in needs:
+        resistance = {"machine.resistance": "0.1 Ohm"} | dict(values)
+        read = read_alone("machine.resistance", resistance["machine.resistance"])
+        assert read is not None
+        phase = datasheet.phase_resistance(read.si, read.kind or "phase")
+        axes = ("machine.inductance_d", "machine.inductance_q")
+        found |= {key: repr(_TIME_CONSTANT * phase) for key in axes if key not in values}
+    return found
+
+
+_DROP = {"machine.resistance", "machine.max_current", "inverter.v_dc"}
+
+
+def _is_of_known(sentence: str, known: Collection[str]) -> bool:
+    """Whether all that a sentence is made of is known: of figures that is the drop over the
+    resistance, and the number of pole pairs.
+    """
+    key = dotted(leading_path(sentence.removeprefix(MARK)))
+    return key == "machine.pole_pairs" or (key == "machine.resistance" and set(known) >= _DROP)
+
+
+def checked_text(values: Mapping[str, str]) -> str:
+    """Text of the design file of a data sheet, which has passed the checks of every design.
+
+    Parameters
+    ----------
+    values:
+        By the dotted key, what the data sheet says.
+
+    Raises
+    ------
+    InputError
+        Something is missing, wrong or contradictory; the message names the option.
+    """
+    lacking = missing(values)
+    if lacking:
+        also = " ".join(f"{value.flag} {_quoted(value.example)}" for value in lacking)
+        raise InputError(f"a design needs more of the data sheet; give {also} as well")
+    _, plain = _built(values, flags=True)
+    text = design_text(values, _used(plain))
+    _built(values, text, flags=True)
+    return text
+
+
+def _quoted(text: str) -> str:
+    return f'"{text}"' if " " in text else text
+
+
+def _used(design: Design) -> dict[str, str]:
+    """By the dotted key, what the design makes of a value that was converted, or takes it for."""
+    found = {}
+    for value in design.values:
+        if value.path in BY_KEY and value.note and not value.inferred:
+            unit = "rpm" if value.unit == "rad/s" else value.unit
+            found[value.path] = f"used: {format_quantity(value.si, unit)}; {value.note}"
+    for sentence in design.assumptions:
+        key, taken, _ = sentence.partition(" is taken as ")
+        if taken and key in BY_KEY and key not in found:
+            found[key] = sentence.removeprefix(f"{key} is ")
+    return found
+
+
+def _built(
+    values: Mapping[str, str], text: str = "", *, flags: bool = False
+) -> tuple[DesignFile, Design]:
+    text = text or design_text(values)
+    document = _document(values, text, flags=flags)
+    file = read_sections(document)
+    return file, build_design(file, Reading(document, text.encode("utf-8"), None))
+
+
+def _document(values: Mapping[str, str], text: str, *, flags: bool = False) -> YamlDocument:
+    """What a text holds; its values count as set by options, or by their names, for messages."""
+    options: dict[KeyPath, str] = {
+        tuple(value.key.split(".")): value.flag if flags else value.label
+        for value in SHEET_VALUES
+        if value.key in values
+    }
+    return replace(parse_yaml(text.encode("utf-8"), _SOURCE), options=options)

@@ -1,0 +1,1 @@
+"""Drives drawn at random, by which methods that hold for any drive are tried."""
