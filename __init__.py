@@ -1,7 +1,7 @@
 """dqforge: controller coefficients, loss budgets and checked C headers for permanent-magnet drives.
 
-From Python every function takes and returns SI numbers and arrays (docs/python.md). Names are
-loaded when they are first used, so that ``import dqforge`` costs next to nothing.
+From Python every function takes and returns SI numbers and arrays (docs/reference/python.md).
+Names are loaded when they are first used, so that ``import dqforge`` costs next to nothing.
 """
 
 from __future__ import annotations

@@ -15,41 +15,35 @@ import typer
 from dqforge.reports import answers
 from dqforge.reports.command_line import flags as given
 from dqforge.reports.command_line.designs import forget, load, locate
+from dqforge.reports.command_line.empty_app import application
 from dqforge.reports.command_line.exit_codes import exit_code
+from dqforge.reports.command_line.questions import asked_sheet
 from dqforge.reports.command_line.respond import respond
+from dqforge.reports.command_line.sheet_options import Sheet, with_sheet
 
-app = typer.Typer(
-    name="dqforge",
-    help="Controller coefficients, loss budgets and checked C headers for permanent-magnet drives.",
-    epilog="DESIGN is a design file, or the name of a drive that 'dqforge machines' lists.",
-    context_settings={"help_option_names": ["-h", "--help"]},
-    invoke_without_command=True,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
-
+app = application()
 
 _OUT = Path("out")
 
 
-@app.callback()
-def _root(context: typer.Context, _version: given.Version = False) -> None:
-    if context.invoked_subcommand is None:
-        typer.echo(context.get_help(), err=True)
-        raise typer.Exit(2)
-
-
 @app.command()
+@with_sheet
 def new(
     folder: given.Folder,
+    sheet: Sheet,
     machine: given.Template = None,
     source: given.Source = None,
+    template: given.Blank = False,
+    study: given.StudyOfNew = None,
+    yes: given.Yes = False,
     sets: given.SetOfNew = None,
     json: given.Json = False,
 ) -> None:
-    """Write a commented design file to start from, or one of another firmware's configuration."""
-    ask = partial(answers.library.answer_new, folder, machine, source, sets)
-    respond("new", ask, json, out=folder)
+    """Write a design file: of a data sheet, asked for in a terminal; a template; of firmware."""
+    asking = not (machine or source or template or study or yes or json)
+    texts = asked_sheet(folder, sheet, asking=asking)
+    asked = answers.library.NewRequest(machine, source, sets, texts, template, study)
+    respond("new", partial(answers.library.answer_new, folder, asked), json, out=folder)
 
 
 @app.command()
@@ -144,6 +138,22 @@ def tune(
 
 
 @app.command()
+def estimators(
+    design: given.Design,
+    out: given.OutOfPair = None,
+    sets: given.Set = None,
+    json: given.Json = False,
+    plot: given.Plot = None,
+    only: given.Only = None,
+    starts: given.Starts = 0,
+) -> None:
+    """Compare estimators of the position and start-ups over speed and load; say which to flash."""
+    ask = partial(answers.estimators.answer_estimators, only=only, starts=starts)
+    made = out is not None
+    respond("estimators", lambda: ask(load(design, sets), write=made), json, plot, out)
+
+
+@app.command()
 def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
     design: given.Design,
     sets: given.Set = None,
@@ -223,15 +233,60 @@ def reproduce(paper: given.Paper, json: given.Json = False, figures: given.Figur
 
 
 @app.command()
-def machines(name: given.Drive = None, json: given.Json = False) -> None:
-    """List the library of drives, or print one."""
-    respond("machines", lambda: answers.library.answer_machines(name), json)
+def explore(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
+    study: given.Study,
+    out: given.OutOfStudy = None,
+    workers: given.Workers = None,
+    scheduler: given.Scheduler = "",
+    scheduler_file: given.SchedulerFile = None,
+    tls_ca_file: given.TlsAuthority = "",
+    tls_cert: given.TlsCertificate = "",
+    tls_key: given.TlsKey = "",
+    mixed: given.Mixed = False,
+    time_limit: given.TimeLimit = None,
+    dry_run: given.DryRun = False,
+    limit: given.Limit = None,
+    restart: given.Restart = False,
+    reuse: given.Reuse = None,
+    table: given.TableOf = None,
+    where: given.Where = None,
+    sort: given.Sort = "",
+    first: given.First = None,
+    csv: given.CsvOf = None,
+    export: given.ExportOf = None,
+    plot: given.Plot = None,
+    json: given.Json = False,
+) -> int:
+    """Compute many variants of a design, in parts that a later run goes on with; look into them."""
+    tls = (tls_ca_file, tls_cert, tls_key)
+    where_run = answers.explore.Where(workers, scheduler, scheduler_file, tls, mixed, time_limit)
+    seen = answers.explore.Looked(table, tuple(where or ()), sort, first, csv, export)
+    asked = answers.explore.StudyRequest(
+        study, out, dry_run, limit, restart, where_run, seen, tuple(reuse or ()), plot is not None
+    )
+    ask = partial(answers.explore.answer_explore, asked)
+    return respond("explore", ask, json, plot, bar="reading the study", silent=json)
 
 
 @app.command()
-def schema(json: given.Json = False) -> None:
-    """Print the JSON Schema of the design file."""
-    respond("schema", answers.library.answer_schema, json)
+def machines(name: given.Drive = None, json: given.Json = False) -> None:
+    """List the library of drives, or print one."""
+    respond("machines", lambda: answers.machines.answer_machines(name), json)
+
+
+@app.command()
+def schema(
+    study: given.OfStudy = False, out: given.OutOfSchema = None, json: given.Json = False
+) -> None:
+    """Print the JSON Schema of the design file, or of the study file; or write it into a file."""
+    ask = partial(answers.library.answer_schema, study=study, out=out)
+    respond("schema", ask, json, out=None if out is None else out.parent)
+
+
+@app.command()
+def doctor(json: given.Json = False) -> int:
+    """Say what is here: compilers, emulator, packages; what each is for, and how to get it."""
+    return respond("doctor", answers.doctor.answer_doctor, json)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

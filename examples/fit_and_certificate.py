@@ -17,7 +17,7 @@ machine = dqforge.LinearMachine(
 
 def design_with(degree: int, segments: int) -> dqforge.Design:
     """A design of this machine with one form of its current reference."""
-    fit = {"form": "polynomial", "degree": degree, "segments": segments, "torque_max": 200.0}
+    fit = {"form": "polynomial", "degree": degree, "segments": segments, "max_torque": 200.0}
     return dqforge.make_design(machine, v_dc=500.0, f_sw=20e3, prefix="drive", fit=fit)
 
 

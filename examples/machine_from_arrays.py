@@ -43,7 +43,8 @@ print("within reach:", points.reached.tolist())
 # ## Efficiency map
 #
 # A machine alone has no losses but those of its winding; a design adds inverter, control and
-# everything that a design file may hold, by the same keys (docs/inputs.md), as numbers in SI units.
+# everything that a design file may hold, by the same keys (docs/reference/inputs.md), as numbers
+# in SI units.
 
 # %%
 design = dqforge.make_design(
@@ -53,7 +54,7 @@ design = dqforge.make_design(
     name="Machine from arrays",
     prefix="bench",
     inverter={"dead_time": 1e-6},
-    fit={"degree": 4, "segments": 2, "torque_max": 80.0},
+    fit={"degree": 4, "segments": 2, "max_torque": 80.0},
 )
 chart = dqforge.operating_map(design, torques=25, speeds=30)
 chart.plot("efficiency.svg")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from dqforge.reports.application.capability import APPLICATION
 from dqforge.reports.capability import Capability
+from dqforge.reports.current_feedback.capability import CURRENT_FEEDBACK
 from dqforge.reports.current_reference.capability import (
     CURRENT_REFERENCE,
     NEGATIVE_POINTS,
@@ -24,6 +26,9 @@ from dqforge.reports.operating_points.capability import OPERATING_POINTS
 from dqforge.reports.overmodulation.capability import OVERMODULATION
 from dqforge.reports.phase_control.capability import FIXED_CONTROL, FLOAT32_CONTROL
 from dqforge.reports.simulation.capability import FORMATS_NOT_SIMULATED, SIMULATION
+from dqforge.reports.six_step.capability import SIX_STEP
+from dqforge.reports.speed_measurement.capability import SPEED_MEASUREMENT
+from dqforge.reports.start_up.capability import START_UP
 from dqforge.reports.waveforms.capability import PHASE_REFERENCE, WAVEFORMS
 
 CAPABILITIES: tuple[Capability[Any], ...] = (
@@ -34,6 +39,7 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     LOOPS,
     NO_LOOPS,
     STABILITY,
+    CURRENT_FEEDBACK,
     DYNAMIC_REFERENCES,
     LOSSES,
     MISSION,
@@ -50,6 +56,10 @@ CAPABILITIES: tuple[Capability[Any], ...] = (
     POSITION_OBSERVER,
     FIXED_OBSERVER,
     SPEED_OBSERVER,
+    SIX_STEP,
+    START_UP,
+    SPEED_MEASUREMENT,
+    APPLICATION,
     FIRMWARE,
     FORMATS_NOT_SIMULATED,
     SIMULATION,

@@ -42,12 +42,15 @@ class ReportPart:
     file) and what it prints.
 
     The template sees ``data``, the capability's ``figures`` by name, and imports the macros of
-    ``pages/parts.html.j2``.
+    ``pages/parts.html.j2``. It has no heading of the chapter, which the frame of the report writes
+    once; headings of its own begin with ``<h3>``. ``key`` is the key number of the chapter, which
+    stands beside its heading.
     """
 
     chapter: Chapter
     template: str
     data: PlainData
+    key: str | Markup = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 PlainData = dict[str, Any]
+
+
+def finite(value: float) -> float | None:
+    """The number, or null for what JSON cannot hold."""
+    return value if math.isfinite(value) else None
 
 
 def shortest(value: np.float32) -> float:

@@ -11,14 +11,19 @@ from typing import TYPE_CHECKING, Any
 from dqforge import __version__
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.optimizer.current_reference.forms import SignedReference
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Capability, Outcome, Tile, asked_for
+from dqforge.reports.convention_text import convention_lines
 from dqforge.reports.main_header.dialect import Dialect
 from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 from dqforge.reports.main_header.header import header_context
+from dqforge.reports.page_frame.file_list import ListedFile, files_table
+from dqforge.reports.page_frame.page_scripts import FIGURES, FOLDING, page_scripts
 from dqforge.reports.pages.chapters import CHAPTERS
-from dqforge.reports.pages.figures_style import to_svg
+from dqforge.reports.pages.html_table import HtmlTable, counted
 from dqforge.reports.pages.html_text import NARROW, count, number, quantity, symbols, unit_text
+from dqforge.reports.pages.page_figure import page_figure
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.verification.text import compared
@@ -32,14 +37,22 @@ if TYPE_CHECKING:
 
 Found = Sequence[tuple[Capability[Any], Any]]
 
+FILES = "What this run wrote beside this page"
+"""Caption of the table of files."""
+
 
 @dataclass(frozen=True, slots=True)
 class WrittenChapter:
-    """A chapter as it stands in the report; its text is empty where nobody wrote a part of it."""
+    """A chapter as it stands in the report; its text is empty where nobody wrote a part of it.
+
+    ``told`` stands beside its heading: its key number, and what it holds.
+    """
 
     id: str
     title: str
     text: Markup
+    told: Markup
+    folded: bool = False
 
 
 def verification_text(verification: Verification | None) -> tuple[str, str]:
@@ -92,27 +105,61 @@ def chapters(solution: Solution, found: Found) -> list[WrittenChapter]:
     from markupsafe import Markup
 
     texts: dict[Any, str] = dict.fromkeys(CHAPTERS, "")
+    keys: dict[Any, str | Markup] = {}
     for capability, result in found:
         parts = capability.parts(solution, result)
         drawings = capability.figures(solution, result) if parts else {}
-        figures = {name: Markup(to_svg(draw())) for name, draw in drawings.items()}
+        prefix = solution.design.export.prefix
+        figures = {
+            name: page_figure(draw(), f"{prefix}-{name.replace('_', '-')}")
+            for name, draw in drawings.items()
+        }
         for part in parts:
             before = texts.get(part.chapter, "")
             if not before and part.chapter.opening:
                 before = render(part.chapter.opening, {})
             text = render(part.template, {"data": part.data, "figures": figures})
             texts[part.chapter] = before + text
-    return [WrittenChapter(key.id, key.title, Markup(text)) for key, text in texts.items()]
+            keys[part.chapter] = keys.get(part.chapter) or part.key
+    return [
+        WrittenChapter(
+            each.id, each.title, Markup(text), _told(keys.get(each, ""), text), each.folded
+        )
+        for each, text in texts.items()
+    ]
 
 
-def _contents(design: Design, written: Sequence[WrittenChapter]) -> list[tuple[str, str]]:
+def _told(key: str | Markup, text: str) -> Markup:
+    """What stands beside the heading of a chapter."""
+    from markupsafe import Markup
+
+    figures = text.count('<figure class="drawing')
+    tables = text.count('<figure class="table') + text.count('<details class="table')
+    held = [counted(many, what) for many, what in ((figures, "figure"), (tables, "table")) if many]
+    shown = [Markup("<strong>{}</strong>").format(key)] if key else []
+    return Markup(" ").join([*shown, Markup(", ".join(held))])
+
+
+def _contents(
+    design: Design, written: Sequence[WrittenChapter], beside: HtmlTable | None
+) -> list[tuple[str, str]]:
     return [
         ("summary", "Summary"),
         ("machine", "Machine and assumptions"),
         *((chapter.id, chapter.title) for chapter in written if chapter.text),
         ("header", f"{design.export.prefix}.h"),
+        *([] if beside is None else [("files", "Files")]),
         ("conventions", "Conventions"),
     ]
+
+
+def _beside(files: Sequence[ListedFile]) -> HtmlTable | None:
+    """The files beside the report, None where it stands alone."""
+    note = (
+        "The links lead to them as long as this page lies in the folder of the run. The manifest "
+        "has the whole SHA-256 of every file, this page included."
+    )
+    return files_table(files, FILES, note) if files else None
 
 
 def report_context(
@@ -120,23 +167,30 @@ def report_context(
     verification: Verification | None,
     capabilities: Capabilities = CAPABILITIES,
     dialect: Dialect = NEUTRAL,
+    files: Sequence[ListedFile] = (),
 ) -> PlainData:
     """Everything that the frame of the report prints."""
     design, found = outcome.design, asked_for(capabilities, outcome)
-    written = chapters(outcome.solution, found)
+    written, beside = chapters(outcome.solution, found), _beside(files)
+    values = value_rows(design)
     return {
         "name": design.name,
         "about": design.about,
         "version": __version__,
         "digest": design.digest,
-        "sections": _contents(design, written),
+        "scripts": page_scripts(FIGURES, FOLDING),
+        "sections": _contents(design, written, beside),
         "summary": summary(outcome, found),
         "tiles": tiles(outcome.solution, found, verification),
         "facts": fact_rows(design),
-        "values": value_rows(design),
+        "values": values,
+        "values_told": values_told(values),
         "assumptions": other_assumptions(design),
         "chapters": written,
         "header": header_context(outcome.solution, dialect),
+        "signed": isinstance(outcome.solution.reference, SignedReference),
+        "files": beside,
+        "conventions": convention_lines(outcome.solution),
         "verification": {
             "done": verification is not None,
             "text": verification_text(verification)[1],
@@ -150,6 +204,7 @@ def render_report(
     simulation: DriveSimulation | None = None,
     capabilities: Capabilities = CAPABILITIES,
     dialect: Dialect = NEUTRAL,
+    files: Sequence[ListedFile] = (),
 ) -> str:
     """The report of a solution as one HTML document.
 
@@ -166,9 +221,11 @@ def render_report(
         Those of the product, or these and some from outside.
     dialect:
         Whose names the main header takes.
+    files:
+        What lies beside the report; without any it says nothing of files.
     """
     outcome = Outcome(solution, verification is not None, simulation)
-    context = report_context(outcome, verification, capabilities, dialect)
+    context = report_context(outcome, verification, capabilities, dialect, files)
     return render("pages/report.html.j2", context)
 
 
@@ -209,6 +266,12 @@ def value_rows(design: Design) -> list[PlainData]:
         }
         for value in design.values
     ]
+
+
+def values_told(values: Sequence[PlainData]) -> str:
+    """What the folded table of values says of itself."""
+    inferred = sum(value["inferred"] for value in values)
+    return f"{counted(len(values), 'value')}{f', {count(inferred)} inferred' if inferred else ''}"
 
 
 def other_assumptions(design: Design) -> list[str]:

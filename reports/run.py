@@ -4,10 +4,12 @@ gather the files to be written.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
+from dqforge.optimizer.control_design.observed_refusal import require_observed
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Outcome, asked_for
@@ -21,6 +23,7 @@ from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.report import render_report
 from dqforge.reports.result import plain_outcome, plain_solution
+from dqforge.reports.run_folder import RESULT, listed_files
 from dqforge.reports.verification.host import Verification, verify_files
 from dqforge.reports.written_headers import programmes
 
@@ -30,13 +33,38 @@ class RunOutput:
     """What a run made: the solution, the outcome of the verification (None if it was skipped),
     and the files.
 
-    ``plain`` is what ``result.json`` holds.
+    ``plain`` is what ``result.json`` holds, ``told`` says by name what each file is.
     """
 
     solution: Solution
     verification: Verification | None
     files: dict[str, bytes]
     plain: PlainData
+    told: dict[str, str] = field(default_factory=dict)
+
+
+Told = Iterator[tuple[str, dict[str, bytes]]]
+
+
+def _emitted(solution: Solution, capabilities: Capabilities, dialect: Dialect) -> Told:
+    """What is emitted, in a few words, with its files."""
+    yield "current reference, gains and bases of the drive", header_files(solution, dialect)
+    for capability, found in asked_for(capabilities, Outcome(solution)):
+        for kind in capability.headers:
+            if kind.plain(solution, found) is not None:
+                yield capability.title, kind.files(solution, found)
+        yield capability.title, capability.emitted(solution, found)
+
+
+def _words(made: Told) -> tuple[dict[str, bytes], dict[str, str]]:
+    """Files by name, and what each is."""
+    files: dict[str, bytes] = {}
+    told: dict[str, str] = {}
+    for title, contents in made:
+        files |= contents
+        for name in contents:
+            told[name] = f"test vectors: {title}" if name.endswith("_vectors.h") else title
+    return files, told
 
 
 def emitted_files(
@@ -45,13 +73,7 @@ def emitted_files(
     """Names and bytes of all headers of a solution, and of what is emitted beside them; arguments
     as of `export_design`.
     """
-    files = header_files(solution, dialect)
-    for capability, found in asked_for(capabilities, Outcome(solution)):
-        for kind in capability.headers:
-            if kind.plain(solution, found) is not None:
-                files |= kind.files(solution, found)
-        files |= capability.emitted(solution, found)
-    return files
+    return _words(_emitted(solution, capabilities, dialect))[0]
 
 
 def _verified(
@@ -97,17 +119,20 @@ def export_design(
 
     Raises
     ------
+    InputError, NoSolutionError
+        As `require_observed`.
     VerificationError
         The compiled header differs from the model, or no compiler is there to try it.
     """
     stage("solving")
     solution = solve(design)
+    require_observed(design, solution.loops)
     stage("emitting the headers")
-    files = emitted_files(solution, capabilities, dialect)
+    files, told = _words(_emitted(solution, capabilities, dialect))
     plain = plain_solution(solution, capabilities)
     verification = _verified(solution, files, plain, capabilities) if verify else None
-    files["result.json"] = _result(design, plain)
-    return RunOutput(solution, verification, files, plain)
+    files[RESULT], told[RESULT] = _result(design, plain), "every number of this run, as JSON"
+    return RunOutput(solution, verification, files, plain, told)
 
 
 @on_design("machine")
@@ -133,11 +158,16 @@ def run_design(
     outcome = Outcome(output.solution, output.verification is not None, simulation)
     if simulation is not None:
         plain = output.plain | plain_outcome(outcome, capabilities)
-        output.files["result.json"] = _result(design, plain)
-    for capability, found in asked_for(capabilities, outcome):
-        output.files.update(capability.files(output.solution, found))
+        output.files[RESULT] = _result(design, plain)
+    further, told = _words(
+        (capability.title, capability.files(output.solution, found))
+        for capability, found in asked_for(capabilities, outcome)
+    )
+    output.files.update(further)
+    output.told.update(told)
     stage("writing the report")
+    listed = listed_files(output.files, output.told, design.given)
     output.files["report.html"] = render_report(
-        output.solution, output.verification, simulation, capabilities, dialect
+        output.solution, output.verification, simulation, capabilities, dialect, listed
     ).encode("utf-8")
     return output

@@ -6,17 +6,23 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from dqforge.reports.pages.console import LOADING, QUICK_S, stage, status
+
 if TYPE_CHECKING:
     from dqforge.reports.answers import (
         bemf,
         check,
         compare,
+        doctor,
         dqy,
+        estimators,
         explain,
+        explore,
         export,
         fit,
         library,
         losses,
+        machines,
         mtpa,
         reproduce,
         run,
@@ -29,12 +35,16 @@ __all__ = [
     "bemf",
     "check",
     "compare",
+    "doctor",
     "dqy",
+    "estimators",
     "explain",
+    "explore",
     "export",
     "fit",
     "library",
     "losses",
+    "machines",
     "mtpa",
     "reproduce",
     "run",
@@ -47,4 +57,7 @@ __all__ = [
 def __getattr__(name: str) -> ModuleType:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return import_module(f"{__name__}.{name}")
+    # Numerical libraries take a second or more on a slow disk, before anything else is under way.
+    with status(LOADING, after=QUICK_S):
+        stage(LOADING)
+        return import_module(f"{__name__}.{name}")

@@ -13,7 +13,7 @@ from dqforge.reports.back_emf.capture import (
     read_capture,
 )
 from dqforge.reports.pages.answer import Answer
-from dqforge.reports.pages.console import shares
+from dqforge.reports.pages.console import shares, stage
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,6 +24,7 @@ __all__ = ["CaptureRequest", "answer_bemf"]
 
 def answer_bemf(paths: Sequence[Path], request: CaptureRequest) -> Answer:
     """Read and analyse a capture; raises as `read_capture`."""
+    stage("reading the capture")
     reading = read_capture(paths, request, shares())
 
     def figure() -> Figure:

@@ -6,12 +6,33 @@ from dataclasses import replace
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.overrides import OPTION
+from dqforge.machines.names import SPEED_OBSERVER, TRACKER_NAMES
+from dqforge.optimizer.control_design.gain_set import solve_gains
+from dqforge.optimizer.control_design.observed_refusal import require_observed
+from dqforge.optimizer.current_feedback.regulator_numbers import regulator_plan
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.optimizer.dynamic_references.voltage_feedback import require_feedback
 from dqforge.optimizer.fixed_control.design import require_scales
+from dqforge.optimizer.six_step.design import solve_six_step
+from dqforge.optimizer.start_up.solve import solve_start_up
+from dqforge.reports.current_feedback.tables import settings_table
+from dqforge.reports.observers.speed_loop_text import leaving_notes
 from dqforge.reports.pages.answer import Answer
+from dqforge.reports.pages.console import stage
 from dqforge.reports.result import plain_design
 from dqforge.reports.summary import check_tables
+
+
+def _speed_on_observer(design: Design) -> bool:
+    """Whether the speed loop runs on a position observer, or a tracker tells the angle, which
+    physics may forbid: then a run may refuse it. A six-step drive is judged by itself.
+    """
+    control = design.control
+    if control.observer is None or control.six_step is not None:
+        return False
+    if control.observer.method in TRACKER_NAMES:
+        return control.gains != "none"
+    return control.speed_loop is not None and control.observer.method != SPEED_OBSERVER
 
 
 def answer_check(design: Design) -> Answer:
@@ -22,11 +43,27 @@ def answer_check(design: Design) -> Answer:
     InputError
         The bases of fixed-point control do not hold the largest values, or the voltage feedback
         of the references has nothing to do or turns the flux.
+    NoSolutionError
+        A loop does not hold, of a design whose speed loop runs on a position observer, it is a
+        six-step drive that holds at no speed, or physics forbids its start.
     """
+    stage("checking")
     require_feedback(design)
+    solve_six_step(design)
     if set(design.export.control) & set(FIXED_WIDTHS):
         require_scales(design)
+    leaving: tuple[str, ...] = ()
+    if _speed_on_observer(design):
+        stage("judging the speed loop on its observer")
+        gains = solve_gains(design)
+        require_observed(design, gains)
+        leaving = leaving_notes(gains.speed)
+    stage("judging the start")
+    solve_start_up(design)
     first, *others = check_tables(design)
+    first = replace(first, notes=(*first.notes, *leaving)) if leaving else first
+    if design.control.current_loop.switches:
+        others.append(settings_table(regulator_plan(design)))
     options = () if design.places is None else dict.fromkeys(design.places.options.values())
     keys = tuple(option.removeprefix(f"{OPTION} ") for option in options)
     if keys:

@@ -36,7 +36,7 @@ def answer_compare(first: str, second: str, settings: Sequence[str] | None = Non
     def load_second(name: str) -> Design:
         return load(name, settings)
 
-    stage("solving")
+    stage("reading the files")
     theirs = firmware_side(second)
     if settings and (theirs is not None or is_written(second)):
         raise InputError(
@@ -46,6 +46,7 @@ def answer_compare(first: str, second: str, settings: Sequence[str] | None = Non
     b = read_side(second, load_second) if theirs is None else theirs
     said = " ".join([second, *(f"{OPTION} {setting}" for setting in settings or ())])
     a = read_side(first, load) if ours is None else ours
+    stage("comparing")
     found = compare_sides(a, replace(b, source=said))
     names = f"{found.a.name} | {found.b.name}"
     return Answer(names, comparison_tables(found), {"comparison": plain_comparison(found)})

@@ -24,6 +24,7 @@ from dqforge.reports.firmware_files.plain import (
 from dqforge.reports.firmware_files.recognised import known_files, read_configuration, recognised
 from dqforge.reports.firmware_files.tables import explained_tables, own_tables
 from dqforge.reports.pages.answer import Answer
+from dqforge.reports.pages.console import stage
 
 _MADE_HERE = "made by dqforge"
 
@@ -52,6 +53,7 @@ def answer_explain(files: Sequence[Path], machine: str | None) -> Answer:
     if not files:
         raise InputError("explain: no file is named; write the file of a firmware")
     values = None if machine is None else drive_values(load(machine))
+    stage("reading the files")
     if len(files) == 1:
         if files[0].is_dir():
             return _own(str(files[0]), values)

@@ -1,50 +1,128 @@
-"""What `dqforge new`, `machines` and `schema` answer: the library of drives,
-and the form of a design file.
-"""
+"""What `dqforge new` and `schema` answer: a design file to start from, and the form of one."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from dqforge.machines.data_sheet.judged import checked_text
+from dqforge.machines.data_sheet.sheet_values import BY_KEY
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.schema import json_schema
 from dqforge.machines.errors import InputError
+from dqforge.machines.exploration import catalogue as studies
+from dqforge.machines.exploration.study_schema import study_json_schema
+from dqforge.machines.files.library_files import (
+    DESIGN_SCHEMA,
+    STUDY_SCHEMA,
+    schema_bytes,
+    with_modeline,
+)
+from dqforge.reports.answers.check import answer_check
+from dqforge.reports.command_line.designs import NEW_DESIGN, NEW_STUDY, new_file
 from dqforge.reports.firmware_files.design_made import design_from_files
 from dqforge.reports.firmware_files.plain import plain_configuration
 from dqforge.reports.pages.answer import Answer, Files
-from dqforge.reports.pages.table import Table
-
-_FILE = "design.yaml"
 
 
-def answer_new(
-    folder: Path,
-    machine: str | None,
-    files: Sequence[Path] | None = None,
-    settings: Sequence[str] | None = None,
-) -> Answer:
-    """A commented design file to start from: of the library, or of files of other firmware.
+@dataclass(frozen=True, slots=True)
+class NewRequest:
+    """What a new file is made of; nothing: the general template.
+
+    Parameters
+    ----------
+    machine:
+        Name of a drive in the library.
+    files, settings:
+        As `answer_new_from`.
+    sheet:
+        By the dotted key, what a data sheet says, as the options of the command line have it.
+    template:
+        Whether the general template is asked for.
+    study:
+        Name of a study in the library, which is made instead of a design.
+    """
+
+    machine: str | None = None
+    files: Sequence[Path] | None = None
+    settings: Sequence[str] | None = None
+    sheet: Mapping[str, str] | None = None
+    template: bool = False
+    study: str | None = None
+
+
+def answer_new(folder: Path, asked: NewRequest) -> Answer:
+    """A commented design file to start from: of a data sheet, of the library, of files of other
+    firmware, or a general one; or a study of the library. Its schema goes beside it.
 
     Raises
     ------
     InputError
-        The library has no such drive, or the folder has a design file already; or as
+        The library has no such entry, the data sheet lacks or contradicts something, the folder
+        has such a file already, or more than one of the ways is asked for; or as
         `answer_new_from`.
     """
-    if files:
-        if machine is not None:
-            raise InputError("--machine: leave it out with --from, which says what machine it is")
-        return answer_new_from(folder, files, settings)
-    if settings:
+    _refuse_two_ways(asked)
+    if asked.files:
+        return answer_new_from(folder, asked.files, asked.settings)
+    if asked.settings:
         raise InputError("--set: goes with --from; edit the design file that is written instead")
-    content, path = catalogue.template(machine), folder / _FILE
-    if path.exists():
-        raise InputError(f"{path} exists already and is kept; choose another folder")
-    note = f"{path} written; next: dqforge check {path}"
-    made = Files({_FILE: content}, "", named=False)
-    return Answer(machine or "", (), {"next": f"dqforge check {path}"}, files=made, notes=(note,))
+    if asked.study is not None:
+        return _answer_new_study(folder, asked.study)
+    path = new_file(folder, NEW_DESIGN)
+    if asked.sheet:
+        return _answer_new_of(asked.sheet, path)
+    files = design_files(catalogue.template(asked.machine))
+    return _written(asked.machine or "", path, f"dqforge check {path}", files)
+
+
+def _answer_new_study(folder: Path, name: str) -> Answer:
+    path, schema = new_file(folder, NEW_STUDY), STUDY_SCHEMA
+    text = with_modeline(studies.read_text(name), schema)
+    files = Files({path.name: text, schema: schema_bytes(schema)}, "", named=False)
+    return _written(name, path, f"dqforge explore {path} --dry-run", files)
+
+
+def _written(name: str, path: Path, following: str, files: Files) -> Answer:
+    note = f"{path} written; next: {following}"
+    return Answer(name, (), {"next": following}, files=files, notes=(note,))
+
+
+def _refuse_two_ways(asked: NewRequest) -> None:
+    given = [BY_KEY[key].flag for key in asked.sheet or ()]
+    ways = {
+        "--from": asked.files,
+        "--machine": asked.machine,
+        "--template": asked.template,
+        "--study": asked.study,
+    }
+    given += [way for way, is_asked in ways.items() if is_asked]
+    if len(given) > 1 and set(given) & set(ways):
+        raise InputError(
+            f"{given[0]} and {given[-1]} both say what is to be made; leave one of them out"
+        )
+
+
+def _answer_new_of(sheet: Mapping[str, str], path: Path) -> Answer:
+    """The design of a data sheet, and what `dqforge check` says of it."""
+    files = design_files(checked_text(sheet).encode("utf-8"))
+    checked = answer_check(load_text(files.contents[NEW_DESIGN], str(path)))
+    following = f"dqforge tune {path}"
+    notes = (*checked.notes, f"{path} written; next: {following}")
+    plain = {"next": following} | checked.plain
+    return replace(checked, plain=plain, files=files, notes=notes)
+
+
+def design_files(text: bytes) -> Files:
+    """What `dqforge new` writes: a design, and the schema that its first line names to editors."""
+    contents = {
+        NEW_DESIGN: with_modeline(text, DESIGN_SCHEMA),
+        DESIGN_SCHEMA: schema_bytes(DESIGN_SCHEMA),
+    }
+    return Files(contents, "", named=False)
 
 
 def answer_new_from(
@@ -67,9 +145,7 @@ def answer_new_from(
         A file is of no known firmware, a value in it is none that a design can have, or the folder
         has a design file already.
     """
-    path = folder / _FILE
-    if path.exists():
-        raise InputError(f"{path} exists already and is kept; choose another folder")
+    path = new_file(folder, NEW_DESIGN)
     made = design_from_files(files, settings or ())
     notes = [f"{path} written, from {', '.join(file.name for file in files)}"]
     notes += [f"contradiction: {sentence}" for sentence in made.configuration.contradictions]
@@ -84,24 +160,23 @@ def answer_new_from(
         "wanted": [key for key, _ in made.wanted],
         "configuration": plain_configuration(made.configuration),
     }
-    contents = Files({_FILE: made.text.encode("utf-8")}, "", named=False)
+    contents = design_files(made.text.encode("utf-8"))
     return Answer(made.configuration.name, (), plain, files=contents, notes=tuple(notes))
 
 
-def answer_machines(name: str | None) -> Answer:
-    """The drives of the library, or the design file of one."""
-    if name is not None:
-        text = catalogue.read_text(name).decode("utf-8")
-        return Answer(name, (), {"text": text}, notes=(text.removesuffix("\n"),))
-    loaded = [(entry, catalogue.load(entry)) for entry in catalogue.names()]
-    rows = tuple((entry, design.name, design.about) for entry, design in loaded)
-    note = "dqforge new DIR --machine NAME starts from one"
-    table = Table("Library drives", ("name", "drive", "about"), rows, (note,))
-    drives = [dict(zip(table.columns, row, strict=True)) for row in rows]
-    return Answer("", [table], {"machines": drives})
-
-
-def answer_schema() -> Answer:
-    """The JSON Schema of the design file."""
-    schema = json_schema()
-    return Answer("", (), {"schema": schema}, notes=(json.dumps(schema, indent=1),))
+def answer_schema(*, study: bool = False, out: Path | None = None) -> Answer:
+    """The JSON Schema of the design file, or of the study file; printed, or written to ``out``."""
+    schema = study_json_schema() if study else json_schema()
+    text = json.dumps(schema, indent=1)
+    if out is None:
+        return Answer("", (), {"schema": schema}, notes=(text,))
+    line = with_modeline(b"", out.name).decode("utf-8").removesuffix("\n")
+    kind = "study" if study else "design"
+    note = f"first line of a {kind} beside it, for editors: {line}"
+    return Answer(
+        "",
+        (),
+        {"schema": schema},
+        files=Files({out.name: f"{text}\n".encode()}, ""),
+        notes=(note,),
+    )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.losses.solve import require_losses
+from dqforge.reports.current_feedback.question import with_regulators
 from dqforge.reports.losses.plain import plain_losses
 from dqforge.reports.losses.question import LossRequest, answer
 from dqforge.reports.losses.tables import losses_tables
@@ -31,6 +32,11 @@ def answer_losses(design: Design, request: LossRequest, *, choice: bool) -> Answ
     InputError
         As `answer` and `answer_choice`, and where options do not go together.
     """
+    if design.control.six_step is not None:
+        raise InputError(
+            "losses: the loss budget is that of sinusoidal currents, and control.observer makes "
+            "this a six-step drive; simulate it, or write another observer"
+        )
     if choice:
         if request != LossRequest():
             raise InputError(
@@ -59,4 +65,5 @@ def _points(design: Design) -> Answer:
         return plot_losses(design, found)
 
     plain = {"losses": plain_losses(found)}
-    return Answer(design.name, losses_tables(design, found), plain, figure)
+    answered = Answer(design.name, losses_tables(design, found), plain, figure)
+    return with_regulators(design, answered) if design.control.current_loop.switches else answered

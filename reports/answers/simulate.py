@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
+from dqforge.reports.current_feedback.question import answer_regulator
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.output.folder import SIMULATION, refuse_other_design
 from dqforge.reports.pages.answer import Answer, Files
@@ -22,8 +23,11 @@ if TYPE_CHECKING:
 def answer_simulate(design: Design, out: Path, *, switched: bool) -> Answer:
     """Simulate a design.
 
-    Raises as `simulate_with_firmware`, and where ``out`` holds another design's headers.
+    A current loop that switches the bridge itself is run at constant speed. Raises as
+    `simulate_with_firmware`, and where ``out`` holds another design's headers.
     """
+    if design.control.current_loop.switches:
+        return answer_regulator(design)
     require_scenario(design, switched=switched)
     refuse_other_design(out, design.digest, design.export.prefix)
     stage("simulating")

@@ -52,6 +52,8 @@ def plot_capture(reading: CaptureReading) -> Figure:
     """Record, averaged period over the electrical angle, and harmonics of each
     phase with their uncertainty.
     """
+    from matplotlib.transforms import ScaledTranslation
+
     result = reading.result
     with style():
         figure = new_figure(
@@ -76,15 +78,18 @@ def plot_capture(reading: CaptureReading) -> Figure:
         )
         shown = (result.orders > 1) & (result.orders <= _SHOWN_ORDERS)
         base = result.amplitudes[:, :1]
-        for j, colour in enumerate(PHASE_COLOURS.values()):
+        for j, (phase, colour) in enumerate(PHASE_COLOURS.items()):
+            aside = ScaledTranslation(1.8 * (j - 1) / 72.0, 0.0, figure.dpi_scale_trans)
             right.errorbar(
-                result.orders[shown] + 0.24 * (j - 1),
+                result.orders[shown],
                 100.0 * (result.amplitudes / base)[j, shown],
                 yerr=np.nan_to_num(100.0 * (result.amplitude_uncertainty / base)[j, shown]),
                 fmt="o",
                 markersize=2.5,
                 linewidth=0.8,
                 color=colour,
+                label=phase,
+                transform=right.transData + aside,
             )
         right.set(
             xlabel="Order", ylabel="% of the fundamental", title="Harmonics", ylim=(0.0, None)

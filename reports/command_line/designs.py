@@ -1,4 +1,4 @@
-"""Designs by what the command line names: a file, or a drive of the library."""
+"""Designs by what the command line names: a file, a drive of the library, one to be made."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
     from dqforge.machines.errors import DqforgeError
+
+
+NEW_DESIGN, NEW_STUDY = "design.yaml", "study.yaml"
+
+"""Names of the files that `dqforge new` makes."""
 
 
 _loaded: ContextVar[tuple[Design, ...]] = ContextVar("_loaded", default=())
@@ -33,11 +38,23 @@ def load(name: str, settings: Sequence[str] | None = None) -> Design:
         There is no such design, or it is wrong.
     """
     from dqforge.machines.design import catalogue, loader
+    from dqforge.reports.pages.console import stage
 
+    stage("reading the design")
     from_library = not Path(name).exists() and name in catalogue.names()
     loaded = (catalogue.load if from_library else loader.load_design)(name, settings or ())
     _loaded.set((*_loaded.get(), loaded))
     return loaded
+
+
+def new_file(folder: Path, name: str) -> Path:
+    """A file to be made in a folder; raises `InputError` where there is one of its name."""
+    from dqforge.machines.errors import InputError
+
+    path = folder / name
+    if path.exists():
+        raise InputError(f"{path} exists already and is kept; choose another folder")
+    return path
 
 
 def forget() -> None:

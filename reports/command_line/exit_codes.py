@@ -4,6 +4,7 @@ and never a traceback.
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import warnings
@@ -11,6 +12,9 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from dqforge.machines.errors import DqforgeError
+from dqforge.reports.command_line.refusals import tell
+from dqforge.reports.operating_system import system
+from dqforge.reports.operating_system.console_encoding import spell_out
 
 INTERRUPTED = 130
 
@@ -29,6 +33,7 @@ def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], No
     from typer.exceptions import TyperException
 
     _open_streams()
+    spell_out()
     try:
         with warnings.catch_warnings():
             # Numerical trouble ends in a message; what libraries remark on
@@ -40,10 +45,10 @@ def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], No
     except DqforgeError as error:
         code = _refused(error, locate)
     except TyperException as error:
-        _tell(_usage_line(error))
+        tell(_usage_line(error))
         code = 2
     except (typer.Abort, KeyboardInterrupt):
-        _tell("interrupted")
+        tell("interrupted")
         code = INTERRUPTED
     except (BrokenPipeError, SystemExit) as error:
         left = isinstance(error, BrokenPipeError) or isinstance(error.__context__, BrokenPipeError)
@@ -52,8 +57,9 @@ def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], No
         code = 0  # the reader of a pipe has left; there is nobody to tell
         _drop_output()
     except OSError as error:
-        _tell(_system_line(error))
-        code = 1
+        code = 0 if _left_on_windows(error) else 1
+        if code:
+            tell(_system_line(error))
         _drop_output()
     except (ArithmeticError, RuntimeWarning, ValueError) as error:
         from dqforge.machines.design.numerical import refusal_of
@@ -65,9 +71,14 @@ def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], No
     return code if isinstance(code, int) else 0
 
 
+def _left_on_windows(error: OSError) -> bool:
+    """Whether this is how Windows says that the reader of a pipe has left."""
+    return system.WINDOWS and error.errno == errno.EINVAL and error.filename is None
+
+
 def _refused(error: DqforgeError, locate: Callable[[DqforgeError], None]) -> int:
     locate(error)
-    _tell(str(error))
+    tell(str(error), error)
     return error.exit_code
 
 
@@ -114,10 +125,3 @@ def _system_line(error: OSError) -> str:
         f"the system refuses a file{named}: {reason}; is the disk, or the folder that TMPDIR "
         "names, full?"
     )
-
-
-def _tell(message: str) -> None:
-    """One line on stderr, if that can still be written."""
-    with suppress(OSError):
-        sys.stderr.write(f"dqforge: {message}\n")
-        sys.stderr.flush()

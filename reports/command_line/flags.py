@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 from typer import Argument, Exit, Option, echo
 
 from dqforge import __version__
+from dqforge.reports.command_line.completions import designs, drives, studies
 
 
 def _text(flag: str, metavar: str, words: str) -> Any:
     return Option(flag, metavar=metavar, help=words)
 
 
-def _argument(metavar: str, words: str) -> Any:
-    return Argument(metavar=metavar, help=words)
+def _argument(metavar: str, words: str, begun: Callable[[str], list[str]] | None = None) -> Any:
+    """An argument; ``begun`` offers the shell what begins like what is typed."""
+    return Argument(metavar=metavar, help=words, autocompletion=begun)
 
 
 def _print_version(value: bool) -> None:
@@ -45,7 +48,7 @@ _CAPTURE = "Capture with time, or angle, and three phases; or a file per channel
 _CORE = "Emulated core, too: cortex-m0plus, -m3, -m4, -m7 or -m33."
 
 
-Design = Annotated[str, _argument("DESIGN", _DRIVE)]
+Design = Annotated[str, _argument("DESIGN", _DRIVE, designs)]
 
 
 Folder = Annotated[Path, _argument("DIR", "Folder to make; it gets a file design.yaml.")]
@@ -54,10 +57,10 @@ Folder = Annotated[Path, _argument("DIR", "Folder to make; it gets a file design
 Written = Annotated[Path, _argument("OUT", "Folder that 'dqforge run' or 'export' wrote.")]
 
 
-SideA = Annotated[str, _argument("A", _SIDE)]
+SideA = Annotated[str, _argument("A", _SIDE, designs)]
 
 
-SideB = Annotated[str, _argument("B", "The same; differences are those of B against A.")]
+SideB = Annotated[str, _argument("B", "The same; differences are those of B against A.", designs)]
 
 
 Captures = Annotated[list[Path], _argument("FILE...", _CAPTURE)]
@@ -66,7 +69,7 @@ Captures = Annotated[list[Path], _argument("FILE...", _CAPTURE)]
 Paper = Annotated[str, _argument("PAPER", "Number of the paper: 000, 001 or 002.")]
 
 
-Drive = Annotated[str | None, _argument("NAME", "Print this drive's design file.")]
+Drive = Annotated[str | None, _argument("NAME", "Print this drive's design file.", drives)]
 
 
 Set = Annotated[list[str] | None, _text("--set", "KEY=VALUE", f"{_SET}.")]
@@ -75,10 +78,25 @@ Set = Annotated[list[str] | None, _text("--set", "KEY=VALUE", f"{_SET}.")]
 SetOfB = Annotated[list[str] | None, _text("--set", "KEY=VALUE", f"{_SET}; of B.")]
 
 
+OfStudy = Annotated[bool, Option("--study", help="That of a study of many designs.")]
+
+
+OutOfSchema = Annotated[
+    Path | None, Option("-o", "--out", metavar="FILE", help="File to write, for editors.")
+]
+
+
 Json = Annotated[bool, Option("--json", help="Print the result as JSON.")]
 
 
-Plot = Annotated[Path | None, _text("--plot", "FILE", "Draw into an .svg, .png or .pdf file.")]
+Plot = Annotated[
+    Path | None,
+    _text(
+        "--plot",
+        "FILE",
+        "Draw into an .svg, .png or .pdf file; a .csv has the data.",
+    ),
+]
 
 
 Out = Annotated[Path, Option("-o", "--out", metavar="OUT", help="Folder to write into.")]
@@ -126,7 +144,21 @@ OnMachine = Annotated[
 ]
 
 
-Template = Annotated[str | None, _text("--machine", "NAME", "Start from a library drive.")]
+Template = Annotated[
+    str | None,
+    Option("--machine", metavar="NAME", help="Start from a library drive.", autocompletion=drives),
+]
+
+
+Blank = Annotated[bool, Option("--template", help="The commented template, without a question.")]
+
+
+StudyOfNew = Annotated[str | None, _text("--study", "NAME", "A study of the library instead.")]
+
+
+Yes = Annotated[
+    bool, Option("--yes", help="Ask nothing: what may be left out is assumed, and said.")
+]
 
 
 Core = Annotated[str | None, _text("--target", "CORE", _CORE)]
@@ -191,6 +223,19 @@ Flash = Annotated[
 Switched = Annotated[bool, Option("--switched", help="Simulate every switching instant.")]
 
 
+Only = Annotated[
+    str | None, _text("--only", "A,B", "Estimators to compare, e.g. flux,injection; default all.")
+]
+
+
+Starts = Annotated[int, _text("--starts", "N", "Try each start-up N times per load.")]
+
+
+OutOfPair = Annotated[
+    Path | None, Option("-o", "--out", metavar="OUT", help="Folder for the headers of the pair.")
+]
+
+
 LineToLine = Annotated[bool, Option("--line-to-line", help="The channels are ab, bc and ca.")]
 
 
@@ -213,4 +258,95 @@ Interval = Annotated[str | None, _text("--interval", "TIME", "Between two sample
 
 Figures = Annotated[
     Path | None, _text("--figures", "OUT", "Folder for the paper's figures and C files.")
+]
+
+
+Study = Annotated[
+    str, _argument("STUDY", "Study file, or a folder that this command wrote.", studies)
+]
+
+
+OutOfStudy = Annotated[
+    Path | None,
+    Option("-o", "--out", metavar="OUT", help="Folder of the study; default out/<its name>."),
+]
+
+
+Workers = Annotated[
+    int | None, Option("--workers", metavar="N", min=1, help="Processes; default one per core.")
+]
+
+
+Scheduler = Annotated[
+    str, _text("--scheduler", "ADDRESS", "Cluster that there is, e.g. tcp://host:8786.")
+]
+
+
+SchedulerFile = Annotated[
+    Path | None, _text("--scheduler-file", "FILE", "The same, by the file of its scheduler.")
+]
+
+
+DryRun = Annotated[
+    bool, Option("--dry-run", help="Say what it would be: rows, first and last, time, bytes.")
+]
+
+
+Limit = Annotated[
+    int | None,
+    Option("--limit", metavar="N", min=1, help="Stop after the part that holds the N-th row."),
+]
+
+
+Restart = Annotated[bool, Option("--restart", help="Take away what OUT holds, and begin anew.")]
+
+
+Reuse = Annotated[
+    list[Path] | None,
+    _text("--reuse", "OLD", "Take rows from the folder of an earlier study; may be repeated."),
+]
+
+
+Mixed = Annotated[
+    bool, Option("--mixed", help="Let CPUs differ: last digits may depend on where a row ran.")
+]
+
+
+TimeLimit = Annotated[
+    float | None,
+    Option("--time-limit", metavar="S", min=0.1, help="Seconds for a batch; default learned."),
+]
+
+
+TlsAuthority = Annotated[str, _text("--tls-ca-file", "PEM", "Certificates of a cluster with TLS.")]
+
+
+TlsCertificate = Annotated[str, _text("--tls-cert", "PEM", "The certificate shown to it.")]
+
+
+TlsKey = Annotated[str, _text("--tls-key", "PEM", "Its key, where that is a file of its own.")]
+
+
+TableOf = Annotated[
+    str | None, _text("--table", "A,B", "Show columns of a folder, e.g. 'device, losses.total'.")
+]
+
+
+Where = Annotated[
+    list[str] | None, _text("--where", "TEST", "Of rows that hold, e.g. 'losses.total < 500 W'.")
+]
+
+
+Sort = Annotated[str, _text("--sort", "A,-B", "In this order; -B: the largest first.")]
+
+
+First = Annotated[int | None, Option("--first", metavar="N", min=1, help="Only so many rows.")]
+
+
+CsvOf = Annotated[Path | None, _text("--csv", "FILE", "All rows that hold, with all digits.")]
+
+
+ExportOf = Annotated[
+    str | None,
+    _text("--export", "WHICH", "Designs and headers of rows: a number, row:INDEX or front."),
 ]

@@ -6,21 +6,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dqforge.reports.pages.answer import Answer, Files
-from dqforge.reports.pages.console import progress, show, stage, status
+from dqforge.reports.pages.console import LOADING, QUICK_S, progress, show, stage, status
 from dqforge.reports.pages.files import check_figure_path, write_all
 
 if TYPE_CHECKING:
     from dqforge.reports.plain_data import PlainData
-
-
-_QUICK_S = 1.0
-
-"""What takes no longer shows no sign of life."""
 
 
 def respond(
@@ -31,8 +26,9 @@ def respond(
     out: Path | None = None,
     *,
     bar: str = "",
-) -> None:
-    """Ask, and show the answer.
+    silent: bool = False,
+) -> int:
+    """Ask, and show the answer; its exit code.
 
     Parameters
     ----------
@@ -49,12 +45,14 @@ def respond(
     bar:
         Name of what moves a bar, for commands that tell the share that is done;
         else a spinner turns.
+    silent:
+        Whether nothing moves.
     """
     if plot is not None:
         check_figure_path(plot, out)
     moving: AbstractContextManager[object]
-    moving = progress(bar) if bar else status("reading the design", after=_QUICK_S)
-    with moving:
+    moving = progress(bar) if bar else status(LOADING, after=QUICK_S)
+    with nullcontext() if silent else moving:
         answer = ask()
         paths = _write(answer.files, out)
         _draw(answer, plot)
@@ -65,11 +63,13 @@ def respond(
     else:
         _print(answer, paths)
     sys.stdout.flush()
+    return answer.exit_code
 
 
 def _write(files: Files | None, out: Path | None) -> list[Path]:
     if files is None or out is None:
         return []
+    stage("writing the files")
     if not files.part:
         return write_all(out, files.contents)
     from dqforge.reports.output.folder import write_output

@@ -17,6 +17,7 @@ from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.current_reference.quantities import CONSTANTS
+from dqforge.reports.pages.console import stage
 from dqforge.reports.pages.envelope import FORMAT, to_text
 from dqforge.reports.pages.files import LARGEST_FILE, LARGEST_JSON, read_output
 from dqforge.reports.plain_data import PlainData
@@ -151,6 +152,7 @@ def solved_side(source: str, design: Design, capabilities: Capabilities = CAPABI
     from dqforge.optimizer.solution import solve
     from dqforge.reports.main_header.header import header_files
 
+    stage("solving")
     solution = solve(design)
     prefix = design.export.prefix
     header = header_files(solution)[f"{prefix}.h"].decode("ascii")

@@ -50,6 +50,8 @@ class ControlState:
     torque: SingleArray
     count: NDArray[np.uint32]
     moving: ReferenceState
+    added: Singles | None = None
+    held: Singles = (np.zeros(1, dtype=np.float32), np.zeros(1, dtype=np.float32))
 
     @classmethod
     def start(cls, count: int) -> ControlState:
@@ -86,6 +88,10 @@ class ControlModel:
         What the references have of the controllers' voltage; the rest is kept free for control.
     moving:
         Slopes of the references and voltage feedback, None where there are none.
+    injects:
+        Whether a voltage is made besides, that of the state.
+    holds:
+        Whether a start-up adds currents to the references of a torque.
     """
 
     gains: Mapping[str, Any]
@@ -96,6 +102,8 @@ class ControlModel:
     overmodulation: OvermodulationName = "none"
     reference_share: np.float32 = _ONE
     moving: ReferenceModel | None = None
+    injects: bool = False
+    holds: bool = False
 
     def duties(
         self, voltage: Pair[SingleArray], v_dc: SingleArray, current: Pair[SingleArray]
@@ -115,6 +123,9 @@ class ControlModel:
         )
         omega_e = gains["pole_pairs"] * omega_m
         v_max = gains["voltage_share"] * v_dc
+        if state.added is not None:
+            x, y = state.added
+            v_max = v_max - np.sqrt((x * x) + (y * y))
         current = clarke(SINGLE, Triple(i_a, i_b, i_c))
         now, ahead = rotation(theta), small_rotation(omega_e * gains["advance"])
         i_d, i_q = park(SINGLE, current, now)
@@ -142,6 +153,8 @@ class ControlModel:
         state.d, state.q = np.where(known, next_d, state.d), np.where(known, next_q, state.q)
         state.reference = reference
         voltage = park_inverse(SINGLE, (v_d, v_q), turned(now, ahead))
+        if state.added is not None:
+            voltage = Pair(voltage.x + state.added[0], voltage.y + state.added[1])
         state.v = voltage = overmodulated(self.overmodulation, voltage, v_dc)
         if MODULATORS[self.modulation].kind == "centred" and self.overmodulation == "none":
             return centred_duties(voltage, v_dc)
@@ -162,6 +175,8 @@ class ControlModel:
         if self.moving is not None:
             reference = self.moving.weakened(state.moving, v_max, reference)
             reference = self.moving.ramped_current(state.moving, reference)
+        if self.holds:
+            reference = (reference[0] + state.held[0], reference[1] + state.held[1])
         return self.current_control(state, measured, reference)
 
     def speed_loop(

@@ -111,6 +111,8 @@ def plain_control(solution: Solution) -> PlainData:
         "modulation": operation.modulation,
         **_plain_overmodulation(design),
         **_plain_references(solution.gains.references),
+        **({"injects": True} if injects(solution) else {}),
+        **({} if control.start_up is None else {"start_up": True}),
         "weakening": solution.weakening is not None,
         "ratio": 1 if settings is None else settings.ratio,
         "d": _pi(solution.gains.i_d),
@@ -118,6 +120,14 @@ def plain_control(solution: Solution) -> PlainData:
         "speed": _pi(solution.gains.speed),
         **{name: shortest(np.float32(value)) for name, value in numbers.items()},
     }
+
+
+def injects(solution: Solution) -> bool:
+    """Whether an estimator of the design asks the control for a voltage of its own."""
+    start = None if solution.start_up is None else solution.start_up.low
+    return any(
+        found is not None and found.tracker.injects for found in (solution.gains.tracker, start)
+    )
 
 
 def _controlled_share(design: Design) -> float:
@@ -194,12 +204,16 @@ def control_from(described: Mapping[str, Any], whole: Mapping[str, Any]) -> Cont
         raise _FAULT
     if isinstance(reference, FixedReference) or method not in ("none", *METHODS):
         raise _FAULT
-    return ControlModel(gains, ratio, modulation, reference, weakening, method, left, moving)
+    injecting = described.get("injects", False) is True
+    holds = described.get("start_up", False) is True
+    return ControlModel(
+        gains, ratio, modulation, reference, weakening, method, left, moving, injecting, holds
+    )
 
 
 def control_inputs(model: ControlModel) -> SingleArray:
     """Sequences for the harness, shape (steps * drives, 9): every mode, within all
-    limits and far beyond them.
+    limits and far beyond them; two columns more with the voltage that is added where one is.
     """
     generator = np.random.default_rng(_SEED)
     shape = (_STEPS, _DRIVES)
@@ -237,7 +251,17 @@ def control_inputs(model: ControlModel) -> SingleArray:
     rows[20:28, :_DRIVES, columns] = np.where(
         np.eye(8, dtype=np.bool_)[:, np.newaxis], np.inf, rows[20:28][..., columns]
     )
-    return np.ascontiguousarray(rows.reshape(-1, 9), dtype=np.float32)
+    return _with_added(model, np.ascontiguousarray(rows.reshape(-1, 9), dtype=np.float32))
+
+
+def _with_added(model: ControlModel, rows: SingleArray) -> SingleArray:
+    """With alpha and beta of an added voltage up to a quarter of the link, where one is added."""
+    if not model.injects:
+        return rows
+    generator = np.random.default_rng(_SEED + 1)
+    added = 0.25 * rows[:, 6:7] * generator.uniform(-1.0, 1.0, (len(rows), 2))
+    known = np.where(np.isfinite(added), added, 0.0).astype(np.float32)
+    return np.ascontiguousarray(np.hstack([rows, known]))
 
 
 def _run_near_six_step(
@@ -262,7 +286,7 @@ def control_results(model: ControlModel, inputs: SingleArray) -> SingleArray:
 
 def _results(model: ControlModel, inputs: SingleArray) -> SingleArray:
     drives = [slice(mode, _DRIVES, 3) for mode in range(3)]
-    rows = inputs.reshape(-1, _DRIVES, 9)
+    rows = inputs.reshape(-1, _DRIVES, inputs.shape[1])
     results = np.empty((rows.shape[0], _DRIVES, 8), dtype=np.float32)
     for mode, chosen in enumerate(drives):
         mine = rows[:, chosen]
@@ -270,6 +294,8 @@ def _results(model: ControlModel, inputs: SingleArray) -> SingleArray:
         for step, row in enumerate(mine):
             reference = np.ascontiguousarray(row[:, 7])
             measured = np.ascontiguousarray(row[:, 1:7])
+            if model.injects:
+                state.added = (row[:, 9].copy(), row[:, 10].copy())
             if mode == 0:
                 duty = model.current_control(
                     state, measured, (reference, np.ascontiguousarray(row[:, 8]))
@@ -291,7 +317,7 @@ def control_programme(model: ControlModel) -> Programme:
         "control/harness.c.j2",
         inputs,
         control_results(model, inputs),
-        {"drives": _DRIVES},
+        {"drives": _DRIVES, "injects": model.injects},
         name="control functions",
     )
 
@@ -335,6 +361,8 @@ def control_files(solution: Solution) -> dict[str, bytes]:
         "six_step": SIX_STEP,
         "least_hold": LEAST_HOLD,
         "dynamic": plain.get("references"),
+        "injects": plain.get("injects", False),
+        "start_up": plain.get("start_up", False),
         "gains": _gain_lines(plain),
         "preamble": [
             (

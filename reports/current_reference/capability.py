@@ -169,9 +169,12 @@ def _figures(solution: Solution, _: Solution) -> Mapping[str, Draw]:
 
 
 def _parts(solution: Solution, _: Solution) -> list[ReportPart]:
+    reach, error = _tiles(solution, solution)[:2]
     return [
-        ReportPart(REFERENCE, "current_reference/reference.html.j2", reference_part(solution)),
-        ReportPart(ERRORS, "current_reference/errors.html.j2", errors_part(solution)),
+        ReportPart(
+            REFERENCE, "current_reference/reference.html.j2", reference_part(solution), reach.value
+        ),
+        ReportPart(ERRORS, "current_reference/errors.html.j2", errors_part(solution), error.value),
     ]
 
 

@@ -19,10 +19,12 @@ from dqforge.optimizer.operating_points.solve import Curves
 from dqforge.reports.pages.figures_style import (
     AXIS_COLOURS,
     BLUE,
-    FAINT,
     INK,
     MUTED,
     ORANGE,
+    PALE,
+    PAPER,
+    SKY,
     TEAL,
     label_in_unit,
     new_figure,
@@ -92,25 +94,40 @@ def _draw_torque_lines(axes: Axes, design: Design, side: float, largest: float) 
         reachable = np.isfinite(i_q)
         if not reachable.any():
             continue
-        axes.plot(i_d[reachable], i_q[reachable], color=FAINT, linewidth=0.8, zorder=1)
+        text = f"{level * factor:g} {unit}"
+        axes.plot(
+            i_d[reachable],
+            i_q[reachable],
+            color=PALE,
+            linewidth=0.6,
+            zorder=1,
+            label=f"_torque {text}",
+        )
         label_at = 1.145 * side * i_max
         order = np.argsort(i_d[reachable])
         axes.text(
             label_at,
             float(np.interp(label_at, i_d[reachable][order], i_q[reachable][order])),
-            f"{level * factor:g} {unit}",
+            text,
             color=MUTED,
             fontsize=7,
             ha="center",
             va="center",
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+            bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 1.0},
             zorder=2,
         )
 
 
 def _draw_limit(axes: Axes, i_max: float, side: float) -> None:
     angle = np.linspace(0.0, np.pi, 181)
-    axes.plot(i_max * np.cos(angle), i_max * np.sin(angle), color=INK, linewidth=1.0, zorder=3)
+    axes.plot(
+        i_max * np.cos(angle),
+        i_max * np.sin(angle),
+        color=INK,
+        linewidth=1.0,
+        zorder=3,
+        label="_current limit",
+    )
     axes.text(
         0.03 * side * i_max,
         1.025 * i_max,
@@ -118,7 +135,7 @@ def _draw_limit(axes: Axes, i_max: float, side: float) -> None:
         ha="left" if side > 0.0 else "right",
         va="bottom",
         fontsize=7.5,
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+        bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 1.0},
     )
 
 
@@ -137,7 +154,7 @@ def _draw_reference(
         i_d,
         i_q,
         "o",
-        color="white",
+        color=PAPER,
         markeredgecolor=INK,
         markersize=5,
         markeredgewidth=1.1,
@@ -154,7 +171,7 @@ def _draw_reference(
             ha="left" if side > 0.0 else "right",
             va="center",
             fontsize=7.5,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
+            bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 0.8},
             zorder=4,
         )
 
@@ -197,7 +214,7 @@ def plot_mtpa(design: Design, curves: Curves, fit: ReferenceFit | None = None) -
         axes.plot(
             curves.chosen.i_d,
             curves.chosen.i_q,
-            color="#8fbce6",
+            color=SKY,
             linewidth=4.0,
             label=label,
             zorder=4,
@@ -213,7 +230,7 @@ def plot_mtpa(design: Design, curves: Curves, fit: ReferenceFit | None = None) -
         axes.legend(
             loc="lower left" if side > 0.0 else "lower right",
             frameon=True,
-            facecolor="white",
+            facecolor=PAPER,
             edgecolor="none",
             framealpha=0.92,
             fontsize=7.5,
@@ -232,15 +249,21 @@ def _draw_currents(axes: Axes, curves: ErrorCurves, fit: ReferenceFit) -> None:
     torque = np.linspace(0.0, fit.torque_max, 201)
     for axis, error, drawn in zip("dq", (curves.i_d, curves.i_q), _at(fit, torque), strict=True):
         exact = np.interp(torque, curves.torque, _at(fit, curves.torque)[axis == "q"] - error)
-        label = "exact" if axis == "q" else None
-        axes.plot(torque, exact, color=AXIS_COLOURS[axis], linewidth=3.6, alpha=0.42, label=label)
-        axes.plot(
+        wide = axes.plot(
+            torque,
+            exact,
+            color=AXIS_COLOURS[axis],
+            linewidth=3.6,
+            alpha=0.75,
+            label=f"_exact $i_{axis}$",
+        )
+        thin = axes.plot(
             torque,
             drawn,
             color=INK,
             linewidth=1.1,
             linestyle=_DASHES,
-            label=label and "firmware reference",
+            label=f"_firmware reference $i_{axis}$",
         )
         axes.annotate(
             f"$i_{axis}$",
@@ -254,8 +277,10 @@ def _draw_currents(axes: Axes, curves: ErrorCurves, fit: ReferenceFit) -> None:
         )
     axes.axhline(0.0, color=MUTED, linewidth=0.6)
     axes.legend(
+        [*wide, *thin],
+        ["exact", "firmware reference"],
         loc="upper left",
-        facecolor="white",
+        facecolor=PAPER,
         edgecolor="none",
         framealpha=1.0,
         fontsize=7.5,
@@ -291,7 +316,7 @@ def plot_fit(design: Design, fit: ReferenceFit) -> Figure:
         label_in_unit(rows[2].xaxis, "Torque in {}", fit.torque_max, "N m")
         rows[2].set_xlim(0.0, fit.torque_max)
         for axes in rows:
-            vertical_marks(axes, breakpoints(fit))
+            vertical_marks(axes, breakpoints(fit), "breakpoint")
         figure.align_ylabels(rows)
     return figure
 
@@ -398,6 +423,6 @@ def plot_errors(fit: ReferenceFit) -> Figure:
         label_in_unit(rows[2].xaxis, "Torque in {}", fit.torque_max, "N m")
         rows[2].set_xlim(0.0, fit.torque_max)
         for axes in rows:
-            vertical_marks(axes, breakpoints(fit))
+            vertical_marks(axes, breakpoints(fit), "breakpoint")
         figure.align_ylabels(rows)
     return figure

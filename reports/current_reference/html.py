@@ -146,6 +146,7 @@ def _integer_table(segments: Sequence[PlainData], headings: Sequence[str]) -> Ht
         "Integers; x is the code of the torque minus the start",
         heading_cells("", *headings),
         tuple(rows),
+        folded=True,
     )
 
 
@@ -184,6 +185,7 @@ def coefficient_table(plain: PlainData) -> HtmlTable | None:
         "Coefficients in single precision; x is the torque minus the start of the segment, in N m",
         heading_cells("Factor of", *headings),
         rows,
+        folded=True,
     )
 
 
@@ -253,4 +255,6 @@ def trials_table(trials: Sequence[Trial], core: Core) -> HtmlTable:
         f"Forms tried for the budget, by estimated cycles on {core_name(core)}",
         heading_cells(*columns),
         rows,
+        folded=True,
+        key=f"{trials[-1].form} is chosen",
     )

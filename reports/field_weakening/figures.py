@@ -11,7 +11,8 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.field_weakening.error_chart import DomainBorders
 from dqforge.optimizer.field_weakening.fit import WeakeningFit
-from dqforge.reports.pages.figures_style import INK, MUTED, label_in_unit, new_figure, style
+from dqforge.reports.figure_data.scaled import DrawnGrid, draw_filled
+from dqforge.reports.pages.figures_style import MAP_INK, MAP_MUTED, label_in_unit, new_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,20 +26,20 @@ def _mark_borders(axes: Axes, borders: DomainBorders) -> None:
     """The MTPA locus, above which the field is weakened, the largest torque,
     and where MTPV begins.
     """
-    axes.plot(borders.mtpa_flux, borders.mtpa_torque, color=INK, linewidth=1.1)
+    axes.plot(borders.mtpa_flux, borders.mtpa_torque, color=MAP_INK, linewidth=1.1, label="_MTPA")
     flux, torque = borders.flux, borders.largest_torque
-    axes.plot(flux, torque, color=INK, linewidth=1.1)
+    axes.plot(flux, torque, color=MAP_INK, linewidth=1.1, label="_largest torque")
     touching = np.flatnonzero(borders.mtpv)
     if touching.size:
         last = touching[-1]
-        axes.plot(flux[: last + 1], torque[: last + 1], color=INK, linewidth=2.4)
+        axes.plot(flux[: last + 1], torque[: last + 1], color=MAP_INK, linewidth=2.4, label="_MTPV")
         axes.annotate(
             "MTPV",
             (float(flux[last]), float(torque[last])),
             (-4, 6),
             textcoords="offset points",
             ha="right",
-            color=MUTED,
+            color=MAP_MUTED,
             fontsize=7.5,
         )
     middle = int(0.55 * borders.mtpa_flux.size)
@@ -47,7 +48,7 @@ def _mark_borders(axes: Axes, borders: DomainBorders) -> None:
         (float(borders.mtpa_flux[middle]), float(borders.mtpa_torque[middle])),
         (5, -3),
         textcoords="offset points",
-        color=MUTED,
+        color=MAP_MUTED,
         fontsize=7.5,
         va="top",
     )
@@ -62,8 +63,12 @@ def _draw(
 ) -> None:
     """Filled steps of an error in percent from minus to plus the permitted one."""
     levels = np.linspace(-permitted, permitted, 2 * (_STEPS // 2) + 1)
-    filled = axes.contourf(
-        *grid, np.clip(percent, -permitted, permitted), levels=levels, cmap="PuOr_r"
+    filled = draw_filled(
+        axes,
+        DrawnGrid(*grid, percent, title),
+        np.clip(percent, -permitted, permitted),
+        levels=levels,
+        cmap="PuOr_r",
     )
     bar = axes.figure.colorbar(filled, ax=axes, pad=0.02, aspect=28, ticks=levels[::5])
     bar.ax.tick_params(labelsize=7)

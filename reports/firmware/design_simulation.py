@@ -13,7 +13,8 @@ from dqforge.machines.plants.scenario import Scenario
 from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.firmware.loop_run import firmware_drive, simulate_profile
-from dqforge.reports.simulation.compiled_plant import Progress, Simulator, require_compiler
+from dqforge.reports.operating_system.host_compiler import require_compiler
+from dqforge.reports.simulation.compiled_plant import Progress, Simulator
 from dqforge.reports.simulation.design_run import (
     DriveSimulation,
     evaluate,
@@ -23,6 +24,7 @@ from dqforge.reports.simulation.design_run import (
     simulate_design,
 )
 from dqforge.reports.simulation.plant_input import Drive, fits_carrier
+from dqforge.reports.six_step.drive_run import simulate_six_step
 
 
 @on_design("simulation")
@@ -34,7 +36,8 @@ def simulate_with_firmware(
     progress: Progress | None = None,
 ) -> DriveSimulation:
     """Run the scenario of a design with its emitted controller, and with the loops of
-    ``control.firmware`` where it names one: the last of `DriveSimulation.others`.
+    ``control.firmware`` where it names one: the last of `DriveSimulation.others`. A six-step drive
+    runs on its own.
 
     Parameters
     ----------
@@ -54,19 +57,22 @@ def simulate_with_firmware(
     VerificationError
         There is no C compiler, or the header does not compile.
     """
+    if design.control.six_step is not None:
+        found = None if solution is None else solution.six_step
+        return simulate_six_step(design, found=found, progress=progress)
     if design.control.firmware is None:
         return simulate_design(design, switched=switched, solution=solution, progress=progress)
     scenario = require_scenario(design, switched=switched)
     require_compiler()
     whole = solve(design) if solution is None else solution
     loops = whole.gains.firmware
-    found = simulate_design(
+    mine = simulate_design(
         design, switched=switched, solution=whole, progress=part_of(progress, 0, 2)
     )
     if loops is None:
-        return found
-    mine = simulate_loops(design, loops, scenario, part_of(progress, 1, 2))
-    return replace(found, others=(*found.others, mine))
+        return mine
+    theirs = simulate_loops(design, loops, scenario, part_of(progress, 1, 2))
+    return replace(mine, others=(*mine.others, theirs))
 
 
 def simulate_loops(
@@ -126,7 +132,7 @@ def _as_it_can_run(
         remarks.append(
             f"{loops.name} ran on the angle of the encoder: its observer is not modelled"
         )
-    if scenario.encoder.speed == "observer":
+    if scenario.encoder.speed in ("observer", "measured"):
         scenario = replace(scenario, encoder=replace(scenario.encoder, speed="exact"))
         remarks.append(f"{loops.name} made the speed of the angle by itself, without our observer")
     if scenario.inverter == "switched" and not fits_carrier(drive):

@@ -81,7 +81,9 @@ def _part(solution: Solution, fit: FirmwareFit) -> PlainData:
     return {
         "title": target_named(fit).title,
         "tables": [
-            _html(replace(values, title=", ".join(files)), len(values.columns)),
+            replace(
+                _html(replace(values, title=", ".join(files)), len(values.columns)), folded=True
+            ),
             _html(loops, 1),
             *(_html(table, len(table.columns)) for table in lost),
         ],

@@ -291,7 +291,7 @@ class _Writer:
             )
         self.lines += ["  current_loop:", "    method: given"]
         self._gains("control.current_loop", name, gains, _GAIN_UNITS["current"], "    ")
-        self.lines.append(f"    phase_margin_min: 1 deg   {_JUDGED}")
+        self.lines.append(f"    min_phase_margin: 1 deg   {_JUDGED}")
 
     def _gains(
         self,
@@ -330,7 +330,7 @@ class _Writer:
         ]
         gains = PiGains(speed.kp * per_ampere, speed.ki * per_ampere)
         self._gains("control.speed_loop", "speed", gains, _GAIN_UNITS["speed"], f"{margin}  ")
-        self.lines.append(f"{margin}  phase_margin_min: 1 deg   {_JUDGED}")
+        self.lines.append(f"{margin}  min_phase_margin: 1 deg   {_JUDGED}")
 
     def _left_out(self, speed: PiGains, why: str) -> None:
         self.lines.append(

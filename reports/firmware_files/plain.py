@@ -1,4 +1,6 @@
-"""Configurations and judged loops of firmware as plain data, by the keys of docs/json.md."""
+"""Configurations and judged loops of firmware as plain data, by the keys of
+docs/reference/json.md.
+"""
 
 from __future__ import annotations
 

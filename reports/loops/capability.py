@@ -30,7 +30,7 @@ from dqforge.reports.loops.judged_text import judged_sentence, judged_words
 from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.loops.stability_text import CERTIFICATE, certificate_bytes, proof_summary
 from dqforge.reports.loops.tables import gains_tables
-from dqforge.reports.observers.speed_loop_text import left_words, loop_words
+from dqforge.reports.observers.speed_loop_text import corner_words, left_words, loop_words
 from dqforge.reports.pages.chapters import LOOPS as CHAPTER
 from dqforge.reports.pages.html_text import degrees, symbols
 from dqforge.reports.plain_data import PlainData
@@ -38,6 +38,7 @@ from dqforge.reports.plain_data import PlainData
 
 def _summary(_: Solution, gains: GainSet) -> Rows:
     rows = [(f"{loop.loop} loop", loop_words(loop)) for loop in gains.loops]
+    rows += [("  at all corners", words) for words in corner_words(gains.speed)]
     if gains.phases is not None and gains.phases.judged is not None:
         rows.append(("currents together", judged_words(gains.phases.judged)))
     if gains.firmware is not None:
@@ -92,7 +93,8 @@ def _parts(solution: Solution, gains: GainSet) -> list[ReportPart]:
         *judged_tables(gains),
         *tolerance_tables(gains, pole_pairs),
     ]
-    return [ReportPart(CHAPTER, "loops/report.html.j2", {"tables": tables})]
+    key = f"smallest phase margin {_tiles(solution, gains)[0].value}"
+    return [ReportPart(CHAPTER, "loops/report.html.j2", {"tables": tables}, key)]
 
 
 def _hertz(omega: float) -> float:

@@ -15,9 +15,11 @@ from dqforge.reports.pages.figures_style import (
     INK,
     LOOP_COLOURS,
     MUTED,
+    PAPER,
     new_figure,
     prefixed,
     style,
+    thinned,
 )
 
 if TYPE_CHECKING:
@@ -41,11 +43,10 @@ def _draw_steps(axes: Axes, curves: Sequence[LoopResponse], title: str) -> None:
     for curve in curves:
         name = curve.gains.loop
         axes.plot(
-            curve.step.times * factor,
-            curve.step.reference,
+            *thinned(curve.step.times * factor, curve.step.reference, 300),
             color=LOOP_COLOURS[name],
             linestyle=_DASHES[name],
-            label=_LABELS[name],
+            label=_LABELS[name] if len(curves) > 1 else f"_{_LABELS[name]}",
         )
     axes.set(
         title=title,
@@ -61,15 +62,23 @@ def _draw_steps(axes: Axes, curves: Sequence[LoopResponse], title: str) -> None:
 def _draw_bode(magnitude: Axes, phase: Axes, curves: Sequence[LoopResponse]) -> None:
     for curve in curves:
         name, crossover = curve.gains.loop, curve.gains.crossover / (2.0 * np.pi)
-        look: dict[str, Any] = {"color": LOOP_COLOURS[name], "linestyle": _DASHES[name]}
+        look: dict[str, Any] = {
+            "color": LOOP_COLOURS[name],
+            "linestyle": _DASHES[name],
+            "label": f"_{_LABELS[name]}",
+        }
+        mark = f"_crossover of {_LABELS[name]}"
         magnitude.plot(curve.frequency, 20.0 * np.log10(curve.gain), **look)
-        magnitude.plot([crossover], [0.0], "o", color=LOOP_COLOURS[name], markersize=4, zorder=4)
+        magnitude.plot(
+            [crossover], [0.0], "o", color=LOOP_COLOURS[name], markersize=4, zorder=4, label=mark
+        )
         phase.plot(curve.frequency, curve.phase, **look)
         phase.plot(
             [crossover] * 2,
             [-180.0, curve.phase_at_crossover],
             color=LOOP_COLOURS[name],
             linewidth=2.4,
+            label="_",
         )
         phase.plot(
             [crossover],
@@ -78,6 +87,7 @@ def _draw_bode(magnitude: Axes, phase: Axes, curves: Sequence[LoopResponse]) -> 
             color=LOOP_COLOURS[name],
             markersize=4,
             zorder=4,
+            label=mark,
         )
     magnitude.axhline(0.0, color=MUTED, linewidth=0.8)
     top = 5.0 + 20.0 * float(np.log10(max(np.max(curve.gain) for curve in curves)))
@@ -121,7 +131,7 @@ def _write_margins(axes: Axes, curves: Sequence[LoopResponse]) -> None:
             color=colour,
             fontsize=7.5,
             fontweight="bold",
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+            bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 1.0},
         )
 
 

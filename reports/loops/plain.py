@@ -17,6 +17,7 @@ from dqforge.reports.loops.schedule_text import plain_schedule
 from dqforge.reports.observers.plain import plain_observer_errors
 from dqforge.reports.observers.speed_loop_text import plain_observed
 from dqforge.reports.observers.text import plain_position
+from dqforge.reports.observers.tracker_text import plain_tracker
 from dqforge.reports.plain_data import PlainData
 
 
@@ -79,6 +80,7 @@ def plain_gains(
         "observer": None if gains.observer is None else asdict(gains.observer),
         **plain_observer_errors(gains.observer_slopes, observer_errors),
         "position": None if gains.position is None else plain_position(gains.position),
+        **({} if gains.tracker is None else {"tracker": plain_tracker(gains.tracker)}),
         "bases": asdict(design.control.bases),
         **_plain_tolerances(gains),
         **plain_schedule(gains.schedule),

@@ -148,6 +148,11 @@ def box_notes(gains: GainSet) -> tuple[str, ...]:
             "speed loop: nothing is proven over the box, since its speed comes from an observer, "
             "which has too many states for this proof"
         )
+    if proofs.measured:
+        notes.append(
+            "speed loop: nothing is tried or proven over the box, since the delay of its measured "
+            "speed is part of neither"
+        )
     return tuple(notes)
 
 

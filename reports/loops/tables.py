@@ -31,13 +31,15 @@ from dqforge.reports.loops.robustness_text import (
 )
 from dqforge.reports.loops.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
 from dqforge.reports.loops.stability_text import stability_notes
-from dqforge.reports.observers.speed_loop_text import margin_words, observed_notes
+from dqforge.reports.observers.speed_loop_text import leaving_notes, margin_words, observed_notes
 from dqforge.reports.observers.tables import observer_table
 from dqforge.reports.observers.text import position_parts
+from dqforge.reports.observers.tracker_text import tracker_part
 from dqforge.reports.pages.labels import (
     significant,
 )
 from dqforge.reports.pages.table import Table
+from dqforge.reports.speed_measurement.tables import measured_tables
 
 
 def _loop_row(gains: LoopGains, unit: str, scaled: PerUnitGains) -> tuple[str, ...]:
@@ -88,7 +90,7 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
     )
     title, notes = (
         f"{design.name}: gains, sampled every {design.control.t_s * 1e6:.4g} us",
-        observed_notes(gains.speed),
+        (*observed_notes(gains.speed), *leaving_notes(gains.speed)),
     )
     if gains.schedule is None:
         notes = (*notes, *changing_notes(gains))
@@ -117,6 +119,10 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
         )
     if gains.observer is not None and gains.observer_slopes is not None:
         tables.append(observer_table(gains.observer, gains.observer_slopes))
+    if gains.measured_speed is not None:
+        tables += measured_tables(gains.measured_speed)
     if gains.position is not None:
         tables += [Table(*part) for part in position_parts(gains.position, proof)]
+    if gains.tracker is not None:
+        tables.append(Table(*tracker_part(gains.tracker)))
     return tables

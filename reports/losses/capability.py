@@ -65,7 +65,9 @@ def _figures(solution: Solution, comparison: LossComparison) -> Mapping[str, Dra
 
 
 def _parts(_: Solution, comparison: LossComparison) -> list[ReportPart]:
-    return [ReportPart(CHAPTER, "losses/comparison.html.j2", loss_part(comparison))]
+    best = best_loss(comparison)
+    key = "" if best is None else f"{best[0]} with {best[1]}"
+    return [ReportPart(CHAPTER, "losses/comparison.html.j2", loss_part(comparison), symbols(key))]
 
 
 def _mission_figures(_: Solution, found: MissionComparison) -> Mapping[str, Draw]:

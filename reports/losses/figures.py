@@ -11,7 +11,15 @@ import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.losses.point_comparison import LossComparison
-from dqforge.reports.pages.figures_style import FAINT, INK, MUTED, PART_COLOURS, new_figure, style
+from dqforge.reports.pages.figures_style import (
+    FAINT,
+    INK,
+    MUTED,
+    PAPER,
+    PART_COLOURS,
+    new_figure,
+    style,
+)
 from dqforge.reports.pages.labels import (
     STRATEGY_LABELS,
     modulation_label,
@@ -44,16 +52,26 @@ _LONG_NAMES = 5
 
 
 def _draw_parts(
-    axes: Axes, comparison: LossComparison, index: tuple[int, int, int], y: float
+    axes: Axes, comparison: LossComparison, index: tuple[int, int, int], y: float, name: str
 ) -> float:
     """One bar of parts side by side.
 
-    The end of it in W. What cannot be used is an empty bar with its text inside.
+    The end of it in W. What cannot be used is an empty bar with its text inside. ``name`` is that
+    of the bar in the data.
     """
     budget = comparison.budget
     if not comparison.usable[index]:
         total = float(np.nan_to_num(budget.total[index]))
-        axes.barh(y, total, height=0.72, facecolor="white", edgecolor=FAINT, linewidth=0.8)
+        axes.barh(
+            y,
+            total,
+            height=0.72,
+            facecolor=PAPER,
+            edgecolor=FAINT,
+            linewidth=0.8,
+            label="_not usable",
+            gid=name,
+        )
         return 0.0
     left = 0.0
     for part in shown_parts(budget):
@@ -64,8 +82,10 @@ def _draw_parts(
             left=left,
             height=0.72,
             facecolor=PART_COLOURS[part],
-            edgecolor="white",
+            edgecolor=PAPER,
             linewidth=0.6,
+            label=f"_{part_label(part)}",
+            gid=name,
         )
         left += width
     return left
@@ -104,7 +124,9 @@ def _draw_point(
     for s, strategy in enumerate(comparison.strategies):
         for m, modulation in enumerate(comparison.modulations):
             y = top - 1.0 - len(ticks)
-            end = _draw_parts(axes, comparison, (s, m, point), y)
+            label = f"{STRATEGY_LABELS[strategy]}, {modulation_label(modulation)}"
+            name = f"{point_text(comparison.points[point])}: {label}"
+            end = _draw_parts(axes, comparison, (s, m, point), y, name)
             axes.annotate(
                 _bar_text(comparison, (s, m, point), best=best == (s, m)),
                 (end, y),
@@ -115,7 +137,7 @@ def _draw_point(
                 fontweight="bold" if best == (s, m) else "normal",
                 color=INK if comparison.usable[s, m, point] else MUTED,
             )
-            ticks.append((y, f"{STRATEGY_LABELS[strategy]}, {modulation_label(modulation)}"))
+            ticks.append((y, label))
     return ticks
 
 

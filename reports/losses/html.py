@@ -156,5 +156,14 @@ def loss_tables(comparison: LossComparison) -> list[HtmlTable]:
             *leg_notes(comparison, p),
         ]
         title = ". ".join(note for note in notes if note)
-        tables.append(HtmlTable(title, heading_cells(*columns), tuple(rows)))
+        least = [row.cells[0] for row in rows if row.mark == "best"]
+        tables.append(
+            HtmlTable(
+                title,
+                heading_cells(*columns),
+                tuple(rows),
+                folded=p > 0,
+                key="least: " + least[0] if least else "",
+            )
+        )
     return tables

@@ -15,9 +15,11 @@ from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.mission_budget import MissionComparison
 from dqforge.reports.losses.map_tables import alternative_text
 from dqforge.reports.pages.figures_style import (
-    FAINT,
     INK,
+    MAP_INK,
     MUTED,
+    PALE,
+    PAPER,
     PART_COLOURS,
     label_in_unit,
     new_figure,
@@ -65,16 +67,16 @@ def _draw_bars(
         for part in shown:
             width = float(energies[part, row])
             colour = PART_COLOURS[PARTS[part]]
-            label = part_label(PARTS[part]) if row == 0 else None
+            label = part_label(PARTS[part])
             axes.barh(
                 -row,
                 width,
                 left=left,
                 height=0.74,
                 color=colour,
-                edgecolor="white",
+                edgecolor=PAPER,
                 linewidth=0.5,
-                label=label,
+                label=label if row == 0 else f"_{label}",
             )
             left += width
         text = f"{ends[row]:.4g} {unit}" + (f", {notes[row]}" if notes and notes[row] else "")
@@ -137,7 +139,7 @@ def _draw_winners(axes: Axes, found: LossMap, alternatives: Alternatives) -> Non
                 ha="center",
                 va="center",
                 fontsize=7.5,
-                color=INK,
+                color=MAP_INK,
             )
     handles = [
         Patch(color=WINNERS[place], label=alternative_text(alternatives, k))
@@ -209,7 +211,7 @@ def plot_mission(found: MissionComparison) -> Figure:
 
 
 def _draw_courses(axes: Axes, found: MissionComparison) -> None:
-    shown = [(0, FAINT)] if found.best != 0 else []
+    shown = [(0, PALE)] if found.best != 0 else []
     shown += [(found.best, INK)] if found.best >= 0 else []
     last = 1.0
     for k, colour in shown:

@@ -38,8 +38,10 @@ def losses_tables(design: Design, comparison: LossComparison) -> list[Table]:
                     budget.total,
                     budget.junction_temperature,
                 ]
-                texts = [three_decimals(float(cell[index])) for cell in [*cells, comparison.saving]]
-                rows.append((strategy, modulation, *texts, mark))
+                texts = [three_decimals(float(cell[index])) for cell in cells]
+                # Strategies with the same currents differ by rounding, which nobody saves.
+                saving = three_decimals(round(float(comparison.saving[index]), 6))
+                rows.append((strategy, modulation, *texts, saving, mark))
         title = (
             f"{design.name}: losses at {point.torque:.4g} N m, "
             f"{point.omega_m * 30.0 / math.pi:.5g} rpm"

@@ -1,5 +1,5 @@
 """The main header and its test vectors: from a solution to text,
-through plain data only (docs/header.md).
+through plain data only (docs/reference/header.md).
 """
 
 from __future__ import annotations

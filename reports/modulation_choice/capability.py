@@ -18,6 +18,7 @@ from dqforge.reports.modulation_choice.rule_model import emitted_from, plain_emi
 from dqforge.reports.modulation_choice.tables import choice_tables, plain_choice
 from dqforge.reports.modulation_choice.text import choice_rows
 from dqforge.reports.pages.chapters import MODULATION
+from dqforge.reports.pages.html_text import quantity
 
 
 def _figures(_: Solution, choice: ModulationChoice) -> Mapping[str, Draw]:
@@ -28,7 +29,8 @@ def _figures(_: Solution, choice: ModulationChoice) -> Mapping[str, Draw]:
 
 def _parts(solution: Solution, choice: ModulationChoice) -> list[ReportPart]:
     data = choice_part(choice, solution.design.export.prefix)
-    return [ReportPart(MODULATION, "modulation_choice/report.html.j2", data)]
+    key = f"mean loss {quantity(choice.emitted.mean_loss, 'W')}"
+    return [ReportPart(MODULATION, "modulation_choice/report.html.j2", data, key)]
 
 
 MODULATION_CHOICE = Capability(

@@ -15,7 +15,20 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.modulation_choice.rule import Leaf, Rule
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
 from dqforge.reports.modulation_choice.text import alternative_text, hertz, question_text
-from dqforge.reports.pages.figures_style import FAINT, INK, MUTED, label_in_unit, new_figure, style
+from dqforge.reports.pages.figures_style import (
+    BLUE,
+    FAINT,
+    INK,
+    MAP_INK,
+    MUTED,
+    PALE,
+    PAPER,
+    SKY,
+    TEAL,
+    label_in_unit,
+    new_figure,
+    style,
+)
 from dqforge.reports.pages.map_drawing import WINNERS, cell_edges, draw_cells, inside
 
 if TYPE_CHECKING:
@@ -46,10 +59,10 @@ _EXTRA = ("#8a6d9e", "#6fa8a0", "#cfa0a0", "#7f8c5a")
 _NOTHING = "#d9d9d9"
 
 
-_BARS = {"best": "#2e7d5b", "rule": "#1f6fb2", "other": "#a9c6e6", "today": "#c3cad3"}
+_BARS = {"best": TEAL, "rule": BLUE, "other": SKY, "today": PALE}
 
 
-_BOX = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+_BOX = {"boxstyle": "round,pad=0.2", "facecolor": PAPER, "edgecolor": "none", "alpha": 0.85}
 
 
 _ROW = 0.2
@@ -91,14 +104,22 @@ def _draw_rule(axes: Axes, choice: ModulationChoice, *, named: bool) -> None:
     boxes = leaf_boxes(rule.rule, box)
     for leaf, (left, right, low, high) in boxes:
         corner, size = (left * _RPM, low), ((right - left) * _RPM, high - low)
+        name, frequency = rule.alternatives[leaf.choice]
         if len(boxes) > 1:
             axes.add_patch(
-                Rectangle(corner, *size, fill=False, edgecolor=INK, linewidth=1.3, zorder=4)
+                Rectangle(
+                    corner,
+                    *size,
+                    fill=False,
+                    edgecolor=MAP_INK,
+                    linewidth=1.3,
+                    zorder=4,
+                    label=f"_{name}, {hertz(frequency)}",
+                )
             )
         here = asked & (speed >= left) & (speed < right) & (wanted >= low) & (wanted < high)
         if named and np.any(here):
             i, j = inside(here)
-            name, frequency = rule.alternatives[leaf.choice]
             rows, columns = np.any(here, axis=1), np.any(here, axis=0)
             layout = _layout(float(np.mean(columns)), float(np.mean(rows)))
             axes.text(
@@ -246,7 +267,7 @@ def _draw_losses(axes: Axes, choice: ModulationChoice) -> None:
         )
     largest = max(row[1] for row in rows)
     for y, (_, loss, text, colour) in enumerate(rows):
-        axes.barh(-y, loss, height=0.72, color=colour, edgecolor="white", linewidth=0.5)
+        axes.barh(-y, loss, height=0.72, color=colour, edgecolor=PAPER, linewidth=0.5)
         axes.annotate(
             f"{loss:.4g} W{text}",
             (loss, -y),

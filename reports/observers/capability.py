@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from dqforge.optimizer.estimators.solve import TunedTracker
 from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.reports.c_code.header_kind import HeaderKind
 from dqforge.reports.capability import Capability, Outcome, ReportPart
-from dqforge.reports.observers.html import position_tables, speed_tables
-from dqforge.reports.observers.position_header import (
-    EmittedObserver,
-    observer_files,
-    observer_from,
-    observer_programme,
-    plain_observer,
+from dqforge.reports.observers.estimator_header import (
+    emitted_estimator,
+    estimator_files,
+    estimator_from,
+    estimator_programme,
+    plain_estimator,
 )
+from dqforge.reports.observers.html import estimator_tables, speed_tables
 from dqforge.reports.observers.speed_float32_model import (
     plain_speed_observer,
     speed_observer_from,
@@ -27,9 +28,11 @@ def _part(tables: list[HtmlTable]) -> list[ReportPart]:
     return [ReportPart(LOOPS, "pages/tables.html.j2", {"tables": tables, "kind": "loops"})]
 
 
-def _position(outcome: Outcome) -> PositionObserver | None:
+def _position(outcome: Outcome) -> PositionObserver | TunedTracker | None:
     gains = outcome.solution.loops
-    return None if gains is None else gains.position
+    if gains is None:
+        return None
+    return gains.position if gains.tracker is None else gains.tracker
 
 
 def _speed(outcome: Outcome) -> ReducedOrderObserver | None:
@@ -37,20 +40,18 @@ def _speed(outcome: Outcome) -> ReducedOrderObserver | None:
     return None if gains is None else gains.observer
 
 
-POSITION_OBSERVER = Capability(
+POSITION_OBSERVER: Capability[PositionObserver | TunedTracker] = Capability(
     name="position_observer",
     title="position observer",
     of=_position,
-    parts=lambda _, observer: _part(position_tables(observer)),
+    parts=lambda _, observer: _part(estimator_tables(observer)),
     headers=(
         HeaderKind(
             name="observer",
-            files=lambda solution, observer: observer_files(solution.design, observer),
-            plain=lambda _, observer: plain_observer(
-                EmittedObserver(observer.method, observer.gains)
-            ),
-            read=lambda own, _: observer_from(own),
-            programme=observer_programme,
+            files=lambda solution, observer: estimator_files(solution.design, observer),
+            plain=lambda _, observer: plain_estimator(emitted_estimator(observer)),
+            read=lambda own, _: estimator_from(own),
+            programme=estimator_programme,
             vectors=False,
         ),
     ),

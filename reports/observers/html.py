@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from dqforge.optimizer.estimators.solve import TunedTracker
 from dqforge.optimizer.observers.reduced_order import (
     ErrorsAtLoad,
     ObserverError,
@@ -12,6 +13,7 @@ from dqforge.optimizer.observers.reduced_order import (
 )
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.reports.observers.text import position_parts
+from dqforge.reports.observers.tracker_text import tracker_part
 from dqforge.reports.pages.html_table import HtmlTable, Row, heading_cells
 from dqforge.reports.pages.html_text import (
     NARROW,
@@ -69,6 +71,15 @@ def _speed_error_table(errors: Sequence[ErrorsAtLoad]) -> HtmlTable:
         f"resistance {100.0 * errors[0].r_error:.0f} % too large",
     )
     return HtmlTable(symbols(caption), heading_cells(*columns), tuple(rows))
+
+
+def estimator_tables(found: PositionObserver | TunedTracker) -> list[HtmlTable]:
+    """Of an observer or a tracker of the position."""
+    if isinstance(found, PositionObserver):
+        return position_tables(found)
+    title, columns, rows, notes = tracker_part(found)
+    heading = symbols(f"{title}: {'; '.join(notes)}")
+    return [HtmlTable(heading, heading_cells(*columns), tuple(Row(cells) for cells in rows))]
 
 
 def position_tables(position: PositionObserver) -> list[HtmlTable]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import struct
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from textwrap import wrap
@@ -24,6 +26,7 @@ from dqforge.reports.observers.float32_model import (
     observer_outputs,
     plain_gains_of,
 )
+from dqforge.reports.observers.training_text import bound_text, silence_text
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData
 
@@ -126,6 +129,14 @@ def tuning_text(observer: PositionObserver) -> str:
     return observer.method.in_words(observer.tuning, observer.gains, observer.t_s)
 
 
+def _learned(observer: PositionObserver) -> list[str]:
+    """What the correction can do, and where it does nothing."""
+    if observer.training is None:
+        return []
+    bound, silence = bound_text(observer.training), silence_text(observer.training)
+    return wrap(f"Correction: {bound}; {silence}.", 110)
+
+
 def _preamble(design: Design, observer: PositionObserver) -> list[str]:
     code, prefix = observer.method.code, design.export.prefix
     return [
@@ -133,6 +144,7 @@ def _preamble(design: Design, observer: PositionObserver) -> list[str]:
         *wrap(f"Tuning: {tuning_text(observer)}.", 110),
         *wrap(f"Range: {speed_range_text(observer)}.", 110),
         *wrap(f"Included: {included_text(observer)}.", 110),
+        *_learned(observer),
         "",
         (
             f"Call {prefix}_{code}_start() once and {prefix}_{code}_step() at every sample with "
@@ -169,3 +181,13 @@ def observer_programme(observer: EmittedObserver) -> Programme:
     return Programme(
         "observers/harness.c.j2", inputs, outputs, {"code": method.code}, name="position observer"
     )
+
+
+def observer_gain_bytes(design: Design, observer: PositionObserver) -> bytes:
+    """Bytes of ``<prefix>_<code>_gains_t`` on this machine: the numbers of the header, in its
+    order, for runs that are given their own.
+    """
+    (content,) = observer_files(design, observer).values()
+    values = content.decode("ascii").split("_GAINS = {", 1)[1].split("};", 1)[0]
+    numbers = [float(number) for number in re.findall(r"-?[0-9.]+(?:e[+-]?[0-9]+)?(?=F)", values)]
+    return struct.pack(f"={len(numbers)}f", *numbers)

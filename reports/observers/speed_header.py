@@ -1,4 +1,4 @@
-"""The C header of the reduced-order speed observer (docs/speed-observer.md)."""
+"""The C header of the reduced-order speed observer (docs/methods/speed-observer.md)."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 
 from dqforge.optimizer.loops.loop_gains import LoopGains
+from dqforge.optimizer.loops.observed_margins import ObservedLoop, SpeedRange
 from dqforge.reports.plain_data import PlainData
 
 
@@ -56,6 +57,7 @@ def observed_notes(gains: LoopGains | None) -> tuple[str, ...]:
     )
     worst = f"{found.omega[found.worst] / (2.0 * math.pi):.3g} Hz"
     state = "" if found.stable else f"; unstable, largest pole {found.radius[found.worst]:.4g}"
+    swinging = () if found.cycle is None else (f"unstable as it is, {found.cycle.words}",)
     return (
         (
             f"the speed loop runs on the {found.observer}: with its lag, at the worst speed "
@@ -66,7 +68,71 @@ def observed_notes(gains: LoopGains | None) -> tuple[str, ...]:
             "time, no load"
         ),
         left_words(gains),
+        *swinging,
+        *corner_notes(found),
     )
+
+
+def corner_notes(found: ObservedLoop) -> tuple[str, ...]:
+    """From which speed on all corners of the tolerances hold; none for a speed observer."""
+    corners = found.corners
+    if corners is None:
+        return ()
+    box = "control.tolerances" if corners.named else "the usual tolerances"
+    limits = ", ".join(
+        f"{name} {100.0 * low:+.3g} to {100.0 * high:+.3g} %"
+        for name, (low, high) in corners.limits.items()
+    )
+    loads = " and ".join(f"{load:.3g}" for load in corners.loads)
+    exact = (
+        f"corners of {box} ({limits or 'exact data'}; loads of {loads} N m), no dead time: "
+        f"{range_words(corners.exact)}"
+    )
+    told: tuple[str, ...] = (exact,)
+    if corners.braking is not None:
+        told = (*told, f"braking with as much: {range_words(corners.braking)}")
+    if corners.dead_time is None:
+        return told
+    lost = " or ".join(f"{value:.3g}" for value in corners.lost)
+    dead_time = f"an indication: with {lost} V of dead time {range_words(corners.dead_time)}"
+    return (*told, dead_time)
+
+
+def leaving_notes(gains: LoopGains | None) -> tuple[str, ...]:
+    """That the simulation stays on the observer below the lowest speed that holds, and the corner
+    that fails there; nothing where it does not.
+    """
+    found = None if gains is None else gains.observed
+    corners = None if found is None else found.corners
+    if corners is None or corners.leaves is None or not corners.left_unstable:
+        return ()
+    below = corners.binding.below
+    assert below is not None
+    words = (
+        f"simulation.sensorless.below leaves the drive on its observer down to "
+        f"{_hertz(corners.leaves)} (electrical), all corners hold from "
+        f"{_hertz(corners.binding.low)} on; below, {below.words}"
+    )
+    return (words,)
+
+
+def corner_words(gains: LoopGains | None) -> tuple[str, ...]:
+    """Speeds at which all corners are stable, without dead time; none for a speed observer."""
+    found = None if gains is None else gains.observed
+    if found is None or found.corners is None:
+        return ()
+    return (range_words(found.corners.exact),)
+
+
+def range_words(found: SpeedRange) -> str:
+    """Where all corners are stable, and what fails below."""
+    if not found.any:
+        below = (
+            "" if found.below is None else f"; at {_hertz(found.below.omega)} {found.below.words}"
+        )
+        return f"stable at no speed{below}"
+    span = f"stable from {_hertz(found.low)} to {_hertz(found.high)} (electrical)"
+    return span if found.below is None else f"{span}; below, {found.below.words}"
 
 
 def margin_words(gains: LoopGains) -> str:
@@ -91,5 +157,47 @@ def plain_observed(gains: LoopGains) -> PlainData:
             "required_phase_margin_rad": found.required,
             "left_rad_per_s": found.left,
             "advice": found.advice,
+            "limit_cycle": None
+            if found.cycle is None
+            else {"omega_rad_per_s": found.cycle.omega, "swing_rad_per_s": found.cycle.swing},
+            "stable_advice": found.stable_advice,
+            "pll_least_rad_per_s": found.pll_least,
+            "corners": _plain_corners(found),
         }
+    }
+
+
+def _plain_corners(found: ObservedLoop) -> PlainData | None:
+    corners = found.corners
+    if corners is None:
+        return None
+    return {
+        "named": corners.named,
+        "limits": {name: list(pair) for name, pair in corners.limits.items()},
+        "loads_Nm": list(corners.loads),
+        "exact": _plain_range(corners.exact),
+        "lost_V": list(corners.lost),
+        "dead_time": None if corners.dead_time is None else _plain_range(corners.dead_time),
+        "braking": None if corners.braking is None else _plain_range(corners.braking),
+        "leaves_rad_per_s": corners.leaves,
+        "left_unstable": corners.left_unstable,
+    }
+
+
+def _plain_range(found: SpeedRange) -> PlainData:
+    below = found.below
+    failing = None
+    if below is not None:
+        failing = {
+            "omega_rad_per_s": below.omega,
+            "errors": below.corner.errors,
+            "load_Nm": below.corner.load,
+            "lost_V": below.corner.lost,
+            "largest_pole": below.radius if math.isfinite(below.radius) else None,
+        }
+    return {
+        "corners": found.corners,
+        "low_rad_per_s": found.low if found.any else None,
+        "high_rad_per_s": found.high if found.any else None,
+        "failing_below": failing,
     }

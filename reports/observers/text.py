@@ -23,6 +23,7 @@ from dqforge.reports.observers.position_header import (
     speed_range_text,
     tuning_text,
 )
+from dqforge.reports.observers.training_text import plain_training, training_part
 from dqforge.reports.plain_data import PlainData
 
 TextTable = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], tuple[str, ...]]
@@ -37,7 +38,8 @@ _CAUSES = {DEAD_TIME: "dead time", EXACT_DATA: "exact data"}
 
 
 def _degrees(value: float) -> str:
-    return f"{math.degrees(value):+.3g}" if math.isfinite(value) else "lost"
+    """An angle in deg; what is below 1e-4 deg is rounding, which differs between processors."""
+    return f"{round(math.degrees(value), 4) + 0.0:+.3g}" if math.isfinite(value) else "lost"
 
 
 def _size(value: float) -> str:
@@ -135,8 +137,11 @@ def _speed_part(observer: PositionObserver) -> TextTable:
 def position_parts(
     observer: PositionObserver, proof: ObserverProof | None = None
 ) -> list[TextTable]:
-    """Errors of angle and speed over the speed, the tuning, and what is proven, as text tables."""
-    return [_angle_part(observer, proof), _speed_part(observer)]
+    """Errors of angle and speed over the speed, the tuning, what is proven, and what was learned,
+    as text tables.
+    """
+    learned = [] if observer.training is None else [training_part(observer.training)]
+    return [_angle_part(observer, proof), _speed_part(observer), *learned]
 
 
 def plain_position(observer: PositionObserver) -> PlainData:
@@ -166,6 +171,7 @@ def plain_position(observer: PositionObserver) -> PlainData:
         "total_rad": judgement.total,
         "poles": [[[pole.real, pole.imag] for pole in row] for row in judgement.poles.tolist()],
         "shown": _plain_shown(observer.shown),
+        **plain_training(observer.training),
     }
 
 

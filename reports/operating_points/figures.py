@@ -14,11 +14,15 @@ from dqforge.optimizer.operating_points.characteristics import Characteristics, 
 from dqforge.optimizer.operating_points.operating_map import OperatingMap, VoltageLimit
 from dqforge.optimizer.operating_points.point_problem import Active
 from dqforge.optimizer.operating_points.points import OptimalPoints
+from dqforge.reports.figure_data.scaled import DrawnGrid, draw_filled
 from dqforge.reports.pages.figures_style import (
     AXIS_COLOURS,
     INK,
+    MAP_MUTED,
+    MAP_ORANGE,
     MUTED,
     ORANGE,
+    PAPER,
     label_in_unit,
     new_figure,
     style,
@@ -65,10 +69,11 @@ def _mark_regions(upper: Axes, lower: Axes, points: OptimalPoints) -> None:
     changes = np.flatnonzero(np.diff(points.active)) + 1
     for k in changes[changes < points.torque.size - 1]:
         torque = float(points.torque[k])
+        name = _REGIONS.get(Active(int(points.active[k])), "")
         for axes in (upper, lower):
-            vertical_marks(axes, np.array([torque]))
+            vertical_marks(axes, np.array([torque]), f"{name} from")
         upper.annotate(
-            _REGIONS.get(Active(int(points.active[k])), ""),
+            name,
             (torque, 1.0),
             xycoords=("data", "axes fraction"),
             xytext=(4, -2),
@@ -90,7 +95,13 @@ def plot_speed(points: OptimalPoints, limit: VoltageLimit) -> Figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
         figure.subplots_adjust(left=0.1, right=0.94, top=0.92, bottom=0.13, hspace=0.14)
         for axis, current in (("d", points.i_d), ("q", points.i_q)):
-            upper.plot(points.torque[kept], current[kept], color=AXIS_COLOURS[axis], linewidth=1.6)
+            upper.plot(
+                points.torque[kept],
+                current[kept],
+                color=AXIS_COLOURS[axis],
+                linewidth=1.6,
+                label=f"_$i_{axis}$",
+            )
             end = (float(points.torque[kept][-1]), float(current[kept][-1]))
             upper.annotate(
                 f"$i_{axis}$",
@@ -106,7 +117,9 @@ def plot_speed(points: OptimalPoints, limit: VoltageLimit) -> Figure:
         _mark_regions(upper, lower, points)
         label_in_unit(upper.yaxis, "Current in {} (peak)", float(np.max(np.abs(points.i_q))), "A")
         lower.plot(points.torque[kept], points.voltage[kept], color=INK, linewidth=1.3)
-        lower.axhline(limit.v_max, color=ORANGE, linewidth=1.0, linestyle=(0, (4.0, 2.0)))
+        lower.axhline(
+            limit.v_max, color=ORANGE, linewidth=1.0, linestyle=(0, (4.0, 2.0)), label="_limit"
+        )
         lower.text(
             float(points.torque[0]),
             limit.v_max,
@@ -195,15 +208,22 @@ def _draw_efficiency(axes: Axes, chart: OperatingMap, envelope: Envelope, top: f
     percent = np.ma.masked_invalid(_filled(chart.efficiency.copy())[:, 1:])
     shades = [_SHADES[round(k * (len(_SHADES) - 1) / len(levels))] for k in range(len(levels) + 1)]
     edges = [min(0.0, float(percent.min())) - 1.0, *levels, 101.0]
-    axes.contourf(speed, chart.torque, percent, levels=edges, colors=shades, zorder=1)
+    known = DrawnGrid(speed, chart.torque, 100.0 * chart.efficiency[:, 1:], "Efficiency in %")
+    draw_filled(axes, known, percent, levels=edges, colors=shades, zorder=1)
     # Without the torque zero, to which the fill was only carried on;
     # the lines beyond the envelope are covered.
     lines = axes.contour(
-        speed, chart.torque[1:], percent[1:], levels=levels, colors=MUTED, linewidths=0.6, zorder=2
+        speed,
+        chart.torque[1:],
+        percent[1:],
+        levels=levels,
+        colors=MAP_MUTED,
+        linewidths=0.6,
+        zorder=2,
     )
     points = envelope.points
     axes.fill_between(
-        points.omega_m * _RPM, points.torque, top, color="white", linewidth=0, zorder=2.5
+        points.omega_m * _RPM, points.torque, top, color=PAPER, linewidth=0, zorder=2.5
     )
     real = np.ma.masked_invalid(100.0 * chart.efficiency[:, 1:])
     guide = axes.contour(speed, chart.torque, real, levels=levels, linewidths=0.0)
@@ -223,7 +243,7 @@ def _draw_efficiency(axes: Axes, chart: OperatingMap, envelope: Envelope, top: f
 def _mark(axes: Axes, speed: float, torque: float, text: str) -> None:
     """A dot on the envelope with its text above, inside the axes."""
     left = speed > 0.62 * axes.get_xlim()[1]
-    axes.plot([speed], [torque], "o", color=INK, markersize=4, zorder=4)
+    axes.plot([speed], [torque], "o", color=INK, markersize=4, zorder=4, label=f"_{text}")
     axes.annotate(
         text,
         (speed, torque),
@@ -248,7 +268,7 @@ def _draw_envelope(axes: Axes, figures: Characteristics, envelope: Envelope) -> 
         axes.plot(
             begin,
             envelope.weakening_torque,
-            color=ORANGE,
+            color=MAP_ORANGE,
             linewidth=1.2,
             linestyle=dashes,
             label=label,
@@ -269,8 +289,8 @@ def plot_operating_map(figures: Characteristics, envelope: Envelope, chart: Oper
     and the line where field weakening begins.
     """
     top = 1.1 * figures.torque_max
-    machine = "machine (copper and iron)" if np.any(chart.losses.iron > 0.0) else "machine (copper)"
-    losses = f"{machine} and inverter" if chart.with_inverter else machine
+    iron, inverter = bool(np.any(chart.losses.iron > 0.0)), chart.with_inverter
+    losses = "copper" + ", iron" * iron + ", inverter" * inverter
     with style():
         figure = new_figure(
             "map", 4.2, "Efficiency over speed and torque within the limits of current and voltage"
@@ -281,7 +301,7 @@ def plot_operating_map(figures: Characteristics, envelope: Envelope, chart: Oper
         )
         _draw_efficiency(axes, chart, envelope, top)
         _draw_envelope(axes, figures, envelope)
-        axes.set_title(f"Efficiency of {losses}")
+        axes.set_title(f"Efficiency ({losses})")  # short: the legend is on the same line
         label_in_unit(axes.yaxis, "Torque in {}", figures.torque_max, "N m")
         axes.grid(visible=False)
         axes.legend(

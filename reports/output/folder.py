@@ -5,9 +5,7 @@ lost that others put there.
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
-import posixpath
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -15,13 +13,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from dqforge import __version__
-from dqforge.machines.design.design import Design, DesignFiles
+from dqforge.machines.design.design import Design
 from dqforge.machines.design.reading import MAX_FILE_BYTES
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
+from dqforge.reports.operating_system.folder_lock import FolderTakenError, lock_folder
 from dqforge.reports.output import folder_swap
 from dqforge.reports.output.manifest import (
-    MANIFEST,
     Manifest,
     Part,
     find_manifest,
@@ -29,31 +27,12 @@ from dqforge.reports.output.manifest import (
     sha256,
     to_bytes,
 )
-
-INPUT = "dqforge-input"
-
-"""Folder in the output folder that holds the design file and, below ``files``,
-those that it names."""
-
-
-INPUT_DESIGN = f"{INPUT}/design.yaml"
-
-
-INPUT_FILES = f"{INPUT}/files"
-
+from dqforge.reports.run_folder import MANIFEST, input_files
 
 RUN, SIMULATION, FIGURES = "run", "simulation", "figures"
 
 
 _LONGEST_WAIT_S = 60.0
-
-
-def input_files(given: DesignFiles | None) -> dict[str, bytes]:
-    """The files from which a design can be read again, by their names in the output folder."""
-    if given is None:
-        return {}
-    named = {f"{INPUT_FILES}/{posixpath.normpath(name)}": content for name, content in given.named}
-    return {INPUT_DESIGN: given.text} | named
 
 
 def _refusal(folder: Path, error: OSError) -> InputError:
@@ -66,33 +45,28 @@ def _refusal(folder: Path, error: OSError) -> InputError:
 def _alone(folder: Path) -> Iterator[None]:
     """Keep other runs from the folder above; its lock goes with the process, however that ends."""
     try:
-        handle = os.open(folder.parent, os.O_RDONLY)
+        handle = _lock(folder)
     except OSError:
         # a folder above that cannot be read cannot be written either: the files go in from inside
         yield
         return
     try:
-        _lock(handle, folder)
         yield
     finally:
         os.close(handle)
 
 
-def _lock(handle: int, folder: Path) -> None:
+def _lock(folder: Path) -> int:
     end = time.monotonic() + _LONGEST_WAIT_S
     while True:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
-                return  # a file system without locks
+            return lock_folder(folder.parent)
+        except FolderTakenError as error:
             if time.monotonic() > end:
                 raise InputError(
                     f"another run is writing beside {folder}; wait for it, or choose another -o"
                 ) from error
             time.sleep(0.01)
-        else:
-            return
 
 
 def _intact(folder: Path, part: Part) -> bool:

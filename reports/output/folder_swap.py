@@ -3,9 +3,9 @@ whatever happens on the way.
 
 The new content is written beside the folder, flushed to disk, and exchanged with it by one call of
 the system. Where that cannot be done (the folder is a mount point, holds the working directory or
-folders of others, or its file system exchanges nothing), everything is first written into a folder
-inside it; a rename says that it is complete, and only then are the files moved to their places. Who
-reads a folder between this and the end sees `PENDING` in it.
+folders of others, its file system exchanges nothing, or the system is not Linux), everything is
+first written into a folder inside it; a rename says that it is complete, and only then are the
+files moved to their places. Who reads a folder between this and the end sees `PENDING` in it.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ import shutil
 import stat
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
+
+from dqforge.reports.operating_system import system
+from dqforge.reports.operating_system.folder_lock import flush_folder
 
 PENDING = ".dqforge-swap"
 
@@ -32,14 +35,6 @@ _RENAME_EXCHANGE = 2
 _AT_FDCWD = -100
 
 
-def _flush_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 def _fill(folder: Path, contents: Mapping[str, bytes]) -> None:
     """Write files into a new folder in their order, each flushed to disk."""
     folder.mkdir()
@@ -50,7 +45,7 @@ def _fill(folder: Path, contents: Mapping[str, bytes]) -> None:
             stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
-    _flush_folder(folder)
+    flush_folder(folder)
 
 
 def _exchange(first: Path, second: Path) -> None:
@@ -91,6 +86,8 @@ def _holds_only_files(folder: Path, own: Collection[str]) -> bool:
 
 
 def _can_exchange(folder: Path, own: Collection[str]) -> bool:
+    if not system.LINUX:
+        return False
     here = Path.cwd()
     if folder == here or folder in here.parents or os.path.ismount(folder):
         return False  # whoever stands in the folder would be left in the old one
@@ -162,7 +159,7 @@ def _swap(
             place = sibling / name
             place.parent.mkdir(parents=True, exist_ok=True)
             os.link(folder / name, place, follow_symlinks=False)
-        _flush_folder(sibling)
+        flush_folder(sibling)
         if exists:
             _exchange(sibling, folder)
         else:
@@ -170,7 +167,7 @@ def _swap(
     except BaseException:
         shutil.rmtree(sibling, ignore_errors=True)
         raise
-    _flush_folder(folder.parent)
+    flush_folder(folder.parent)
     if exists:
         _retire(sibling, folder, own)
 
@@ -182,7 +179,7 @@ def finish_pending(folder: Path, marker: str) -> None:
     for name in names:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (pending / name).replace(folder / name)
-    _flush_folder(folder)
+    flush_folder(folder)
     shutil.rmtree(pending)
 
 
@@ -198,7 +195,7 @@ def _replace_inside(
         shutil.rmtree(staged, ignore_errors=True)
         raise
     staged.rename(pending)
-    _flush_folder(folder)
+    flush_folder(folder)
     for name in superseded:
         (folder / name).unlink(missing_ok=True)
     finish_pending(folder, marker)

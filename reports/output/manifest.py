@@ -19,11 +19,7 @@ from dqforge import __version__
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.reports.pages.files import LARGEST_JSON, read_output
-
-MANIFEST = "dqforge-manifest.json"
-
-"""Name of the list in its folder; it is written last."""
-
+from dqforge.reports.run_folder import MANIFEST
 
 LAYOUT = 1
 

@@ -15,20 +15,14 @@ from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.reading import MAX_FILE_BYTES
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.solution import Solution
-from dqforge.reports.output.folder import INPUT_DESIGN, INPUT_FILES, RUN
+from dqforge.reports.output.folder import RUN
 from dqforge.reports.output.folder_swap import PENDING, files_below
 from dqforge.reports.output.line_comparison import Tally, first_difference, tally
-from dqforge.reports.output.manifest import (
-    MANIFEST,
-    Manifest,
-    Part,
-    computed_with,
-    read_manifest,
-    sha256,
-)
+from dqforge.reports.output.manifest import Manifest, Part, computed_with, read_manifest, sha256
 from dqforge.reports.pages.files import read_output
 from dqforge.reports.result import without_simulation
 from dqforge.reports.run import export_design
+from dqforge.reports.run_folder import INPUT_DESIGN, INPUT_FILES, MANIFEST
 
 RESULT = "result.json"
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dqforge.reports.output.folder import INPUT_DESIGN
 from dqforge.reports.output.recomputation import Recomputation
+from dqforge.reports.run_folder import INPUT_DESIGN
 
 _NAMED = 4
 

@@ -50,13 +50,15 @@ class Answer:
     tables:
         For the terminal.
     plain:
-        For ``--json``, by the keys of docs/json.md.
+        For ``--json``, by the keys of docs/reference/json.md.
     figure:
         Draws the figure of ``--plot``; None where there is none.
     files:
         To be written; None where there are none.
     notes:
         Lines for the terminal, behind the tables.
+    exit_code:
+        With which the command ends.
     """
 
     name: str
@@ -65,3 +67,4 @@ class Answer:
     figure: Callable[[], Figure] | None = None
     files: Files | None = None
     notes: tuple[str, ...] = ()
+    exit_code: int = 0

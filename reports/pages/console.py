@@ -19,6 +19,17 @@ if TYPE_CHECKING:
 
 _PIPE_WIDTH = 160
 _REFRESH_S = 0.1
+QUICK_S = 1.0
+
+"""What takes no longer shows no sign of life."""
+
+
+LOADING = "loading what the command needs"
+
+"""The stage that every command begins with: the import of its own modules."""
+
+
+_BETWEEN_COLUMNS = 3
 
 
 def show(tables: Sequence[Table]) -> None:
@@ -44,14 +55,33 @@ def show(tables: Sequence[Table]) -> None:
             grid = RichTable(
                 box=box.SIMPLE_HEAD if has_header else None, show_header=has_header, pad_edge=False
             )
-            for column in table.columns:
-                grid.add_column(Text(column), overflow="fold")
+            kept = _unbroken(table, console.width)
+            for column, whole in zip(table.columns, kept, strict=True):
+                grid.add_column(Text(column), overflow="fold", no_wrap=whole)
             for row in table.rows:
                 grid.add_row(*(Text(cell) for cell in row))
             console.print(grid)
         for note in table.notes:
             console.print(Text(note, style="dim"))
         console.print()
+
+
+def _unbroken(table: Table, room: int) -> list[bool]:
+    """Which columns keep their cells in one line: those whose every cell is one word, where the
+    words of the others fit beside them.
+    """
+    cells = [[row[k] for row in table.rows] for k in range(len(table.columns))]
+    single = [all(len(cell.split()) <= 1 for cell in column) for column in cells]
+    least = [
+        max(
+            len(part)
+            for cell in [title, *column]
+            for part in ([cell] if one else [*cell.split(), ""])
+        )
+        for title, column, one in zip(table.columns, cells, single, strict=True)
+    ]
+    fits = sum(least) + _BETWEEN_COLUMNS * (len(least) - 1) <= room
+    return [one and fits for one in single]
 
 
 _moving = Lock()

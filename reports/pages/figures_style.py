@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.reports.figure_data.figure_sheet import read_figure
+from dqforge.reports.figure_data.scaled import tick_in_unit
 from dqforge.reports.pages.files import check_figure_path, write_atomically
 
 if TYPE_CHECKING:
@@ -23,26 +25,73 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Told apart by readers who see no red or green, and in grey print by their lightness.
+# Told apart by readers who see no red or green, and in grey print by their lightness. Every colour
+# of a curve or a bar stands out from white and, as `DARK` has it, from the dark page by 3 to 1 at
+# least, every colour of text by 4.5 to 1.
 INK = "#1b2430"
 
 
 MUTED = "#5d6875"
 
 
+PALE = "#87919d"
+
+"""Curves of the second row."""
+
+
 FAINT = "#c3cad3"
+
+"""Bands and borders behind the data."""
 
 
 GRID = "#e7eaee"
 
 
+PAPER = "#ffffff"
+
+
 BLUE = "#1f6fb2"
 
 
-ORANGE = "#d1600f"
+ORANGE = "#bd540b"
 
 
 TEAL = "#00796b"
+
+
+PURPLE = "#8a3f9e"
+
+
+OLIVE = "#7a6a00"
+
+
+RED = "#b3263a"
+
+
+BROWN = "#7d5a3c"
+
+
+SKY = "#5b93cc"
+
+
+SERIES = (BLUE, ORANGE, TEAL, PURPLE, OLIVE, RED, BROWN, MUTED, SKY)
+
+"""Colours of curves in their order."""
+
+
+MAP_INK = "#1b2431"
+
+"""What is written and drawn upon a coloured map, on a dark page too."""
+
+
+MAP_MUTED = "#5d6876"
+
+"""Thin lines upon a coloured map."""
+
+
+MAP_ORANGE = "#bd540c"
+
+"""Curves upon a coloured map."""
 
 
 AXIS_COLOURS = {"d": BLUE, "q": ORANGE}
@@ -51,20 +100,44 @@ AXIS_COLOURS = {"d": BLUE, "q": ORANGE}
 LOOP_COLOURS = {"i_d": BLUE, "i_q": ORANGE, "i_0": MUTED, "speed": TEAL}
 
 
-LOSS_COLOURS = {"copper": "#c9782b", "conduction": "#a9c6e6", "switching": "#1d4e89"}
-
-
 PART_COLOURS = {
-    "copper": LOSS_COLOURS["copper"],
-    "ripple_copper": "#e8b98a",
-    "iron": "#7d5a3c",
-    "ripple_iron": "#a98a70",
-    "magnet": "#b3a394",
-    "conduction": LOSS_COLOURS["conduction"],
-    "dead_time": "#5b9bd5",
-    "switching": LOSS_COLOURS["switching"],
-    "capacitor": "#8a8f98",
+    "copper": "#b5651d",
+    "ripple_copper": "#cf8031",
+    "iron": "#6b4a30",
+    "ripple_iron": "#96765c",
+    "magnet": "#8f8170",
+    "conduction": "#4f93d2",
+    "dead_time": "#2f78bd",
+    "switching": "#1d4e89",
+    "capacitor": "#7d838d",
 }
+
+
+DARK = {
+    INK: "#e3e8ee",
+    MUTED: "#a3afbb",
+    FAINT: "#4a5563",
+    GRID: "#2c353f",
+    PAPER: "#1a2027",
+    BLUE: "#5ea9ea",
+    ORANGE: "#f08a3c",
+    TEAL: "#35b8a6",
+    PURPLE: "#c98fdc",
+    OLIVE: "#c9b84a",
+    RED: "#f27e8b",
+    BROWN: "#c9a27f",
+    SKY: "#7fb3e6",
+    "#b5651d": "#e0904a",
+    "#cf8031": "#f0b376",
+    "#6b4a30": "#b48a68",
+    "#96765c": "#d6b99f",
+    "#8f8170": "#bfb3a3",
+    "#4f93d2": "#7cb4ea",
+    "#2f78bd": "#569bdc",
+    "#1d4e89": "#3f7fc4",
+}
+
+"""Colours on a dark page; one that is not named stays as it is."""
 
 
 WIDTH = 7.0
@@ -108,6 +181,9 @@ _STYLE: Any = {
     "xtick.major.size": 3.0,
     "ytick.major.size": 3.0,
     "text.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 7.5,
+    "legend.title_fontsize": 7.5,
     "lines.linewidth": 1.4,
     "lines.solid_capstyle": "round",
     "svg.fonttype": "none",
@@ -132,24 +208,30 @@ def style() -> Iterator[None]:
     Undone on leaving.
     """
     import matplotlib as mpl
+    from matplotlib import rcsetup
 
     with mpl.rc_context():
         mpl.rcdefaults()
-        mpl.rcParams.update(_STYLE)
+        mpl.rcParams.update(_STYLE, **{"axes.prop_cycle": rcsetup.cycler(color=SERIES)})
         yield
 
 
-def new_figure(name: str, height: float, describe: str) -> Figure:
+def new_figure(name: str, height: float, describe: str, *, arranged: bool = False) -> Figure:
     """An empty figure of ``height`` inches.
 
     ``name`` keeps its identifiers apart from those of others on a page.
 
     ``describe`` says in one sentence what is to be seen, for readers who cannot see it.
+
+    Panels of an ``arranged`` figure make room for their labels themselves.
     """
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    figure = Figure(figsize=(WIDTH, height), label=f"{name}|{describe}")
-    figure.set_facecolor("white")
+    # Room beside the tick labels, which readers' fonts make wider than the layout counts.
+    layout = ConstrainedLayoutEngine(w_pad=0.09, h_pad=0.05) if arranged else None
+    figure = Figure(figsize=(WIDTH, height), label=f"{name}|{describe}", layout=layout)
+    figure.set_facecolor(PAPER)
     return figure
 
 
@@ -167,14 +249,10 @@ def label_in_unit(axis: Axis, label: str, largest: float, unit: str) -> None:
     """Label an axis with its unit in place of ``{}``; where all values lie below one,
     both take a smaller unit.
     """
-    from matplotlib.ticker import FuncFormatter
-
     factor, small = prefixed(largest, unit)
     axis.set_label_text(label.format(small))
     if factor > 1.0:
-        axis.set_major_formatter(
-            FuncFormatter(lambda value, _: f"{value * factor:g}".replace("-", "\u2212"))
-        )
+        tick_in_unit(axis, factor)
 
 
 def thinned(
@@ -197,11 +275,16 @@ def thinned(
     return argument[chosen], value[chosen]
 
 
-def vertical_marks(axes: Axes, positions: FloatArray) -> None:
-    """Thin vertical lines, for breakpoints."""
+def vertical_marks(axes: Axes, positions: FloatArray, name: str) -> None:
+    """Thin vertical lines, for breakpoints; ``name`` is theirs in the data."""
     for position in positions:
         axes.axvline(
-            float(position), color=MUTED, linewidth=0.7, linestyle=(0, (1.5, 2.0)), zorder=1
+            float(position),
+            color=MUTED,
+            linewidth=0.7,
+            linestyle=(0, (1.5, 2.0)),
+            zorder=1,
+            label=f"_{name}",
         )
 
 
@@ -236,7 +319,7 @@ def _plain_labels(figure: Figure) -> Iterator[None]:
 def _subscripts(match: re.Match[str]) -> str:
     """One text element with its subscripts as shifted spans, and the line restored behind each."""
     head, body = match.groups()
-    parts = re.split("(?<!\\w)([A-Za-z\u03b1-\u03c9])_(\\w+)", body)
+    parts = re.split("(?<!\\w)([A-Za-z\u03b1-\u03c9])_(\\w+)", re.sub(r"_\{(\w+)\}", r"_\1", body))
     if len(parts) == 1:
         return match.group()
     spans = [parts[0]]
@@ -291,24 +374,41 @@ def _root(figure: Figure, describe: str) -> str:
 
 def to_svg(figure: Figure) -> str:
     """The figure as an ``<svg>`` element to stand in an HTML page: no prolog, no outside reference,
-    no date.
+    no date. Its colours are those of the page's style, with those of white paper behind them.
     """
-    return _svg(figure)
+    return re.sub(r"\b(fill|stroke): (#[0-9a-f]{6})\b", _of_the_page, _svg(figure))
+
+
+def _of_the_page(match: re.Match[str]) -> str:
+    colour = match.group(2)
+    return f"{match.group(1)}: {page_colour(colour)}" if colour in DARK else match.group()
+
+
+def page_colour(colour: str) -> str:
+    """A colour as the style of a page has it, light or dark.
+
+    Parameters
+    ----------
+    colour:
+        As ``#rrggbb``.
+    """
+    return f"var(--fig-{colour[1:]},{colour})" if colour in DARK else colour
 
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure in the format that the suffix of ``path`` names, whole or not at all,
-    without a date.
+    without a date; .csv has the data that it shows.
 
     Raises
     ------
     InputError
-        The suffix is not .svg, .png or .pdf, or the file cannot be written.
+        The suffix is not .svg, .png, .pdf or .csv, or the file cannot be written.
     """
     formats: dict[str, Callable[[], bytes]] = {
         ".svg": lambda: b'<?xml version="1.0" encoding="utf-8"?>\n' + _svg(figure).encode(),
         ".png": lambda: _content(figure, "png", dpi=200),
         ".pdf": lambda: _content(figure, "pdf"),
+        ".csv": lambda: read_figure(figure).csv().encode(),
     }
     check_figure_path(path)
     write_atomically(path, formats[path.suffix.lower()]())

@@ -81,7 +81,7 @@ def _beside(path: Path, content: bytes) -> Path:
     return temporary
 
 
-FIGURE_SUFFIXES = (".svg", ".png", ".pdf")
+FIGURE_SUFFIXES = (".svg", ".png", ".pdf", ".csv")
 
 
 def check_figure_path(path: Path, made: Path | None = None) -> None:
@@ -97,11 +97,13 @@ def check_figure_path(path: Path, made: Path | None = None) -> None:
     Raises
     ------
     InputError
-        The suffix is not .svg, .png or .pdf, or the folder is not there.
+        The suffix is not .svg, .png, .pdf or .csv, or the folder is not there.
     """
     if path.suffix.lower() not in FIGURE_SUFFIXES:
         got = f"the suffix {path.suffix!r}" if path.suffix else "no suffix"
-        raise InputError(f"a figure is written as .svg, .png or .pdf; {path.name!r} has {got}")
+        raise InputError(
+            f"a figure is written as .svg, .png or .pdf, its data as .csv; {path.name!r} has {got}"
+        )
     if not path.parent.is_dir() and path.parent != made:
         raise InputError(
             f"cannot write {path}: there is no folder {path.parent}; make it, or choose another "

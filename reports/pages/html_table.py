@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from dqforge.optimizer.current_reference.forms import ReferenceErrors
 from dqforge.reports.pages.html_text import (
     ceiling,
+    count,
     quantity,
     share,
     symbols,
@@ -15,6 +16,10 @@ from dqforge.reports.pages.html_text import (
 
 if TYPE_CHECKING:
     from markupsafe import Markup
+
+
+MOST_OPEN_ROWS = 24
+"""A table with more rows is folded, so that the page stays readable."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +35,8 @@ class HtmlTable:
     """A table with a caption.
 
     The first ``text_columns`` columns are text, the others are set as numbers; ``notes`` stand
-    below it, one line each.
+    below it, one line each. A table that is ``folded``, or has more than `MOST_OPEN_ROWS` rows, is
+    closed at first; its summary line then has the number of rows, and ``key``, its key number.
     """
 
     caption: str | Markup
@@ -38,6 +44,23 @@ class HtmlTable:
     rows: tuple[Row, ...]
     text_columns: int = 1
     notes: tuple[str | Markup, ...] = ()
+    folded: bool = False
+    key: str | Markup = ""
+
+    @property
+    def folds(self) -> bool:
+        """Whether it is closed at first."""
+        return bool(self.rows) and (self.folded or len(self.rows) > MOST_OPEN_ROWS)
+
+    @property
+    def told(self) -> str | Markup:
+        """What the summary line says besides the caption."""
+        return counted(len(self.rows), "row") + (self.key and "; " + self.key)
+
+
+def counted(many: int, what: str) -> str:
+    """How many there are of something, in words that agree."""
+    return f"{count(many)} {what}{'' if many == 1 else 's'}"
 
 
 def heading_cells(*texts: str) -> tuple[Markup, ...]:

@@ -54,10 +54,11 @@ def draw_cells(
     speed: FloatArray,
     torque: FloatArray,
     colours: Sequence[str] = (*WINNERS, OTHERS),
+    names: Sequence[str] = (),
 ) -> None:
     """Cells in the colours of their codes, none where negative, as few rectangles.
 
-    Borders in rpm and N m.
+    Borders in rpm and N m. ``names`` are those of the codes in the data, where no legend says them.
     """
     from matplotlib.patches import Rectangle
 
@@ -67,7 +68,12 @@ def draw_cells(
         # A thin line of the same colour closes the seams between rectangles.
         axes.add_patch(
             Rectangle(
-                corner, *size, facecolor=colours[kind], edgecolor=colours[kind], linewidth=0.4
+                corner,
+                *size,
+                facecolor=colours[kind],
+                edgecolor=colours[kind],
+                linewidth=0.4,
+                label=f"_{names[kind]}" if names else "",
             )
         )
 

@@ -19,6 +19,8 @@ from dqforge.reports.c_code.numbers import (
     int32_literal,
     int64_literal,
 )
+from dqforge.reports.pages.figures_style import DARK
+from dqforge.reports.pages.html_text import symbols
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -72,6 +74,7 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
         autoescape=lambda name: name is not None and ".html" in name,
     )
+    environment.globals["figure_colours"] = DARK
     environment.filters.update(
         f32=float_literal,
         addend=addend,
@@ -80,6 +83,7 @@ def _environment() -> Environment:
         int32=int32_literal,
         int32_addend=int32_addend,
         int64=int64_literal,
+        symbols=symbols,
     )
     return environment
 

@@ -50,7 +50,7 @@ def _paper001(*, figures: bool) -> Reproduced:
     found = reproduce_paper()
     drawn: dict[str, Callable[[], Figure]] = {}
     if figures:
-        from dqforge.reports.papers.paper001.figures import plot_bench
+        from dqforge.reports.papers.paper001.figures import plot_bench, plot_without_encoder
         from dqforge.reports.papers.paper001.program_figures import (
             plot_at_1200,
             plot_climbs,
@@ -61,6 +61,7 @@ def _paper001(*, figures: bool) -> Reproduced:
         drawn["figures-8.3-to-8.13.svg"] = lambda: plot_at_1200(runs)
         drawn["figures-8.14-to-8.20.svg"] = lambda: plot_climbs(runs)
         drawn["figures-8.21-to-8.28.svg"] = lambda: plot_reversal(runs)
+        drawn["figures-8.29-to-8.33.svg"] = lambda: plot_without_encoder(found.runs)
         drawn["figures-8.3-to-8.31.svg"] = lambda: plot_bench(found.runs)
     return Reproduced(tables.reproduction_tables(found), tables.plain_reproduction(found), drawn)
 

@@ -69,6 +69,7 @@ class PhaseControlState:
     open: NDArray[np.uint32]
     harmonic: dict[int, Singles] = field(default_factory=dict)
     harmonic_zero: dict[int, Singles] = field(default_factory=dict)
+    held: Singles = field(default_factory=lambda: (np.zeros(1, dtype=np.float32),) * 2)
 
     @classmethod
     def start(cls, count: int, structure: Structure) -> PhaseControlState:
@@ -385,6 +386,12 @@ class PhaseControlModel:
         current = Pair(sample.current.alpha, sample.current.beta)
         return three_leg_duties(made.modulation, Pair(v.alpha, v.beta), sample.v_dc, current)
 
+    def duties(
+        self, v: Pair[SingleArray], v_dc: SingleArray, current: Pair[SingleArray]
+    ) -> Singles:
+        """Duty cycles of three legs for a voltage (alpha, beta) in V."""
+        return three_leg_duties(self.structure.modulation, v, v_dc, current)
+
     def limited_torque(self, torque: SingleArray, measured: SingleArray) -> SingleArray:
         """A torque in N m within the limits at samples as of `control_step`."""
         most = self.gains["torque_max"]
@@ -417,12 +424,17 @@ class PhaseControlModel:
         self, state: PhaseControlState, measured: SingleArray, torque: SingleArray
     ) -> Singles:
         """Duty cycles for a torque in N m."""
-        limited = self.limited_torque(torque, measured)
+        made, held = self.structure, state.held
+        per_ampere = (np.float32(1.5) * self.gains["pole_pairs"]) * self.gains["psi_pm"]
+        asked = torque + (per_ampere * held[1]) if made.start_up and made.by_torque else torque
+        limited = self.limited_torque(asked, measured)
         if self.reference is None:
-            per_ampere = (np.float32(1.5) * self.gains["pole_pairs"]) * self.gains["psi_pm"]
-            reference: Singles = (np.zeros_like(limited), limited / per_ampere)
+            d = held[0] if made.start_up else _ZERO
+            reference: Singles = (np.zeros_like(limited) + d, limited / per_ampere)
         else:
             reference = tuple(self.reference.currents(limited))
+            if made.start_up:
+                reference = (reference[0] + held[0], reference[1] + held[1])
         state.torque = torque
         return self.control_step(state, measured, reference, limited)
 

@@ -89,7 +89,12 @@ def plain_solution_control(solution: Solution, control: PhaseControl) -> PlainDa
     by_waveform = control.frame == "table" and isinstance(
         solution.design.phase_machine, SalientPhaseMachine
     )
-    return plain_phase_control(control, surroundings(solution), by_waveform=by_waveform)
+    return plain_phase_control(
+        control,
+        surroundings(solution),
+        by_waveform=by_waveform,
+        start_up=solution.design.control.start_up is not None,
+    )
 
 
 def _gain_lines(plain: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -134,6 +139,7 @@ def header_context(plain: Mapping[str, Any]) -> dict[str, Any]:
         "turning": not made.follows or bool(ascending) or made.feedforward == "references",
         "salient": made.salient,
         "by_waveform": made.by_waveform,
+        "start_up": made.start_up,
         "proportional": made.proportional,
         "modulator": MODULATORS[made.modulation],
         "turns": made.turns,

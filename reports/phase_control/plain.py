@@ -159,11 +159,16 @@ def _require(control: PhaseControl) -> None:
 
 
 def plain_phase_control(
-    control: PhaseControl, around: Surroundings, *, by_waveform: bool = False
+    control: PhaseControl,
+    around: Surroundings,
+    *,
+    by_waveform: bool = False,
+    start_up: bool = False,
 ) -> PlainData:
     """The emitted control as plain data; every number is a float32 value.
 
-    ``by_waveform`` says that the references are those of the header of phase currents.
+    ``by_waveform`` says that the references are those of the header of phase currents, ``start_up``
+    that a start without encoder adds currents to them.
 
     Raises
     ------
@@ -191,6 +196,7 @@ def plain_phase_control(
         "modulation": around.modulation,
         "turns": control.shape.turns,
         "by_waveform": by_waveform,
+        **({"start_up": True} if start_up else {}),
         "ratio": around.ratio,
         "plane": [] if harmonics is None else list(harmonics.plane),
         "zero_orders": list(harmonics.zero) if harmonics is not None and neutral else [],
@@ -236,6 +242,7 @@ def structure_of(plain: Mapping[str, Any]) -> Structure:
         plain["torque_limit"] is not None,
         plain["l_d"] != plain["l_q"],
         bool(plain.get("by_waveform", False)),
+        plain.get("start_up", False) is True,
     )  # fmt: skip
     if (found.zero or found.frame == "dqy") and not found.neutral:
         raise ValueError

@@ -28,6 +28,8 @@ class Structure:
         Whether the inductances of d and q differ.
     by_waveform:
         Whether the references are those of the header of phase currents, over torque and angle.
+    start_up:
+        Whether a start without encoder adds currents to the references of a torque.
     """
 
     frame: CurrentFrame
@@ -41,6 +43,7 @@ class Structure:
     torque_limit: bool = False
     salient: bool = False
     by_waveform: bool = False
+    start_up: bool = False
 
     @property
     def neutral(self) -> bool:

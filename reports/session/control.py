@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
+from dqforge.optimizer.control_design.observed_refusal import require_observed
+from dqforge.optimizer.estimator_comparison.own_observer import ObserverEvidence, observer_evidence
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
 from dqforge.optimizer.observers.proof import ObserverProof, prove
 from dqforge.reports.dynamic_references.tables import plain_references
+from dqforge.reports.estimator_comparison.observer_errors import plain_capture, plain_warm
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.phase_control.emitted_integers import plain_integer_evidence
@@ -19,6 +22,7 @@ from dqforge.reports.plain_data import PlainData
 from dqforge.reports.session.result import DrawnResult, dataset
 from dqforge.reports.simulation.design_run import DriveSimulation, StepFigures
 from dqforge.reports.simulation.tables import plain_simulation
+from dqforge.reports.speed_measurement.tables import plain_measured
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,17 +34,19 @@ class Tuning(DrawnResult):
     ki and margins in SI units.
 
     ``fixed`` are control functions in fixed point, ``proof`` what is proven of a position observer;
-    both where the design asks for them.
+    both where the design asks for them. ``evidence`` has its errors on warm machines and the starts
+    from which it locks, None without a position observer.
     """
 
     design: Design
     gains: GainSet
     fixed: tuple[IntegerFit, ...] = ()
     proof: ObserverProof | None = None
+    evidence: ObserverEvidence | None = None
 
     def plain(self) -> PlainData:
         """By the keys of ``dqforge tune --json``."""
-        evidence = {found.control.format: plain_integer_evidence(found) for found in self.fixed}
+        integers = {found.control.format: plain_integer_evidence(found) for found in self.fixed}
         return {
             "gains": plain_gains(self.design, self.gains),
             **(
@@ -48,8 +54,22 @@ class Tuning(DrawnResult):
                 if self.gains.references is None
                 else {"dynamic_references": plain_references(self.gains.references)}
             ),
+            **(
+                {}
+                if self.gains.measured_speed is None
+                else {"speed_measurement": plain_measured(self.gains.measured_speed)}
+            ),
             **({} if self.proof is None else {"observer_proof": asdict(self.proof)}),
-            **({"control_fixed": evidence} if evidence else {}),
+            **({"control_fixed": integers} if integers else {}),
+            **self._plain_evidence(),
+        }
+
+    def _plain_evidence(self) -> PlainData:
+        if self.evidence is None:
+            return {}
+        return {
+            "observer_warm": plain_warm(self.evidence.warm),
+            "observer_capture": plain_capture(self.evidence.capture),
         }
 
     def figure(self) -> Figure:
@@ -72,10 +92,12 @@ def tune(design: Design) -> Tuning:
     ------
     NoSolutionError
         A loop is unstable or has less margin than required, nominally or at a corner of
-        the tolerances; says where.
+        the tolerances; says where. On a position observer as `require_observed`.
     """
     gains = solve_gains(design)
-    return Tuning(design, gains, solve_integers(design, gains), prove(gains.position))
+    require_observed(design, gains)
+    fixed, proof = solve_integers(design, gains), prove(gains.position)
+    return Tuning(design, gains, fixed, proof, observer_evidence(design, gains.position))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,12 +11,13 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import VerificationError
 from dqforge.optimizer import solution as solved
-from dqforge.reports.output.folder import INPUT_DESIGN, RUN, write_output
+from dqforge.reports.output.folder import RUN, write_output
 from dqforge.reports.output.line_comparison import first_difference
 from dqforge.reports.output.recomputation import Recomputation, read_listed, recompute
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.result import plain_solution
 from dqforge.reports.run import export_design
+from dqforge.reports.run_folder import INPUT_DESIGN
 from dqforge.reports.session.control import Tuning
 from dqforge.reports.session.losses import Losses
 from dqforge.reports.session.result import Result

@@ -48,7 +48,9 @@ _UNITS = {
     "_s": "s",
 }
 
-"""Units by the end of a key, the longer ends first; docs/json.md says how keys are named."""
+"""Units by the end of a key, the longer ends first; docs/reference/json.md says how keys are
+named.
+"""
 
 
 class Result(ABC):
@@ -84,7 +86,8 @@ class DrawnResult(Result):
         """Draw it; a notebook shows what this gives."""
 
     def plot(self, file: str | Path) -> None:
-        """Draw it into a file that ends in .svg, .png or .pdf.
+        """Draw it into a file that ends in .svg, .png or .pdf, or write its data into one that
+        ends in .csv.
 
         The same result gives the same bytes.
 

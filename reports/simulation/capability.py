@@ -14,6 +14,7 @@ from dqforge.reports.simulation.number_format import format_text, not_simulated,
 from dqforge.reports.simulation.tables import (
     figure_name,
     plain_simulation,
+    run_key,
     simulation_part,
     simulation_tables,
 )
@@ -29,7 +30,9 @@ def _figures(_: Solution, found: DriveSimulation) -> Mapping[str, Draw]:
 
 
 def _parts(_: Solution, found: DriveSimulation) -> list[ReportPart]:
-    return [ReportPart(CHAPTER, "simulation/report.html.j2", simulation_part(found))]
+    return [
+        ReportPart(CHAPTER, "simulation/report.html.j2", simulation_part(found), run_key(found))
+    ]
 
 
 def _not_simulated(outcome: Outcome) -> tuple[NumberFormat, ...] | None:

@@ -2,12 +2,11 @@
 run as often as wanted.
 
 The program is compiled once; machines, gains and scenarios are data that it reads, so that
-thousands of drives take one process. docs/simulation.md has the equations and the limits.
+thousands of drives take one process. docs/methods/simulation.md has the equations and the limits.
 """
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,7 +23,9 @@ from dqforge.machines.names import NumberFormat, Topology
 from dqforge.machines.plants.scenario import Scenario
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
+from dqforge.optimizer.estimators.registry import TRACKERS
 from dqforge.reports.observers.speed_header import REDUCED_ORDER
+from dqforge.reports.operating_system.host_compiler import compile_program, require_compiler
 from dqforge.reports.pages.templating import render
 from dqforge.reports.simulation.plant_input import (
     LONGEST_DELAY,
@@ -33,19 +34,26 @@ from dqforge.reports.simulation.plant_input import (
     run_input,
     share_tables,
 )
-from dqforge.reports.simulation.plant_layout import COLUMNS, PARAMETERS, STATES, SUMMARY
-from dqforge.reports.simulation.recorded_run import PhaseRecord, Simulation, Summary
+from dqforge.reports.simulation.plant_layout import COLUMNS, HEARD, PARAMETERS, STATES, SUMMARY
+from dqforge.reports.simulation.recorded_run import (
+    ApplicationRecord,
+    PhaseRecord,
+    Simulation,
+    StartRecord,
+    Summary,
+)
 
-_TIMEOUT_S = 60
+PLANT_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
+
+"""Of every program with a plant in it."""
 
 
-_COMPILER = "cc"
-
-
-_PACKAGE = "gcc"
-
-
-_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
+_HEARD = {
+    "sum-voltage": "heard[0] + heard[1] + heard[2]",
+    "voltage-a": "heard[0]",
+    "voltage-b": "heard[1]",
+    "voltage-c": "heard[2]",
+}
 
 
 _EXITS = {
@@ -53,6 +61,7 @@ _EXITS = {
     3: "the gains are not those of its header",
     4: "there is not enough memory",
     6: "the back-EMF given is not that of its header",
+    7: "the gains of the observer are not those of its header",
 }
 
 
@@ -66,6 +75,8 @@ class Simulator:
     ``observers`` are the names in C of those that run in it: at most one of the position,
     and ``reduced_order``. ``topology`` is that of a controller for phase machines, None for one
     that drives three legs, or none. ``format`` is the number format of its control functions.
+    ``starts`` says whether it can start without an encoder, ``measures`` that it can measure the
+    speed by the emitted functions, ``applies`` that it is led by the program around them.
     """
 
     program: Path
@@ -73,16 +84,17 @@ class Simulator:
     observers: tuple[str, ...] = ()
     topology: Topology | None = None
     format: NumberFormat = "float32"
+    starts: bool = False
+    measures: bool = False
+    applies: bool = False
 
 
-def require_compiler() -> str:
-    """Path of the C compiler; raises `VerificationError` where there is none."""
-    program = shutil.which(_COMPILER)
-    if program is None:
-        raise VerificationError(
-            f"no C compiler found: a simulation needs the Debian package {_PACKAGE}"
-        )
-    return program
+def measurement_of(files: Mapping[str, bytes], prefix: str) -> str:
+    """How the emitted headers measure the speed: by ``edges`` or by ``counts``; empty if not."""
+    content = files.get(f"{prefix}_speed_measurement.h")
+    if content is None:
+        return ""
+    return "edges" if b"_speed_measurement_edge(" in content else "counts"
 
 
 def compile_simulator(
@@ -120,20 +132,52 @@ def compile_simulator(
     VerificationError
         There is no compiler, or the header does not compile.
     """
-    compiler = require_compiler()
+    controller = prefix if files else ""
+    sources = simulation_sources(files, prefix, observers, topology, number_format)
+    program = compiled(folder, files or {}, sources)
+    return Simulator(
+        program,
+        controller,
+        observers,
+        topology,
+        number_format,
+        starts=number_format == "float32" and f"{controller}_startup.h" in (files or {}),
+        measures=bool(measurement_of(files or {}, controller)),
+        applies=number_format == "float32" and f"{controller}_main.c" in (files or {}),
+    )
+
+
+def simulation_sources(
+    files: Mapping[str, bytes] | None = None,
+    prefix: str = "",
+    observers: tuple[str, ...] = (),
+    topology: Topology | None = None,
+    number_format: NumberFormat = "float32",
+) -> dict[str, str]:
+    """The C of the plant and of its main programme, by the names of the files.
+
+    Parameters as `compile_simulator`.
+    """
     controller = prefix if files else ""
     integers = number_format != "float32"
+    position = next((name for name in observers if name != REDUCED_ORDER), "")
+    tracker = next((each for each in TRACKERS.values() if each.code == position), None)
+    hears = () if tracker is None else tracker.hears
     context = {
         "prefix": controller,
         "macro": controller.upper(),
         "format": number_format,
         "width": FIXED_WIDTHS.get(number_format, 0),
-        "position": next((name for name in observers if name != REDUCED_ORDER), ""),
+        "position": position,
         "reduced": REDUCED_ORDER in observers,
         "topology": topology or "",
         "legs": TOPOLOGIES[topology or "three-wire"].legs,
         "neutral": topology is not None and TOPOLOGIES[topology].neutral,
         "midpoint": topology is not None and TOPOLOGIES[topology].midpoint,
+        "low": _start_observer(prefix, files or {}),
+        "start_up": not integers and f"{prefix}_startup.h" in (files or {}),
+        "measurement": measurement_of(files or {}, controller),
+        "application": not integers and f"{prefix}_main.c" in (files or {}),
         "torque_limit": any(b"*torque_limit;" in content for content in (files or {}).values()),
         "torque_control": not integers
         or any(b"_torque_control_" in content for content in (files or {}).values()),
@@ -141,7 +185,13 @@ def compile_simulator(
         "parameters": PARAMETERS,
         "columns": COLUMNS,
         "summary": SUMMARY,
-        "states": STATES,
+        "states": STATES + (HEARD if hears else ()),
+        "hears": hears,
+        "further": "".join(
+            f", ({'double' if integers else 'float'})({_HEARD[name]})" for name in hears
+        ),
+        "injects": tracker is not None and tracker.injects,
+        "at_speed": tracker is not None and tracker.at_speed,
     }
     sources = {
         "plant.c": render("simulation/plant.c.j2", context),
@@ -150,27 +200,42 @@ def compile_simulator(
     }
     if integers:
         sources["integer_border.h"] = render("simulation/integer_border.h.j2", context)
-    for name, content in (files or {}).items():
+    return sources
+
+
+def compiled(
+    folder: Path, files: Mapping[str, bytes], sources: Mapping[str, str], main: str = "main.c"
+) -> Path:
+    """The program of sources and headers.
+
+    Parameters
+    ----------
+    folder:
+        Where they and the program are written.
+    files, sources:
+        Emitted headers, and C code, by name.
+    main:
+        The source that is compiled.
+
+    Raises
+    ------
+    VerificationError
+        There is no compiler, or the sources do not compile.
+    """
+    compiler = require_compiler()
+    for name, content in files.items():
         (folder / name).write_bytes(content)
     for name, text in sources.items():
-        (folder / name).write_text(text, encoding="ascii")
-    program = folder / "simulate"
-    command = [compiler, *_FLAGS, "-o", str(program), "main.c", "-lm"]
-    try:
-        done = subprocess.run(
-            command, cwd=folder, capture_output=True, timeout=_TIMEOUT_S, check=False
-        )
-    except subprocess.TimeoutExpired as error:
-        raise VerificationError(f"the C compiler did not end within {_TIMEOUT_S} s") from error
-    except OSError as error:
-        raise VerificationError(
-            f"the C compiler {compiler} cannot be started ({error.strerror})"
-        ) from error
-    if done.returncode != 0:
-        lines = done.stderr.decode("utf-8", "replace").splitlines()
-        first = next((line for line in lines if "error" in line), "; ".join(lines)[:200])
-        raise VerificationError(f"the simulation does not compile with {_COMPILER}: {first}")
-    return Simulator(program, controller, observers, topology, number_format)
+        (folder / name).write_text(text, encoding="ascii", newline="\n")
+    failed = "the simulation does not compile"
+    return compile_program(compiler, PLANT_FLAGS, main, folder, "simulate", failed)
+
+
+def _start_observer(prefix: str, files: Mapping[str, bytes]) -> str:
+    """Name in C of the estimator from standstill on; empty without one."""
+    content = files.get(f"{prefix}_start_observer.h", b"")
+    codes = (tracker.code for tracker in TRACKERS.values())
+    return next((code for code in codes if f" {prefix}_{code}_t;".encode() in content), "")
 
 
 @contextmanager
@@ -189,7 +254,7 @@ def simulator(
         yield compile_simulator(Path(name), files, prefix, observers, topology, number_format)
 
 
-def _execute(program: Path, content: bytes, progress: Progress | None) -> bytes:
+def execute(program: Path, content: bytes, progress: Progress | None) -> bytes:
     """Output of the program; its progress lines go to the callback as they come."""
     with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as made:
         given.write(content)
@@ -233,9 +298,22 @@ def _runs(
     content = np.array([float(len(runs))]).tobytes() + b"".join(
         run.content() for run in share_tables(list(runs))
     )
-    numbers = np.frombuffer(_execute(simulator.program, content, progress), dtype=np.float64)
+    return records_of(execute(simulator.program, content, progress), len(runs))
+
+
+def records_of(written: bytes, runs: int) -> list[tuple[FloatArray, FloatArray]]:
+    """(figures, rows of shape (N, columns)) of each run that a program wrote.
+
+    Parameters
+    ----------
+    written:
+        Its output.
+    runs:
+        How many it ran.
+    """
+    numbers = np.frombuffer(written, dtype=np.float64)
     found, place = [], 0
-    for _ in runs:
+    for _ in range(runs):
         figures = numbers[place : place + len(SUMMARY)]
         count, width, _size = numbers[place + len(SUMMARY) : place + len(SUMMARY) + 3].astype(
             np.intp
@@ -262,6 +340,7 @@ def simulate(
     gains: bytes = b"",
     shape: bytes = b"",
     progress: Progress | None = None,
+    observer: bytes = b"",
 ) -> Simulation:
     """Run one drive through a scenario.
 
@@ -282,6 +361,9 @@ def simulate(
         Bytes of its C structure of the back-EMF; empty for that in its header.
     progress:
         Called with the share that is done.
+    observer:
+        Bytes of the C structure of the position observer's gains, in float32; empty for those in
+        its header.
 
     Raises
     ------
@@ -293,21 +375,81 @@ def simulate(
     _require_controller(simulator, scenario)
     topology = _topology(simulator, drive, scenario)
     run = run_input(
-        drive, scenario, stride=stride, tail=tail, gains=gains, shape=shape, topology=topology
+        drive,
+        scenario,
+        stride=stride,
+        tail=tail,
+        gains=gains,
+        shape=shape,
+        topology=topology,
+        observer=observer,
     )
     ((figures, rows),) = _runs(simulator, [run], progress)
+    return as_recorded(
+        scenario,
+        figures,
+        rows,
+        None if drive.phases is None else topology,
+        applied=simulator.applies and scenario.mode == "speed",
+    )
+
+
+def as_recorded(
+    scenario: Scenario,
+    figures: FloatArray,
+    rows: FloatArray,
+    topology: Topology | None,
+    *,
+    applied: bool = False,
+) -> Simulation:
+    """A run from the numbers that a program wrote.
+
+    Parameters
+    ----------
+    scenario:
+        What was simulated.
+    figures:
+        In the order of `SUMMARY`.
+    rows:
+        In the order of `COLUMNS`, shape (N, columns); further columns are left aside.
+    topology:
+        Of a phase machine, None for others.
+    applied:
+        Whether the program around the functions ran.
+    """
     columns = {name: np.ascontiguousarray(rows[:, k]) for k, name in enumerate(COLUMNS)}
     duty = np.stack([columns.pop(f"duty_{phase}") for phase in "abc"], axis=1)
     measured = np.stack([columns.pop(f"i_{phase}_measured") for phase in "abc"], axis=1)
-    phases = _phase_record(columns, duty, None if drive.phases is None else topology)
+    phases = _phase_record(columns, duty, topology)
+    start = _start_record(columns, scenario)
+    program = _application_record(columns, applied=applied)
     return Simulation(
         scenario=scenario,
         duty=duty,
         i_measured=measured,
         figures=_summary([figures]),
         phases=phases,
+        start=start,
+        blocks=None,
+        application=program,
         **columns,
     )
+
+
+def _application_record(
+    columns: dict[str, FloatArray], *, applied: bool
+) -> ApplicationRecord | None:
+    """Takes the columns of the program around the functions out; None where none ran."""
+    state, fault = (columns.pop(f"application_{name}") for name in ("state", "fault"))
+    return ApplicationRecord(state, fault) if applied else None
+
+
+def _start_record(columns: dict[str, FloatArray], scenario: Scenario) -> StartRecord | None:
+    """Takes the columns of a start without encoder out; None where there is one."""
+    state, fault, reference = (
+        columns.pop(f"start_{name}") for name in ("state", "fault", "reference")
+    )
+    return StartRecord(state, fault, reference) if scenario.encoder.absent else None
 
 
 def _phase_record(
@@ -376,6 +518,12 @@ def _require_controller(simulator: Simulator, scenario: Scenario) -> None:
         raise ValueError(
             f"a program without a controller cannot follow a {scenario.mode} reference"
         )
+    if scenario.encoder.absent and not simulator.starts:
+        raise InputError(
+            "a drive without encoder starts by control.start_up; write it, or give it an encoder"
+        )
+    if scenario.encoder.speed == "measured" and not simulator.measures:
+        raise InputError("simulation.encoder.speed: measured needs control.speed_loop.measurement")
     if scenario.encoder.speed == "observer" and not simulator.observers:
         raise InputError(
             "the speed is to come from an observer; give the drive one (control.observer)"

@@ -21,23 +21,36 @@ from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
+from dqforge.reports.application.header import application_files
 from dqforge.reports.field_weakening.header import weakening_files
 from dqforge.reports.fixed_observers.fixed_observer_header import fixed_observer_files
 from dqforge.reports.fixed_reference.header import reference_files
 from dqforge.reports.main_header.header import header_files
+from dqforge.reports.observers.estimator_header import estimator_files
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.speed_header import REDUCED_ORDER, speed_observer_files
+from dqforge.reports.operating_system.host_compiler import require_compiler
 from dqforge.reports.phase_control.emitted import emitted_control_files, phase_control_of
 from dqforge.reports.phase_control.emitted_integers import integer_files
 from dqforge.reports.simulation.compiled_plant import (
     Progress,
-    require_compiler,
     simulate,
     simulator,
 )
 from dqforge.reports.simulation.number_format import not_simulated, simulated
 from dqforge.reports.simulation.plant_input import Drive
-from dqforge.reports.simulation.recorded_run import PhaseRecord, Simulation, Summary
+from dqforge.reports.simulation.recorded_run import (
+    ApplicationRecord,
+    BlockFigures,
+    BlockRecord,
+    PhaseRecord,
+    Simulation,
+    StartRecord,
+    Summary,
+)
+from dqforge.reports.simulation.start_figures import StartFigures, estimated, start_figures
+from dqforge.reports.speed_measurement.header import measurement_files
+from dqforge.reports.start_up.header import every_start_file
 from dqforge.reports.waveforms.header import waveform_files
 
 SETTLED = 0.02
@@ -118,7 +131,8 @@ class DriveSimulation:
     others. ``format`` is that of the control functions that ran, ``others`` are the same run with
     those in further formats; ``not_simulated`` are formats that the design emits and nothing ran.
     ``firmware`` names that of others whose loops ran in place of the emitted code, None for the
-    latter; ``remarks`` say what is otherwise in a run, one sentence each.
+    latter; ``remarks`` say what is otherwise in a run, one sentence each. ``six_step`` are the
+    figures of a six-step drive, None for others; ``start`` those of a start without encoder.
     """
 
     design: Design
@@ -136,6 +150,8 @@ class DriveSimulation:
     others: tuple[DriveSimulation, ...] = ()
     firmware: Firmware | None = None
     remarks: tuple[str, ...] = ()
+    six_step: BlockFigures | None = None
+    start: StartFigures | None = None
 
     @property
     def every(self) -> tuple[DriveSimulation, ...]:
@@ -177,12 +193,18 @@ def emitted_files(solution: Solution, number_format: NumberFormat) -> dict[str, 
     ValueError
         The design does not emit that format.
     """
+    measured = measurement_of_design(solution)
     if number_format == "float32":
-        return controller_files(in_float32(solution))
+        program = (
+            {}
+            if solution.application is None
+            else application_files(solution, solution.application)
+        )
+        return controller_files(in_float32(solution)) | measured | program
     fits = [fit for fit in solution.fixed if fit.control.format == number_format]
     if not fits:
         raise ValueError(f"the design emits no control functions in {number_format}")
-    files = integer_files(solution.design, fits[0])
+    files = integer_files(solution.design, fits[0]) | measured
     for reference in solution.fixed_references:
         if reference.reference.format == number_format:
             files |= reference_files(solution.design, reference)
@@ -201,6 +223,8 @@ def controller_files(solution: Solution) -> dict[str, bytes]:
         The current references are in fixed point.
     """
     files = header_files(solution) | emitted_control_files(solution) | observers_of(solution)[0]
+    if solution.start_up is not None:
+        files |= every_start_file(solution, solution.start_up)
     if solution.phases is not None:
         files |= waveform_files(solution.design, solution.phases)
     return (
@@ -208,6 +232,14 @@ def controller_files(solution: Solution) -> dict[str, bytes]:
         if solution.weakening is None
         else files | weakening_files(solution.design, solution.weakening)
     )
+
+
+def measurement_of_design(solution: Solution) -> dict[str, bytes]:
+    """Header of the measured speed; none where the design has no such measurement."""
+    loops = solution.loops
+    if loops is None or loops.measured_speed is None:
+        return {}
+    return measurement_files(solution.design, loops.measured_speed)
 
 
 def controlled_topology(solution: Solution) -> Topology | None:
@@ -223,6 +255,8 @@ def observers_of(solution: Solution) -> tuple[dict[str, bytes], tuple[str, ...]]
     design, gains = solution.design, solution.gains
     if gains.position is not None:
         return observer_files(design, gains.position), (gains.position.method.code,)
+    if gains.tracker is not None:
+        return estimator_files(design, gains.tracker), (gains.tracker.tracker.code,)
     if gains.observer is not None:
         return speed_observer_files(design, gains.observer), (REDUCED_ORDER,)
     return {}, ()
@@ -367,6 +401,7 @@ def evaluate(design: Design, run: Simulation) -> DriveSimulation:
         torque_largest=float(np.max(np.abs(run.torque))),
         observed=observed(run),
         phases=None if run.phases is None else phase_figures(run.figures, run.phases),
+        start=None if run.start is None else start_figures(run, run.start),
     )
 
 
@@ -404,10 +439,13 @@ def angle_error(run: Simulation) -> FloatArray:
 
 def observed(run: Simulation) -> ObservedFigures | None:
     """How well the observers did over the run, None where none ran."""
-    if not np.all(np.isfinite(run.omega_m_observed)):
+    seen = np.isfinite(run.omega_m_observed)
+    if run.start is not None:
+        seen = estimated(run, run.start)
+    if not (np.all(seen) if run.start is None else np.any(seen)):
         return None
-    speed, error = float(np.max(np.abs(run.omega_m_observed - run.omega_m))), angle_error(run)
-    share = float(np.mean(run.sensorless))
+    speed = float(np.max(np.abs(run.omega_m_observed - run.omega_m)[seen]))
+    error, share = angle_error(run)[seen], float(np.mean(run.sensorless))
     if not np.all(np.isfinite(error)):
         return ObservedFigures(None, None, speed, share)
     return ObservedFigures(
@@ -470,12 +508,16 @@ def npz_bytes(run: Simulation) -> bytes:
     """The samples as a NumPy archive: float64 arrays by name, without a date,
     the same bytes for the same run.
     """
-    parts: list[Simulation | PhaseRecord] = [run] if run.phases is None else [run, run.phases]
+    more = (run.phases, run.start, run.blocks, run.application)
+    parts: list[Simulation | PhaseRecord | StartRecord | BlockRecord | ApplicationRecord] = [
+        run,
+        *(part for part in more if part is not None),
+    ]
     arrays = {
         name: getattr(part, name)
         for part in parts
         for name in type(part).__dataclass_fields__
-        if name not in ("scenario", "figures", "phases")
+        if name not in ("scenario", "figures", "phases", "start", "blocks", "application")
     }
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:

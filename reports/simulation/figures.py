@@ -15,13 +15,15 @@ from dqforge.reports.pages.figures_style import (
     INK,
     MUTED,
     ORANGE,
+    PALE,
     TEAL,
     new_figure,
     style,
     thinned,
 )
 from dqforge.reports.simulation.design_run import DriveSimulation
-from dqforge.reports.simulation.recorded_run import Simulation
+from dqforge.reports.simulation.recorded_run import Simulation, StartRecord
+from dqforge.reports.simulation.start_figures import spans
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,17 +51,19 @@ def _angle(axes: Axes, time: FloatArray, found: DriveSimulation) -> None:
     _line(axes, time, np.degrees(found.angle_error), BLUE, "error of the observed angle", 0.9)
     run = found.run
     if run.scenario.sensorless is not None:
-        axes.fill_between(
-            time, 0.0, 1.0, where=run.sensorless > 0.5, transform=axes.get_xaxis_transform(),
-            color=FAINT, alpha=0.35,
-            linewidth=0.0, label="control without encoder", zorder=0,
-        )  # fmt: skip
-    axes.set_ylabel("angle error in deg")
+        edges = np.flatnonzero(np.diff(run.sensorless > 0.5, prepend=False, append=False))
+        for number, (start, end) in enumerate(edges.reshape(-1, 2)):
+            name = "control without encoder"
+            axes.axvspan(
+                float(time[start]), float(time[end - 1]), color=FAINT, alpha=0.35, linewidth=0.0,
+                label=f"_{name}" if number else name, zorder=0,
+            )  # fmt: skip
+    axes.set_ylabel("Angle error in deg")
 
 
 def _currents(axes: Axes, time: FloatArray, run: Simulation) -> None:
     """Currents in d and q with their references; of phase machines those of phases and neutral."""
-    axes.set_ylabel("currents in A")
+    axes.set_ylabel("Currents in A")
     if run.phases is not None:
         for k, (phase, colour) in enumerate(_PHASES):
             _line(axes, time, run.phases.i_phases[:, k], colour, phase, 0.9)
@@ -71,7 +75,7 @@ def _currents(axes: Axes, time: FloatArray, run: Simulation) -> None:
         ("q", run.i_q, run.i_q_reference),
     ):
         _line(axes, time, value, AXIS_COLOURS[axis], f"$i_{axis}$")
-        _reference(axes, time, wanted, f"reference of $i_{axis}$" if axis == "q" else "_")
+        _reference(axes, time, wanted, ("" if axis == "q" else "_") + f"reference of $i_{axis}$")
 
 
 def _duties(axes: Axes, time: FloatArray, run: Simulation) -> None:
@@ -80,12 +84,27 @@ def _duties(axes: Axes, time: FloatArray, run: Simulation) -> None:
         _line(axes, time, run.duty[:, k], colour, phase, 0.7)
     if run.phases is not None and run.phases.duty_legs.shape[1] == len(_PHASES) + 1:
         _line(axes, time, run.phases.duty_legs[:, 3], MUTED, "neutral", 0.7)
-    axes.set(ylabel="duty cycles", ylim=(-0.02, 1.02))
+    axes.set(ylabel="Duty cycles", ylim=(-0.02, 1.02))
 
 
 def _midpoint(axes: Axes, time: FloatArray, voltage: FloatArray) -> None:
     _line(axes, time, voltage, BLUE, "midpoint of the link", 0.9)
-    axes.set_ylabel("voltage in V")
+    axes.set_ylabel("Voltage in V")
+
+
+def _states(axes: Axes, time: FloatArray, record: StartRecord) -> None:
+    """What a start without encoder is doing, as bands behind the speed."""
+    for number, (name, start, end) in enumerate(spans(record)):
+        low, high = float(time[start]), float(time[min(end, time.size - 1)])
+        axes.axvspan(
+            low, high, color=FAINT, alpha=0.3 * (number % 2), linewidth=0.0, zorder=0,
+            label=f"_{name}",
+        )  # fmt: skip
+        if high - low > 0.04 * float(time[-1]):
+            axes.text(
+                low, 0.03, f" {name}", transform=axes.get_xaxis_transform(), fontsize=6.0,
+                color=MUTED, ha="left", va="bottom",
+            )  # fmt: skip
 
 
 def plot_simulation(found: DriveSimulation) -> Figure:
@@ -110,17 +129,19 @@ def plot_simulation(found: DriveSimulation) -> Figure:
         if split and run.phases is not None:
             _midpoint(axes[-2], time, run.phases.v_midpoint)
         _line(speed, time, run.omega_m * _RPM, TEAL, "speed")
+        if run.start is not None:
+            _states(speed, time, run.start)
         if seen is not None:
             _line(speed, time, run.omega_m_observed * _RPM, ORANGE, "observed", 0.7)
         elif run.scenario.encoder.speed != "exact" and run.scenario.encoder.lines > 0:
-            _line(speed, time, run.omega_m_measured * _RPM, FAINT, "measured", 0.7)
-        speed.set_ylabel("speed in rpm")
+            _line(speed, time, run.omega_m_measured * _RPM, PALE, "measured", 0.7)
+        speed.set_ylabel("Speed in rpm")
         _line(torque, time, run.torque, ORANGE, "torque")
         _line(torque, time, run.torque_load, MUTED, "load", 0.9)
-        torque.set_ylabel("torque in N m")
+        torque.set_ylabel("Torque in N m")
         _currents(currents, time, run)
         _duties(duty, time, run)
-        duty.set(xlabel=f"time in {unit}", xlim=(0.0, float(time[-1])))
+        duty.set(xlabel=f"Time in {unit}", xlim=(0.0, float(time[-1])))
         wanted_of = {"speed": (speed, run.reference * _RPM), "torque": (torque, run.reference)}
         if run.scenario.mode in wanted_of:
             _reference(wanted_of[run.scenario.mode][0], time, wanted_of[run.scenario.mode][1])

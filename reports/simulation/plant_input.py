@@ -166,6 +166,17 @@ def _observer_parameters(scenario: Scenario) -> dict[str, float]:
     }
 
 
+def _load_parameters(scenario: Scenario) -> dict[str, float]:
+    """How the load acts, and the brake; stiffness in N m/rad, damping in N m s/rad."""
+    brake = scenario.brake
+    return {
+        "load_resists": 1.0 if scenario.load_kind == "friction" else 0.0,
+        "brake_time": 0.0 if brake is None else brake.time,
+        "brake_stiffness": 0.0 if brake is None else brake.stiffness,
+        "brake_damping": 0.0 if brake is None else brake.damping,
+    }
+
+
 def fits_carrier(drive: Drive) -> bool:
     """Whether sampling and delay are those of a switched inverter: the peaks of its carrier."""
     exact = 2.0 * drive.inverter.f_sw * drive.t_s
@@ -261,6 +272,7 @@ def run_input(
     gains: bytes = b"",
     shape: bytes = b"",
     topology: Topology | None = None,
+    observer: bytes = b"",
 ) -> RunInput:
     """Numbers of one run.
 
@@ -279,6 +291,8 @@ def run_input(
         header.
     topology:
         How the phases are fed; None for that of the inverter.
+    observer:
+        Bytes of the C structure of the position observer's gains; empty for those of its header.
 
     Raises
     ------
@@ -334,10 +348,16 @@ def run_input(
             "adc_full_scale": sensor.full_scale,
             "noise": sensor.noise,
             "delay": _delay(drive),
+            "edges": float(scenario.encoder.lines * scenario.encoder.edges),
+            "clock": scenario.encoder.clock,
+            "measured_ratio": float(drive.ratio) if speed == "measured" else 0.0,
             "v_bits": 0.0,
             "v_full_scale": 1.0,
+            "encoderless": 1.0 if scenario.encoder.absent else 0.0,
+            "stop_time": math.inf if scenario.stop is None else scenario.stop,
         }
         | _observer_parameters(scenario)
+        | _load_parameters(scenario)
     )
     for index, phase in enumerate("abc"):
         parameters[f"offset_{phase}"], parameters[f"gain_{phase}"] = (
@@ -362,6 +382,7 @@ def run_input(
         np.zeros(0) if drive.phases is None else inductance_table(drive.phases, 1.0 + errors.l_d),
         duty_table([profile_table(duty) for duty in scenario.duties]),
         _doubles(shape),
+        _doubles(observer),
     )
     return RunInput(parameters, tables)
 

@@ -26,6 +26,11 @@ STATES = (
 of the torque and ``v_midpoint`` the voltage of a split link's midpoint above its half."""
 
 
+HEARD = ("v_a", "v_b", "v_c")
+
+"""Further states, where a tracker is told the voltages of the phases: their integrals, in V s."""
+
+
 PARAMETERS = (
     *("mode", "t_s", "samples", "stride", "sub_steps", "tail", "progress", "seed", "i_stop"),
     *(
@@ -58,6 +63,9 @@ PARAMETERS = (
     *("legs", "second", "neutral", "capacitance", "l_own", "l_mutual", "l_neutral", "turns"),
     *("i_nothing", "open_phase", "open_time", "aware_time"),
     "delay",
+    *("load_resists", "brake_time", "brake_stiffness", "brake_damping"),
+    *("encoderless", "stop_time"),
+    *("edges", "clock", "measured_ratio"),
 )
 
 """Fields of the C structure ``parameters_t``, all doubles, in this order."""
@@ -80,6 +88,8 @@ COLUMNS = (
     *("v_dc", "reference", "reference_d", "i_a_measured", "i_b_measured", "i_c_measured"),
     *("theta_e_measured", "omega_m_measured", "i_d_reference", "i_q_reference", "torque_reference"),
     *("v_alpha", "v_beta", "theta_e_observed", "omega_m_observed", "sensorless"),
+    *("start_state", "start_fault", "start_reference"),
+    *("application_state", "application_fault"),
     *("duty_n", "duty_a2", "duty_b2", "duty_c2", "i_a", "i_b", "i_c", "i_n", "v_m", "torque_mean"),
 )
 

@@ -86,6 +86,66 @@ class PhaseRecord:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ApplicationRecord:
+    """What the program around the functions records, arrays of shape (N,) at the sampling instants.
+
+    The numbers of its emitted enumerations.
+    """
+
+    application_state: FloatArray
+    application_fault: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StartRecord:
+    """What a start without encoder records besides, arrays of shape (N,) at the sampling instants.
+
+    ``start_state`` and ``start_fault`` are the numbers of the emitted enumerations,
+    ``start_reference`` in rad/s (mechanical) is the reference of the speed on its slope.
+    """
+
+    start_state: FloatArray
+    start_fault: FloatArray
+    start_reference: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockRecord:
+    """What is recorded of a six-step drive besides, arrays of shape (N,) at the sampling instants.
+
+    ``stage`` and ``fault`` are those of the emitted control, ``sector`` is fed until the next
+    sample, nan where all legs rest; ``i_reference`` in A.
+    """
+
+    stage: FloatArray
+    fault: FloatArray
+    sector: FloatArray
+    i_reference: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class BlockFigures:
+    """What a six-step drive did.
+
+    ``started`` is the time in s at which it first ran on its estimator, None where it never did;
+    ``fault`` names that at the end, ``stage`` the last one. ``commutations`` is the number of those
+    by the estimator, ``error_mean``, ``error_rms`` and ``error_largest`` (rad, electrical) how far
+    their instants lie behind those of the waveform, from the twentieth on after each hand-over
+    and within the range; None without any. ``predicted`` is the largest error by the formula at the
+    speeds of these.
+    """
+
+    started: float | None
+    stage: str
+    fault: str
+    commutations: int
+    error_mean: float | None
+    error_rms: float | None
+    error_largest: float | None
+    predicted: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Simulation:
     """A run as it was recorded, arrays of shape (N,) at the sampling instants,
     and (N, 3) for phases a, b, c.
@@ -99,7 +159,9 @@ class Simulation:
     design's observers (nan where there is none) from the measured currents and ``v_alpha``,
     ``v_beta`` in V, which the controller made over the period that ends; ``sensorless`` is 1 where
     the controller ran on them, and then ``theta_e_measured`` and ``omega_m_measured`` are theirs.
-    ``figures`` are those of the one run, ``phases`` what phase machines have besides.
+    ``figures`` are those of the one run, ``phases`` what phase machines have besides, ``start``
+    what a start without encoder has, ``blocks`` what six-step drives have,
+    ``application`` what the program around the functions has.
     """
 
     scenario: Scenario
@@ -128,3 +190,6 @@ class Simulation:
     sensorless: FloatArray
     figures: Summary
     phases: PhaseRecord | None = None
+    start: StartRecord | None = None
+    blocks: BlockRecord | None = None
+    application: ApplicationRecord | None = None

@@ -14,6 +14,7 @@ from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.simulation.design_run import DriveSimulation
 from dqforge.reports.simulation.number_format import format_text
+from dqforge.reports.simulation.start_figures import StartFigures
 
 _SHOWN = {"rad/s": "rpm"}
 
@@ -79,6 +80,32 @@ def _observer_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
     return tuple(rows)
 
 
+def _degrees(angle: float) -> str:
+    """An angle in rad; a dash where it is not known."""
+    return f"{math.degrees(angle):.3g} deg (electrical)" if math.isfinite(angle) else "-"
+
+
+def _start_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
+    """The start without encoder, nothing where there is one."""
+    start = found.start
+    if start is None:
+        return ()
+    fault = "" if start.fault == "NO_FAULT" else f", fault {start.fault}"
+    rows = [("state at the end", f"{start.state}{fault}")]
+    if start.failed:
+        rows.append(("faults on the way", ", ".join(start.failed)))
+    rows += [
+        ("the observer takes over at", _value(start.hand_over, "s")),
+        ("... speed there", _value(start.speed, "rad/s")),
+        ("... error of its angle", _degrees(start.angle_error)),
+        ("... change of the current vector", _value(start.current_step, "A", 3)),
+        ("within 10 % of the last reference after", _value(start.reached, "s", 3)),
+        ("largest turn backwards", _degrees(start.back)),
+        ("times the observer took over or was left", str(start.crossings)),
+    ]
+    return tuple(rows)
+
+
 def _phase_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
     """Figures of the last tenth of the run, nothing for machines with a sinusoidal back-EMF."""
     seen = found.phases
@@ -96,6 +123,27 @@ def _phase_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
         rows.append(("neutral current, r.m.s.", _value(seen.neutral_rms, "A", 3)))
     if seen.midpoint is not None:
         rows.append(("midpoint off half the link, at most", _value(seen.midpoint, "V", 3)))
+    return tuple(rows)
+
+
+def _block_rows(found: DriveSimulation) -> tuple[tuple[str, str], ...]:
+    """Figures of a six-step drive, nothing for others."""
+    seen = found.six_step
+    if seen is None:
+        return ()
+    rows = [
+        ("on its estimator from", "-" if seen.started is None else _value(seen.started, "s")),
+        ("at the end", f"{seen.stage}, fault: {seen.fault}"),
+        ("commutations by the estimator", str(seen.commutations)),
+    ]
+    for name, value in (
+        ("their error, mean (late: positive)", seen.error_mean),
+        ("their error, r.m.s.", seen.error_rms),
+        ("their error, largest", seen.error_largest),
+        ("their largest error by the formula", seen.predicted),
+    ):
+        if value is not None:
+            rows.append((name, f"{math.degrees(value):.3g} deg (electrical)"))
     return tuple(rows)
 
 
@@ -118,7 +166,15 @@ def _lines(found: DriveSimulation) -> list[tuple[str, ...]]:
     text = format_text(found.formats, found.not_simulated)
     blank = ("",) * len(found.others)
     columns = [
-        dict((*_figure_rows(each), *_phase_rows(each), *_observer_rows(each)))
+        dict(
+            (
+                *_figure_rows(each),
+                *_phase_rows(each),
+                *_block_rows(each),
+                *_observer_rows(each),
+                *_start_rows(each),
+            )
+        )
         for each in found.every
     ]
     lines = [(name, *(column.get(name, "-") for column in columns)) for name in columns[0]]
@@ -161,13 +217,21 @@ def simulation_html(found: DriveSimulation) -> list[HtmlTable]:
     return [HtmlTable("Figures of the run", _heads(found, "value"), figures), *steps]
 
 
+def run_key(found: DriveSimulation) -> str:
+    """What the heading of the report's chapter says of a simulation."""
+    away = _value(found.tracking[0], found.unit)
+    return f"at most {away} from the reference"
+
+
 def simulation_part(found: DriveSimulation) -> PlainData:
     """What the report's template prints of a simulation: tables and file names."""
     prefix = found.design.export.prefix
     return {
         "tables": simulation_html(found),
         "files": list(found.files()),
-        "controllers": [control_header_name(prefix, name) for name in found.formats],
+        "controllers": [f"{prefix}_six_step.h"]
+        if found.six_step is not None
+        else [control_header_name(prefix, name) for name in found.formats],
         "firmware": [each.firmware for each in found.every if each.firmware is not None],
         "remarks": [remark for each in found.every for remark in each.remarks],
         "figures": [figure_name(each.label, number) for number, each in enumerate(found.every)],
@@ -202,11 +266,46 @@ def _plain_phases(found: DriveSimulation) -> PlainData:
     }
 
 
+def _plain_blocks(found: DriveSimulation) -> PlainData:
+    """The key of six-step drives; nothing for others."""
+    seen = found.six_step
+    if seen is None:
+        return {}
+    return {
+        "six_step": {
+            "started_s": seen.started,
+            "stage": seen.stage,
+            "fault": seen.fault,
+            "commutations": seen.commutations,
+            "error_mean_rad": seen.error_mean,
+            "error_rms_rad": seen.error_rms,
+            "error_largest_rad": seen.error_largest,
+            "predicted_rad": seen.predicted,
+        }
+    }
+
+
 def _plain_firmware(found: DriveSimulation) -> PlainData:
     """The keys of loops of other firmware; nothing for the emitted code."""
     if found.firmware is None:
         return {}
     return {"firmware": found.firmware, "remarks": list(found.remarks)}
+
+
+def plain_start(start: StartFigures) -> PlainData:
+    """Figures of a start as plain data, in SI units and rad."""
+    return {
+        "state": start.state,
+        "fault": start.fault,
+        "failed": list(start.failed),
+        "hand_over_s": start.hand_over,
+        "omega_m_rad_per_s": start.speed,
+        "angle_error_rad": start.angle_error,
+        "current_step_A": start.current_step,
+        "reached_s": start.reached,
+        "back_rad": start.back,
+        "crossings": start.crossings,
+    }
 
 
 def plain_simulation(found: DriveSimulation) -> PlainData:
@@ -219,7 +318,9 @@ def _plain_run(found: DriveSimulation) -> PlainData:
     run, figures, seen = found.run, found.run.figures, found.observed
     return (
         _plain_phases(found)
+        | _plain_blocks(found)
         | _plain_firmware(found)
+        | ({} if found.start is None else {"start": plain_start(found.start)})
         | {
             "mode": run.scenario.mode,
             "inverter": run.scenario.inverter,

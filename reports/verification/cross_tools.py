@@ -12,20 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dqforge.machines.errors import InputError, VerificationError
+from dqforge.reports.operating_system.ways_to_get import WAYS
 from dqforge.reports.pages.templating import render
 
 _COMPILER = "arm-none-eabi-gcc"
 
 
 _EMULATOR = "qemu-system-arm"
-
-
-_PACKAGES = {
-    _COMPILER: "gcc-arm-none-eabi and libnewlib-arm-none-eabi",
-    "arm-none-eabi-size": "binutils-arm-none-eabi",
-    "arm-none-eabi-objdump": "binutils-arm-none-eabi",
-    _EMULATOR: "qemu-system-arm",
-}
 
 
 _TIMEOUT_S = 60
@@ -75,7 +68,8 @@ def program(name: str) -> str:
     """Path of a tool; raises `VerificationError` with the Debian package of one that is missing."""
     path = shutil.which(name)
     if path is None:
-        raise VerificationError(f"{name} is missing; install the Debian package {_PACKAGES[name]}")
+        packages = " and ".join(WAYS[name].apt)
+        raise VerificationError(f"{name} is missing; install the Debian package {packages}")
     return path
 
 
@@ -88,7 +82,7 @@ def execute(command: list[str], what: str, folder: Path) -> subprocess.Completed
             env=os.environ | {"LC_ALL": "C"},  # whose messages are searched for "error"
             stdin=subprocess.DEVNULL,
             capture_output=True,
-            text=True,
+            encoding="utf-8",
             errors="replace",
             timeout=_TIMEOUT_S,
             check=False,
@@ -156,7 +150,7 @@ def build(sources: Mapping[str, bytes], strict: tuple[str, ...], target: str, fo
     memory = {"flash": board.flash, "ram": board.ram, "ram_size": board.ram_size}
     for name, template in (("target_start.c", "start.c.j2"), ("target.ld", "target.ld.j2")):
         text = render(f"verification/{template}", memory)
-        (folder / name).write_text(text, encoding="ascii")
+        (folder / name).write_text(text, encoding="ascii", newline="\n")
     for name, content in sources.items():
         (folder / name).write_bytes(content)
     compile_files(["-c", "target_start.c"], target, folder)

@@ -11,7 +11,7 @@ from dqforge.reports.capability import Capability, Draw, Quantity, ReportPart
 from dqforge.reports.pages.chapters import WAVEFORMS as CHAPTER
 from dqforge.reports.waveforms.float32_model import phase_reference_from, plain_phase_reference
 from dqforge.reports.waveforms.header import waveform_files, waveform_programme
-from dqforge.reports.waveforms.html import waveform_part
+from dqforge.reports.waveforms.html import point_words, waveform_part
 from dqforge.reports.waveforms.tables import plain_phase_fit, plain_waveforms, waveform_tables
 
 _SECTION = "phase currents"
@@ -24,9 +24,9 @@ def _figures(_: Solution, comparison: WaveformComparison) -> Mapping[str, Draw]:
     return {"waveforms": lambda: plot_waveforms(comparison)}
 
 
-def _parts(solution: Solution, _: WaveformComparison) -> list[ReportPart]:
-    data = waveform_part(solution)
-    return [] if data is None else [ReportPart(CHAPTER, "waveforms/report.html.j2", data)]
+def _parts(solution: Solution, found: WaveformComparison) -> list[ReportPart]:
+    data, key = waveform_part(solution), point_words(found)
+    return [] if data is None else [ReportPart(CHAPTER, "waveforms/report.html.j2", data, key)]
 
 
 WAVEFORMS = Capability(

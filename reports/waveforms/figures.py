@@ -56,6 +56,7 @@ def _draw_phases(axes: Axes, values: FloatArray, title: str, turns: int, *, neut
             label="neutral",
         )
     axes.set(title=title, xlim=(0.0, end), xticks=np.arange(0, 360, 120) * turns)
+    axes.set_xlabel("Angle in deg")
 
 
 def _draw_torque(axes: Axes, rules: tuple[RuleCurrents, ...], turns: int) -> None:
@@ -84,21 +85,25 @@ def _draw_torque(axes: Axes, rules: tuple[RuleCurrents, ...], turns: int) -> Non
 def _draw_spectra(axes: Axes, rules: tuple[RuleCurrents, ...], turns: int) -> None:
     orders = np.arange(1, _ORDERS + 1)
     width = 0.2 / turns
+    largest = max(float(np.max(found.harmonics[0])) for found in rules)
+    floor = 1e-3 * largest
     for place, found in enumerate(rules):
         shown = slice(1, _ORDERS * turns + 1)
         shift = width * (place - 0.5 * (len(rules) - 1))
-        axes.bar(
+        values = found.harmonics[0, shown]
+        bars = axes.bar(
             found.orders[shown] + shift,
-            found.harmonics[0, shown],
+            np.where(values > floor, values, np.nan),  # what is below is not seen, or is rounding
             0.19 / turns,
             color=RULE_COLOURS[found.rule],
             label=_TITLES[found.rule],
         )
+        for bar, order in zip(bars, found.orders[shown].tolist(), strict=True):
+            bar.set_gid(f"{order:g}")
     axes.set(
         title="Harmonics of phase a", xlabel="Order", ylabel="A", xticks=orders[::2], yscale="log"
     )
-    largest = max(float(np.max(found.harmonics[0])) for found in rules)
-    axes.set_ylim(1e-3 * largest, 2.0 * largest)
+    axes.set_ylim(floor, 2.0 * largest)
     axes.legend(frameon=False, loc="upper right", ncols=2, fontsize=6.5)
 
 
@@ -111,23 +116,28 @@ def plot_waveforms(comparison: WaveformComparison) -> Figure:
         figure = new_figure(
             "waveforms", 5.0, "Back-EMF, phase currents by rule, torque and harmonics"
         )
-        width = 0.87 / (len(rules) + 1)
+        width = 0.86 / (len(rules) + 1)
         largest = max(float(np.max(np.abs(found.currents))) for found in rules)
         factor, unit = prefixed(float(np.max(np.abs(comparison.machine.flux))), "Wb")
         emf = figure.add_axes((0.085, 0.59, width - 0.035, 0.31))
         _draw_phases(
             emf,
             comparison.machine.flux * factor,
-            f"e / $\u03c9_e$ in {unit}",
+            "e / $\u03c9_e$",
             turns,
             neutral=False,
         )
+        emf.set_ylabel(unit)
+        first = None
         for place, found in enumerate(rules, start=1):
-            axes = figure.add_axes((0.11 + place * width, 0.59, width - 0.035, 0.31))
-            _draw_phases(axes, found.currents, f"{_TITLES[found.rule]}: A", turns, neutral=True)
-            axes.set_ylim(-1.15 * largest, 1.15 * largest)
-            if place > 1:
-                axes.set_yticklabels([])
+            box = (0.125 + place * width, 0.59, width - 0.035, 0.31)
+            axes = figure.add_axes(box, sharey=first)
+            _draw_phases(axes, found.currents, _TITLES[found.rule], turns, neutral=True)
+            if first is None:
+                first = axes
+                axes.set(ylabel="Current in A", ylim=(-1.15 * largest, 1.15 * largest))
+            else:
+                axes.tick_params(labelleft=False)
             if place == len(rules):
                 handles, labels = axes.get_legend_handles_labels()
                 figure.legend(

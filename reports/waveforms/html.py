@@ -26,10 +26,15 @@ if TYPE_CHECKING:
 _ROUNDING = 1e-9
 
 
+def point_words(comparison: WaveformComparison) -> str:
+    """Torque and speed for which the currents are shaped."""
+    return f"{quantity(comparison.torque, 'N m')} at {quantity(comparison.omega_m, 'rpm')}"
+
+
 def comparison_text(comparison: WaveformComparison) -> str:
     """The operating point, and what holds the currents there."""
     limits = comparison.limits
-    where = f"{quantity(comparison.torque, 'N m')} at {quantity(comparison.omega_m, 'rpm')}"
+    where = point_words(comparison)
     held = (
         f"held by the limits of {', '.join(comparison.binding)}"
         if comparison.binding
@@ -110,7 +115,7 @@ def confirmations_table(comparison: WaveformComparison) -> HtmlTable:
         "The same programmes solved by OSQP: largest residual of the optimality conditions, "
         "differences"
     )
-    return HtmlTable(caption, columns, rows)
+    return HtmlTable(caption, columns, rows, folded=True)
 
 
 def _candidate_cells(entry: PhaseCandidate) -> tuple[str, ...]:

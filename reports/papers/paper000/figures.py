@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dqforge.reports.figure_data.scaled import DrawnGrid, draw_filled
 from dqforge.reports.pages.figures_style import (
     BLUE,
-    INK,
+    MAP_INK,
     MUTED,
     ORANGE,
     TEAL,
@@ -87,11 +88,10 @@ def plot_split(found: StatedMethod) -> Figure:
 def _map(figure: Figure, axes: Axes, found: ErrorMap) -> None:
     """Levels where the loss of epsilon falls by tens: they are what tells the best points."""
     left = 100.0 - found.reduction
-    shown = axes.contourf(
-        found.points, found.points, np.log10(left), levels=16, cmap="Blues_r", antialiased=True
-    )
+    grid = DrawnGrid(found.points, found.points, found.reduction, "reduction in %")
+    shown = draw_filled(axes, grid, np.log10(left), levels=16, cmap="Blues_r", antialiased=True)
     axes.plot(*found.printed[::-1], "+", color=ORANGE, markersize=9, label="printed")
-    axes.plot(*found.best[::-1], "x", color=INK, markersize=6, label="best")
+    axes.plot(*found.best[::-1], "x", color=MAP_INK, markersize=6, label="best")
     axes.set(
         title=f"Figure 3: degree {found.degree}",
         xlabel="$\u03c6_q$ in p.u.",

@@ -15,7 +15,7 @@ from dqforge.reports.plain_data import PlainData
 
 
 def plain_whole(found: WholePaper) -> PlainData:
-    """Everything by the keys of docs/json.md."""
+    """Everything by the keys of docs/reference/json.md."""
     return {
         **plain_reproduction(found.tables),
         "table_2_by_stated_method": _coefficients(found.stated),

@@ -7,7 +7,6 @@ paper prints, become those of the distance by a shift that changes no value.
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +26,7 @@ from dqforge.optimizer.operating_points.mtpa import mtpa_currents, per_unit_base
 from dqforge.optimizer.operating_points.solve import current_choice
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.main_header.header import header_files
+from dqforge.reports.operating_system.host_compiler import NO_COMPILER, find_compiler
 from dqforge.reports.papers.paper000.ipmsm_tables import PRINTED_TABLE_2
 from dqforge.reports.papers.paper000.stated_method import CURVE_END, DOMAIN, edges_of
 from dqforge.reports.verification.host import verify_files
@@ -178,8 +178,8 @@ def printed_header(design: Design) -> PrintedPolynomial:
     reference = solution.fit.reference
     assert isinstance(reference, CurrentReference)
     files, compared, missing = header_files(solution), 0, ""
-    if shutil.which("cc") is None:
-        missing = "no C compiler found; it needs the Debian package gcc."
+    if find_compiler() is None:
+        missing = f"{NO_COMPILER}."
     else:
         found = verify_files(files, PREFIX, reference, _VECTORS)
         compared = sum(check.compared for check in found.checks)

@@ -18,13 +18,16 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.scenario import Encoder, Profile, Scenario
+from dqforge.optimizer.loops.integer_gains import to_q
 from dqforge.optimizer.loops.loop_gains import LoopGains, per_unit
-from dqforge.optimizer.loops.q_numbers import to_q
 from dqforge.optimizer.observers.reduced_order import ObserverError, steady_state_error
 from dqforge.optimizer.solution import Solution
+from dqforge.reports.papers.paper001.alignment import Alignment, alignments
 from dqforge.reports.papers.paper001.bench_sensorless import Estimator, estimator_errors
 from dqforge.reports.papers.paper001.emitted_control import EmittedControl, emitted_control
-from dqforge.reports.papers.paper001.program_findings import Program, program_results
+from dqforge.reports.papers.paper001.estimator_methods import MethodFound, methods_found
+from dqforge.reports.papers.paper001.program_findings import Finding, Program, program_results
+from dqforge.reports.papers.paper001.sensorless_findings import sensorless_findings
 from dqforge.reports.papers.transients import RPM, Bench, bench, settling_time
 from dqforge.reports.simulation.recorded_run import Simulation
 
@@ -113,7 +116,7 @@ class Runs:
     """Recorded transients: start and reversal, sine reference, steps, and starts without sensor.
 
     ``sensorless`` has the speed from the exact observer, ``estimator`` angle and speed
-    with the errors of the bench.
+    with the errors of the bench; ``encoder`` is the start without an estimator.
     """
 
     reversal: Simulation
@@ -121,6 +124,7 @@ class Runs:
     steps: Simulation
     sensorless: Simulation
     estimator: Simulation
+    encoder: Simulation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +136,8 @@ class Reproduction:
     rpm, relative, with exact parameters in simulation, and by formula with what is stated in the
     key; ``estimator`` the errors of angle and speed without encoder; ``program`` is what
     the program of the thesis does with its own integers, ``emitted`` what the design's own control
-    does in each format.
+    does in each format; ``methods`` are those of chapter 7 on the bench, ``alignment`` the start of
+    section 8.3, ``figures`` what is read off the runs of Figures 8.29 to 8.33.
     """
 
     integers: dict[str, int]
@@ -147,6 +152,9 @@ class Reproduction:
     runs: Runs
     program: Program
     emitted: EmittedControl
+    methods: tuple[MethodFound, ...]
+    alignment: tuple[Alignment, ...]
+    figures: tuple[Finding, ...]
 
 
 def _integers(solution: Solution) -> dict[str, int]:
@@ -302,19 +310,19 @@ def _steps(place: Bench) -> tuple[Simulation, float]:
     return found, longest
 
 
+def _to_1500(place: Bench, encoder: Encoder) -> Simulation:
+    """Start to 1500 rpm without dead time."""
+    reference = Profile((0.0,), (_SENSORLESS_RPM * RPM,))
+    scenario = Scenario(1.2, "speed", reference, encoder=encoder, dead_time=0.0)
+    return place.run(scenario, thesis_gains(place, REVERSAL_CURRENT))
+
+
 def _sensorless(place: Bench) -> tuple[Simulation, float]:
     """Start to 1500 rpm with the speed of the corrected observer.
 
     The error of the estimate over the last 0.2 s.
     """
-    scenario = Scenario(
-        1.2,
-        "speed",
-        Profile((0.0,), (_SENSORLESS_RPM * RPM,)),
-        encoder=Encoder(speed="observer"),
-        dead_time=0.0,
-    )
-    found = place.run(scenario, thesis_gains(place, REVERSAL_CURRENT))
+    found = _to_1500(place, Encoder(speed="observer"))
     last = found.t >= 1.0
     error = np.mean(found.omega_m_measured[last] - found.omega_m[last]) / (_SENSORLESS_RPM * RPM)
     return found, float(error)
@@ -356,6 +364,7 @@ def reproduce_paper() -> Reproduction:
         sine, amplitude, lag = _sine(place)
         steps, step_time = _steps(place)
         sensorless, error = _sensorless(place)
+        plain = _to_1500(place, Encoder(ENCODER_LINES))
         estimator, wrong = estimator_errors(thesis_gains(place, REVERSAL_CURRENT))
         return Reproduction(
             integers=_integers(place.solution),
@@ -367,7 +376,10 @@ def reproduce_paper() -> Reproduction:
             sensorless_error=error,
             sensorless=_stated_errors(place),
             estimator=estimator,
-            runs=Runs(reversal, sine, steps, sensorless, wrong),
+            runs=Runs(reversal, sine, steps, sensorless, wrong, plain),
             program=program_results(design),
             emitted=emitted_control(),
+            methods=methods_found(DESIGN_NAME),
+            alignment=alignments(design),
+            figures=sensorless_findings(plain, sensorless, wrong),
         )

@@ -108,3 +108,41 @@ def plot_bench(runs: Runs) -> Figure:
         for axes in (first, second, fifth, seventh, eighth):
             axes.legend(frameon=False, loc="best", fontsize=6.5)
     return figure
+
+
+def plot_without_encoder(runs: Runs) -> Figure:
+    """Figures 8.29, 8.31 to 8.33: simulated with and without estimator, and the bench on it."""
+    with style():
+        figure = new_figure("paper-001-without-encoder", 4.6, "With and without estimator")
+        places = tuple((x, y) for y in (0.57, 0.09) for x in (0.1, 0.6))
+        first, second, third, fourth = (figure.add_axes((x, y, 0.38, 0.32)) for x, y in places)
+        for run, colour, label in (
+            (runs.encoder, MUTED, "without estimator"),
+            (runs.sensorless, BLUE, "with it"),
+        ):
+            first.plot(run.t, run.omega_m / RPM, color=colour, label=label)
+        estimate = runs.sensorless.omega_m_measured / RPM
+        first.plot(runs.sensorless.t, estimate, color=TEAL, linewidth=0.8, label="estimate")
+        first.set(title="Figure 8.29: simulated start", ylabel="rpm", xlabel="Time in s")
+        run = runs.estimator
+        late = run.t >= run.t[-1] - 0.03
+        time = (run.t[late] - run.t[-1]) * 1e3
+        second.plot(time, run.omega_m[late] / RPM, color=BLUE, label="measured")
+        second.plot(time, run.omega_m_observed[late] / RPM, color=TEAL, label="estimated")
+        second.set(title="Figure 8.31: speed", ylabel="rpm", xlabel="Time in ms")
+        for angle, colour, label in (
+            (run.theta_e, BLUE, "measured"),
+            (run.theta_e_observed, TEAL, "estimated"),
+        ):
+            third.plot(time, np.degrees(angle[late]), color=colour, linewidth=0.9, label=label)
+        third.set(title="Figure 8.32: position", ylabel="deg (electrical)", xlabel="Time in ms")
+        gap = np.angle(np.exp(1j * (run.theta_e - run.theta_e_observed)[late]))
+        fourth.plot(time, 100.0 * gap / (2.0 * np.pi), color=ORANGE)
+        fourth.set(
+            title="Figure 8.33: error of the position",
+            ylabel="% of an electrical turn",
+            xlabel="Time in ms",
+        )
+        for axes in (first, second, third):
+            axes.legend(frameon=False, loc="best", fontsize=6.5)
+    return figure

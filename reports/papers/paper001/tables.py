@@ -12,6 +12,14 @@ from dqforge.reports.papers.paper001.bench_transients import (
     PRINTED_TIME,
     Reproduction,
 )
+from dqforge.reports.papers.paper001.estimator_tables import (
+    alignment_table,
+    methods_table,
+    plain_alignment,
+    plain_findings,
+    plain_methods,
+    sensorless_table,
+)
 from dqforge.reports.papers.paper001.program_tables import (
     emitted_table,
     plain_emitted,
@@ -48,11 +56,13 @@ def reproduction_tables(found: Reproduction) -> list[Table]:
     )
     errors = tuple((name, f"{100.0 * value:+.3f}") for name, value in found.sensorless.items())
     return [
+        methods_table(found.methods),
         Table(
             "Paper 001, Table 8.1 as integers of the program",
             ("gain", "printed", "found"),
             integers,
         ),
+        alignment_table(found.alignment),
         *program_tables(found.program),
         Table(
             "Paper 001, section 8.4: time until the speed stays within 2 % of 1200 rpm, emitted C "
@@ -124,6 +134,7 @@ def reproduction_tables(found: Reproduction) -> list[Table]:
             ),
         ),
         _estimator_table(found.estimator),
+        sensorless_table(found.figures),
     ]
 
 
@@ -163,6 +174,9 @@ def plain_reproduction(found: Reproduction) -> PlainData:
         },
         "program": plain_program(found.program),
         "emitted": plain_emitted(found.emitted),
+        "methods": plain_methods(found.methods),
+        "alignment": plain_alignment(found.alignment),
+        "figures_without_encoder": plain_findings(found.figures),
     }
 
 

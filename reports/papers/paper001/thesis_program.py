@@ -22,6 +22,7 @@ from dqforge.machines.plants.scenario import (
     InverterModel,
     Profile,
     Scenario,
+    constant,
 )
 from dqforge.reports.pages.templating import render
 from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
@@ -112,7 +113,7 @@ def dead_band(constants: Constants) -> float:
     return BASE_CURRENT / constants.kih_iq
 
 
-def program_files(torque_per_ampere: float, period: float) -> dict[str, bytes]:
+def program_files(torque_per_ampere: float, period: float, align: int = 0) -> dict[str, bytes]:
     """The two headers by name.
 
     Parameters
@@ -121,6 +122,9 @@ def program_files(torque_per_ampere: float, period: float) -> dict[str, bytes]:
         Of the machine in N m/A, for the recorded torque reference.
     period:
         Of the interrupt in s.
+    align:
+        Periods for which the first phase is fed before the program begins, and after which the
+        encoder's count is set to zero; 0 for a program that knows the angle.
     """
     turn = 2.0 * np.pi * np.arange(_SINE_ENTRIES + 1) / _SINE_ENTRIES
     context = {
@@ -133,6 +137,7 @@ def program_files(torque_per_ampere: float, period: float) -> dict[str, bytes]:
         "clock": CLOCK,
         "period": period,
         "constants": list(asdict(Constants()).values()),
+        "align": align,
         "torque_per_ampere": torque_per_ampere,
     }
     return {
@@ -157,9 +162,12 @@ class ProgramBench:
         constants: Constants | None = None,
         dead_time: float | None = None,
         inverter: InverterModel = "averaged",
+        theta_e: float = 0.0,
+        friction: float = 0.0,
     ) -> Simulation:
         """One run from standstill: seconds, reference in rad/s, other integers or dead time in s
-        where they are given, duty cycles as voltages or every switching instant.
+        where they are given, duty cycles as voltages or every switching instant; the electrical
+        angle in rad at which the rotor lies, and a torque in N m that resists and holds it.
         """
         scenario = Scenario(
             duration,
@@ -169,20 +177,24 @@ class ProgramBench:
             sensor=CONVERTER,
             dead_time=dead_time,
             inverter=inverter,
+            theta_e=theta_e,
+            load=constant(friction),
+            load_kind="friction" if friction else "active",
         )
         gains = (constants or Constants()).content()
         return simulate(self.program, self.drive, scenario, gains=gains)
 
 
 @contextmanager
-def program_bench(design: Design) -> Iterator[ProgramBench]:
-    """The bench of a design with the program of the thesis, as long as the block.
+def program_bench(design: Design, align: int = 0) -> Iterator[ProgramBench]:
+    """The bench of a design with the program of the thesis, as long as the block; with its
+    alignment over so many periods, where it is to find the angle itself.
 
     Raises
     ------
     VerificationError
         There is no compiler.
     """
-    files = program_files(design.machine.torque_per_ampere, design.control.t_s)
+    files = program_files(design.machine.torque_per_ampere, design.control.t_s, align)
     with simulator(files, PREFIX) as program:
         yield ProgramBench(program, drive_of(design))

@@ -9,6 +9,7 @@ import numpy as np
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import VerificationError
+from dqforge.reports.operating_system.host_compiler import require_compiler
 from dqforge.reports.papers.paper002.figure_list import PRINTED_CONDITIONS
 from dqforge.reports.papers.paper002_definitions.back_emf_components import ComponentRow, table_3_1
 from dqforge.reports.papers.paper002_definitions.bench_currents import (
@@ -32,7 +33,6 @@ from dqforge.reports.papers.paper002_definitions.misprints import ModelCheck, ch
 from dqforge.reports.papers.paper002_loops.closed_loops import BENCH_SPEED, ClosedLoops, run_loops
 from dqforge.reports.papers.paper002_loops.diode_path import DiodePath, diode_path
 from dqforge.reports.papers.paper002_loops.loss_ratios import LoopRatio, loop_ratios
-from dqforge.reports.simulation.compiled_plant import require_compiler
 
 TERMS_TORQUE = 3.5
 """N m, at which the terms of Figure 4.3 are shown; chosen near the rated torque."""

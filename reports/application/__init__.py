@@ -1,0 +1,1 @@
+"""The program around the emitted functions: its C, its settings in words, and the report."""

@@ -1,0 +1,1 @@
+"""Current-feedback PWM: tables, JSON, figures, and what is emitted of a regulator."""

@@ -1,0 +1,1 @@
+"""Estimators and start-ups compared: tables, plain data, figures, what their C costs, the pair."""

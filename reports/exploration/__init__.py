@@ -1,0 +1,1 @@
+"""A study shown: tables, plain data, and a page that tells each row under the pointer."""

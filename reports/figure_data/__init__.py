@@ -1,0 +1,1 @@
+"""The data of a figure, read from what is drawn in it."""

@@ -1,0 +1,1 @@
+"""What stands around the content of a page: its scripts and their policy, the files beside it."""

@@ -1,0 +1,1 @@
+"""The emitted measurement of the speed: header, model, tables."""

@@ -1,0 +1,132 @@
+"""The emitted start-up read back from a result, and the runs that prove it against its model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from dqforge.machines.errors import InputError
+from dqforge.optimizer.estimators.registry import TRACKERS
+from dqforge.optimizer.estimators.tracker import Tracker
+from dqforge.optimizer.observers.method import ObserverMethod
+from dqforge.optimizer.observers.parts import cast
+from dqforge.reports.c_code.float32_functions import SINGLE
+from dqforge.reports.c_code.harness import Programme
+from dqforge.reports.c_code.read_back import single_from
+from dqforge.reports.observers.position_header import observer_from
+from dqforge.reports.observers.tracker_float32_model import EmittedTracker
+from dqforge.reports.observers.tracker_header import (
+    tracker_from,
+    tracker_programme,
+)
+from dqforge.reports.phase_control.emitted import emitted_control_from
+from dqforge.reports.start_up.float32_model import StartUpModel
+from dqforge.reports.start_up.header import LOW_FILE
+from dqforge.reports.start_up.members import MEMBERS
+from dqforge.reports.start_up.sequences import HEARING, OUTPUTS, SEEN, recorded
+
+_FAULT = InputError("startup_header is not what dqforge writes; run the design again")
+
+
+@dataclass(frozen=True, slots=True)
+class TriedStart:
+    """What verification needs: the machine, and the dc link in V that it is tried on."""
+
+    model: StartUpModel
+    v_dc: float
+
+
+def start_up_from(own: Mapping[str, Any], whole: Mapping[str, Any]) -> TriedStart:
+    """Read a state machine back from its part of a result and the whole of it.
+
+    Parameters
+    ----------
+    own:
+        As `plain_start_up` makes it.
+    whole:
+        The result, with the headers of control and observers.
+
+    Raises
+    ------
+    InputError
+        The data are not what `plain_start_up` makes.
+    """
+    try:
+        method, gains = _at_speed(whole["observer_header"])
+        control = emitted_control_from(whole["control_header"], whole)
+        low = whole.get("start_observer_header")
+        settings = {
+            member.name: _whole(own["settings"][member.name])
+            if member.whole
+            else float(single_from(own["settings"][member.name]))
+            for member in MEMBERS
+        }
+        v_dc = float(single_from(own["v_dc"]))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise _FAULT from error
+    found = None if low is None else tracker_from(low)
+    return TriedStart(
+        StartUpModel(
+            control=control,
+            method=method,
+            gains=gains,
+            settings=settings,
+            low=None if found is None else (found.tracker, cast(found.gains, SINGLE)),
+        ),
+        v_dc,
+    )
+
+
+def _at_speed(described: Mapping[str, Any]) -> tuple[ObserverMethod | Tracker, Any]:
+    """The estimator at speed with its gains in single precision."""
+    if described.get("method") in TRACKERS:
+        tracked = tracker_from(described)
+        return tracked.tracker, cast(tracked.gains, SINGLE)
+    observer = observer_from(described)
+    return observer.method, cast(observer.gains, SINGLE)
+
+
+def _whole(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**32:
+        raise ValueError
+    return value
+
+
+def start_up_programme(tried: TriedStart) -> Programme:
+    """The harness of the state machine, with what its model answers.
+
+    Parameters
+    ----------
+    tried:
+        The machine, and the dc link that it is tried on.
+    """
+    model = tried.model
+    inputs, outputs = recorded(model, tried.v_dc)
+    return Programme(
+        "start_up/harness.c.j2",
+        inputs,
+        outputs,
+        {
+            "code": model.method.code,
+            "low": "" if model.low is None else model.low[0].code,
+            "members": MEMBERS,
+            "hears": model.hears,
+            "seen": HEARING if model.hears else SEEN,
+            "outputs": OUTPUTS,
+        },
+        name="start-up",
+    )
+
+
+def start_observer_programme(tracker: EmittedTracker) -> Programme:
+    """The harness of the estimator from standstill on.
+
+    Parameters
+    ----------
+    tracker:
+        The estimator.
+    """
+    found = tracker_programme(tracker)
+    context = {**found.context, "file": LOW_FILE}
+    return replace(found, context=context, name="estimator from standstill on")

@@ -1,0 +1,309 @@
+"""A study on workers: a window of batches under way, each written as it comes, and what dies with
+its process found out.
+
+The batches are the parts of the study, whatever the number of workers. A part whose process died is
+asked for once more; at the second death its rows are found out one half after the other, once all
+other parts are done and with no more under way than there are workers.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import suppress
+from dataclasses import dataclass, field
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING
+
+from distributed import KilledWorker
+
+from dqforge.optimizer.exploration.row_block import RowSource
+from dqforge.reports.study_engine.contained_rows import counted
+from dqforge.reports.study_engine.engine_settings import PartWriter
+from dqforge.reports.study_engine.local_cluster import replace_lost
+from dqforge.reports.study_engine.signals import AskedToStop
+from dqforge.reports.study_engine.stopped import (
+    EngineStoppedError,
+    SchedulerLostError,
+    StudyInterruptedError,
+    kept,
+)
+from dqforge.reports.study_engine.study_progress import StudyProgress
+from dqforge.reports.study_engine.suspect_part import (
+    DEATHS,
+    SuspectPart,
+    SuspectRange,
+)
+from dqforge.reports.study_engine.time_limits import TimeLimits
+from dqforge.reports.study_engine.worker_side import Computed, UnfitWorkerError, compute_rows
+from dqforge.reports.study_store.part_file import encode_part
+
+if TYPE_CHECKING:
+    from dask.typing import Key
+    from distributed import Client, Future
+
+_WAIT_S = 0.5
+_LOOK_EVERY_S = 2.0
+_WITHOUT_WORKERS_S = 120.0
+_DEATHS_WITHOUT_A_RESULT = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """Rows that are under way: a whole part, or a range of a suspect one."""
+
+    part: int
+    first: int
+    end: int
+    limit: float
+    suspect: tuple[SuspectPart, SuspectRange] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Landing:
+    """What became of a flight: what was computed, or the error instead."""
+
+    future: Future[Computed]
+    computed: Computed | None
+    error: BaseException | None
+
+
+@dataclass(slots=True, eq=False)
+class ClusterRun:
+    """One run.
+
+    Parameters
+    ----------
+    client:
+        Of the cluster.
+    plugin:
+        Name of the plugin that holds the study on the workers.
+    digest:
+        Of the study.
+    parts:
+        Numbers of the parts to compute.
+    workers:
+        Workers as last counted.
+    """
+
+    client: Client
+    plugin: str
+    source: RowSource
+    digest: str
+    writer: PartWriter
+    parts: deque[int]
+    progress: StudyProgress
+    asked: AskedToStop
+    limits: TimeLimits
+    workers: int
+    started: int = field(init=False)
+    deaths: Counter[int] = field(default_factory=Counter)
+    pieces: deque[tuple[SuspectPart, SuspectRange]] = field(default_factory=deque)
+    flying: dict[Key, tuple[Flight, Future[Computed]]] = field(default_factory=dict)
+    landed: SimpleQueue[Landing | None] = field(default_factory=SimpleQueue)
+    looked: float = field(default_factory=time.monotonic)
+    worked: float = field(default_factory=time.monotonic)
+    began: dict[tuple[int, int], float] = field(default_factory=dict)
+    computed_any: bool = False
+
+    def __post_init__(self) -> None:
+        self.started = self.workers
+
+    def run(self) -> None:
+        """Compute and write all parts.
+
+        Raises
+        ------
+        EngineStoppedError
+            The scheduler or all workers are lost, or somebody asked to stop; what had come is
+            written.
+        """
+        self.asked.wake = self._wake
+        self.client.subscribe_topic(self.plugin, self._hear)
+        try:
+            while self.parts or self.pieces or self.flying:
+                self._fill()
+                self._take()
+                if self.asked:
+                    kept_now = self._write_what_has_come()
+                    raise StudyInterruptedError(self.asked.number, kept_now)
+                if time.monotonic() - self.looked > _LOOK_EVERY_S:
+                    self._look()
+        finally:
+            self.asked.wake = _nothing
+
+    def leave(self) -> None:
+        """Ask for nothing any more."""
+        futures = [future for _, future in self.flying.values()]
+        with suppress(Exception):
+            self.client.unsubscribe_topic(self.plugin)
+            self.client.cancel(futures)
+
+    def _hear(self, event: tuple[float, tuple[int, int]]) -> None:
+        """A worker says that rows begin on which a verdict hangs: they may have waited for it."""
+        first, end = event[1]
+        self.began[first, end] = time.monotonic()
+
+    def _wake(self) -> None:
+        self.landed.put(None)
+
+    def _fill(self) -> None:
+        """Ask for rows until the window is full."""
+        while not self._alone_flies():
+            if self.parts and len(self.flying) < 2 * self.workers:
+                part = self.parts.popleft()
+                first = part * self.source.batch
+                self._send(part, first, min(first + self.source.batch, self.source.count))
+            elif not self.parts and self.pieces and self._room_for(self.pieces[0][1]):
+                suspect, rows = self.pieces.popleft()
+                self._send(suspect.part, rows.first, rows.end, (suspect, rows))
+            else:
+                return
+
+    def _room_for(self, rows: SuspectRange) -> bool:
+        return not self.flying if rows.alone else len(self.flying) < self.workers
+
+    def _alone_flies(self) -> bool:
+        return any(
+            flight.suspect is not None and flight.suspect[1].alone
+            for flight, _ in self.flying.values()
+        )
+
+    def _send(
+        self,
+        part: int,
+        first: int,
+        end: int,
+        suspect: tuple[SuspectPart, SuspectRange] | None = None,
+    ) -> None:
+        limit = self.limits.of(end - first)
+        whole = suspect is None
+        future = self.client.submit(
+            compute_rows,
+            self.plugin,
+            first,
+            end,
+            limit,
+            whole,
+            suspect is not None and suspect[1].alone,
+            pure=False,
+            retries=0,
+        )
+        flight = Flight(part, first, end, limit, suspect)
+        self.flying[future.key] = flight, future
+        future.add_done_callback(self._fetch)
+
+    def _fetch(self, future: Future[Computed]) -> None:
+        """Bring a result here; runs in a thread of the client."""
+        try:
+            self.landed.put(Landing(future, future.result(), None))
+        except BaseException as error:
+            self.landed.put(Landing(future, None, error))
+
+    def _take(self) -> None:
+        """Wait for a landing, not for long, and act upon it."""
+        try:
+            landing = self.landed.get(timeout=_WAIT_S)
+        except Empty:
+            return
+        if landing is None or landing.future.key not in self.flying:
+            return
+        flight, _ = self.flying.pop(landing.future.key)
+        if landing.computed is not None:
+            self._arrived(flight, landing.computed)
+        elif landing.error is not None:
+            self._failed(flight, landing.error)
+
+    def _arrived(self, flight: Flight, computed: Computed) -> None:
+        self.computed_any = True
+        if flight.suspect is not None and computed.block is not None:
+            suspect, rows = flight.suspect
+            self._go_on_with(suspect, suspect.computed(rows, computed.block))
+            return
+        self.limits.taken.append(computed.seconds)
+        self._write(flight.part, computed.data, computed.states)
+
+    def _go_on_with(self, suspect: SuspectPart, rows: Sequence[SuspectRange]) -> None:
+        self.pieces.extend((suspect, each) for each in rows)
+        block = suspect.block
+        if block is not None:
+            data = encode_part(block, self.source.columns, self.digest)
+            self._write(suspect.part, data, counted(block))
+
+    def _write(self, part: int, data: bytes, states: Mapping[str, int]) -> None:
+        self.writer.write(part, data)
+        self.progress.finished(states)
+
+    def _failed(self, flight: Flight, error: BaseException) -> None:
+        if isinstance(error, KilledWorker | OSError | MemoryError):
+            self._died(flight, error)
+        elif isinstance(error, UnfitWorkerError):
+            raise EngineStoppedError(str(error)) from error
+        elif isinstance(error, CancelledError):
+            raise self._lost() from error
+        else:
+            text = " ".join(f"{type(error).__name__}: {error}".split())
+            raise EngineStoppedError(f"a worker failed: {text}") from error
+
+    def _died(self, flight: Flight, error: BaseException) -> None:
+        """A flight ended its process, or was on its way to one that ended."""
+        self.deaths[flight.part] += 1
+        if not self.computed_any and self.deaths.total() >= _DEATHS_WITHOUT_A_RESULT:
+            raise EngineStoppedError(
+                f"none of {self.deaths.total()} batches came back: each ended its process"
+            ) from error
+        if flight.suspect is not None:
+            suspect, rows = flight.suspect
+            self._go_on_with(suspect, suspect.died(rows, self._verdict(flight, error)))
+        elif self.deaths[flight.part] == 1:
+            self.parts.append(flight.part)
+        else:
+            suspect = SuspectPart(flight.part, flight.first, flight.end, self.source)
+            self._go_on_with(suspect, suspect.began())
+
+    def _verdict(self, flight: Flight, error: BaseException) -> str:
+        """What the message of a row says that is given up; the same in every run."""
+        if isinstance(error, MemoryError):
+            return "ran out of memory"
+        began = self.began.get((flight.first, flight.end))
+        if began is not None and time.monotonic() - began >= flight.limit:
+            return f"took longer than {self.limits.in_words()}"
+        return f"ended its process {DEATHS} times"
+
+    def _look(self) -> None:
+        """Count the workers that there are; see that others take the place of lost ones."""
+        self.looked = now = time.monotonic()
+        try:
+            there = len(self.client.nthreads())
+        except Exception as error:
+            raise self._lost() from error
+        if there < self.started:
+            replace_lost(self.client)
+        if there:
+            self.workers, self.worked = there, now
+        elif now - self.worked > _WITHOUT_WORKERS_S:
+            rows = self._write_what_has_come()
+            raise EngineStoppedError(
+                f"no worker has been left for {_WITHOUT_WORKERS_S:g} s, after {rows}"
+            )
+
+    def _lost(self) -> SchedulerLostError:
+        return SchedulerLostError(f"the scheduler was lost after {self._write_what_has_come()}")
+
+    def _write_what_has_come(self) -> str:
+        """Write the parts that are in hand and wait for none; how much of the study is kept."""
+        with suppress(Empty):
+            while True:
+                landing = self.landed.get_nowait()
+                if landing is None or landing.computed is None:
+                    continue
+                flight, _ = self.flying.pop(landing.future.key)
+                if flight.suspect is None:
+                    self._write(flight.part, landing.computed.data, landing.computed.states)
+        return kept(self.progress.done, self.progress.count)
+
+
+def _nothing() -> None:
+    """Nobody waits."""

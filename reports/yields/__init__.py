@@ -1,0 +1,1 @@
+"""The header of a folder that a run wrote, read back to meet other machines."""
