@@ -530,7 +530,7 @@ _UNITS: list[Broken] = [
     ),
     (
         "bare-margin",
-        changed("200 Hz", "200 Hz\n    phase_margin_min: 30"),
+        changed("200 Hz", "200 Hz\n    min_phase_margin: 30"),
         22,
         23,
         "write e.g. '30 deg'",
@@ -756,7 +756,7 @@ _CONTRADICTIONS: list[Broken] = [
     ("breakpoints-order", _fit("segments: 3", "breakpoints: [1 N m, 0.5 N m]"), 31, 24, "in order"),
     (
         "breakpoints-outside",
-        _fit("segments: 2", "torque_max: 1 N m", "breakpoints: [2 N m]"),
+        _fit("segments: 2", "max_torque: 1 N m", "breakpoints: [2 N m]"),
         32,
         17,
         "beyond the end",

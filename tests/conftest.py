@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
@@ -15,6 +16,15 @@ settings.register_profile("dqforge", deadline=None, derandomize=bool(os.environ.
 settings.load_profile("dqforge")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+# Modules and tests that are collected stay to the end: no collector need walk them, then or later.
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Give the garbage collector what the tests make, and nothing of what they are."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -76,7 +76,7 @@ def permitted(drive: str) -> Iterator[Change]:
     key of the design left out.
     """
     base = document(drive)
-    for path in sorted(_paths(base), key=str):
+    for path in sorted(key_paths(base), key=str):
         yield _change(drive, base, path, "left out", None, leave_out=True)
     for path, annotation, metadata in _fields(DesignFile, ()):
         for value in _values(annotation, metadata):
@@ -88,7 +88,7 @@ def wrong(drive: str) -> Iterator[Change]:
     or beside a key that nobody knows.
     """
     base = document(drive)
-    for path in sorted(_paths(base), key=str):
+    for path in sorted(key_paths(base), key=str):
         yield _change(drive, base, path, "left out", None, leave_out=True)
         for value in _OFTEN_WRONG:
             yield _change(drive, base, path, f"is {value!r}", value)
@@ -129,7 +129,7 @@ def _at(base: Any, path: Path) -> Any:
     return base
 
 
-def _paths(node: Any, path: Path = ()) -> list[Path]:
+def key_paths(node: Any, path: Path = ()) -> list[Path]:
     """All keys and list entries, those of sections included."""
     items = (
         node.items()
@@ -138,7 +138,9 @@ def _paths(node: Any, path: Path = ()) -> list[Path]:
         if isinstance(node, list)
         else ()
     )
-    return [found for key, value in items for found in ((*path, key), *_paths(value, (*path, key)))]
+    return [
+        found for key, value in items for found in ((*path, key), *key_paths(value, (*path, key)))
+    ]
 
 
 def _fields(model: type[BaseModel], path: Path) -> Iterator[tuple[Path, Any, list[Any]]]:

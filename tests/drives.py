@@ -94,3 +94,19 @@ def in_floats(fit: ReferenceFit) -> CurrentReference:
     """The reference of a fit that is known to be in single precision."""
     assert isinstance(fit.reference, CurrentReference)
     return fit.reference
+
+
+def on_observer(design: Design, observer: ObserverSettings) -> Design:
+    """A design on a position observer, its speed loop by the optimum with the observer's lag."""
+    loop = design.control.speed_loop
+    if loop is not None:
+        loop = replace(
+            loop,
+            method="symmetrical-optimum",
+            kp=None,
+            ki=None,
+            spread=8.0,
+            counts_observer=True,
+            q_formats=None,
+        )
+    return replace(design, control=replace(design.control, observer=observer, speed_loop=loop))

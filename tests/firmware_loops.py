@@ -170,4 +170,4 @@ def assert_current_loops_hold(method: FirmwareMethod, wished: Asked) -> None:
     for loop in (judged.current_d, judged.current_q):
         assert loop is not None
         assert loop.stable
-        assert loop.phase_margin >= wished.design.control.current_loop.phase_margin_min
+        assert loop.phase_margin >= wished.design.control.current_loop.min_phase_margin

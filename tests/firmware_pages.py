@@ -17,7 +17,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 
 def page_of(name: Firmware) -> str:
     """The text of the page on a firmware."""
-    return (DOCS / f"firmware-{name}.md").read_text(encoding="utf-8")
+    return (DOCS / "firmware" / f"{name}.md").read_text(encoding="utf-8")
 
 
 def block(page: str, language: str) -> str:

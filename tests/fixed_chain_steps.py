@@ -18,6 +18,7 @@ from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.fixed_control.design import FixedControlFit, fit_control
 from dqforge.optimizer.fixed_control.transforms import FIXED_MODULATORS
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import solve_fixed_observers
+from dqforge.optimizer.fixed_observers.fixed_registry import FIXED_METHODS
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.solution import solve
 from dqforge.reports.control.fixed_header import control_fixed_files
@@ -204,8 +205,10 @@ def turning_rows(f: NumberFormat) -> NDArray[np.int32]:
 
 
 def fixed_observers(f: NumberFormat) -> Iterator[Step]:
-    number = _number(f)
-    for name, (design, position) in position_observers().items():
+    """One step of every position observer that there is in integers."""
+    number, every = _number(f), position_observers()
+    for name in FIXED_METHODS:
+        design, position = every[name]
         code = METHODS[name].code
         fit = next(
             one for one in solve_fixed_observers(design, position) if one.observer.format == f

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from drives import on_observer
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
@@ -38,8 +39,9 @@ def observed_design(name: str, drive: str = BENCH) -> Design:
         speed=max(bases.speed, 1.25 * fastest),
     )
     method: ObserverMethodName = name  # type: ignore[assignment]
-    control = replace(design.control, observer=ObserverSettings(method=method), bases=wide)
-    return replace(design, control=control, export=replace(design.export, control=("q15", "q31")))
+    made = on_observer(design, ObserverSettings(method=method))
+    control = replace(made.control, bases=wide)
+    return replace(made, control=control, export=replace(design.export, control=("q15", "q31")))
 
 
 @cache

@@ -1,6 +1,6 @@
 """Published configurations of MCAT: inputs and constants as numbers, by the ages of the format.
 
-Where they stand: docs/firmware-nxp.md. The constants are kept as they are printed there.
+Where they stand: docs/firmware/nxp.md. The constants are kept as they are printed there.
 """
 
 from __future__ import annotations

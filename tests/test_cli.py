@@ -18,9 +18,11 @@ from pathlib import Path
 
 import pytest
 import yaml
+from hidden_compilers import hide_compilers
 
 from dqforge import __version__, cli
 from dqforge.machines.design import catalogue
+from dqforge.machines.files.library_files import DESIGN_SCHEMA, with_modeline
 
 
 @dataclass(frozen=True)
@@ -122,17 +124,19 @@ def test_run_writes_everything_and_verify_agrees(
     )
 
 
-def test_readme_shows_what_a_run_prints(kept: tuple[Outcome, Path]) -> None:
-    """The summary and the header excerpt of the README are those of the shipped drive."""
-    readme = (Path(__file__).parent.parent / "README.md").read_text()
+def test_the_documentation_shows_what_a_run_prints(kept: tuple[Outcome, Path]) -> None:
+    """The summary and the excerpt of the header on the pages are those of the shipped drive."""
+    pages = Path(__file__).parent.parent / "docs" / "reference"
     outcome, folder = kept
     printed = " ".join(outcome.out.split())
-    block = readme[
-        readme.index("    IPMSM 100 kW (paper 000)") : readme.index("## What the header looks like")
-    ]
+    commands = (pages / "commands.md").read_text()
+    start = commands.index("    IPMSM 100 kW (paper 000)")
+    block = commands[start : commands.index("\n\n", start)]
+    assert len(block.splitlines()) > 10
     assert " ".join(block.split()) in printed
+    page = (pages / "header.md").read_text()
     header = (folder / "ipm100.h").read_text()
-    excerpt = readme[readme.index("```c") : readme.index("```\n", readme.index("```c") + 4)]
+    excerpt = page[page.index("```c") : page.index("```\n", page.index("```c") + 4)]
     code = [line.strip() for line in excerpt.splitlines()[1:] if line.strip() and "..." not in line]
     assert len(code) > 8
     assert all(line in header for line in code)
@@ -147,7 +151,7 @@ def test_same_design_same_bytes(run: Run, tmp_path: Path) -> None:
         assert str(tmp_path).encode() not in path.read_bytes()
 
 
-@pytest.mark.thinned
+@pytest.mark.slow
 @pytest.mark.parametrize("name", catalogue.names())
 def test_every_library_drive_exports_and_verifies(run: Run, name: str) -> None:
     outcome = run("export", name)
@@ -155,6 +159,7 @@ def test_every_library_drive_exports_and_verifies(run: Run, name: str) -> None:
     assert "bit for bit" in outcome.out
 
 
+@pytest.mark.slow
 def test_changed_header_fails_verification(
     run: Run, tmp_path: Path, kept: tuple[Outcome, Path]
 ) -> None:
@@ -283,6 +288,7 @@ def test_plot_with_an_unknown_suffix_or_folder(run: Run, tmp_path: Path) -> None
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_new_check_run_round_trip(run: Run, tmp_path: Path) -> None:
     assert run("new", "bench").code == 0
     design = tmp_path / "bench" / "design.yaml"
@@ -290,7 +296,8 @@ def test_new_check_run_round_trip(run: Run, tmp_path: Path) -> None:
     assert run("run", design, "-o", "out", "--no-verify").code == 0
     assert "exists already" in one_line(run("new", "bench"), 2)
     assert run("new", "copy", "--machine", IPM).code == 0
-    assert (tmp_path / "copy" / "design.yaml").read_bytes() == catalogue.read_text(IPM)
+    copy = (tmp_path / "copy" / "design.yaml").read_bytes()
+    assert copy == with_modeline(catalogue.read_text(IPM), DESIGN_SCHEMA)
     assert IPM in one_line(run("new", "other", "--machine", "paper000"), 2)
 
 
@@ -303,6 +310,7 @@ def test_check_refuses_scales_that_the_run_refuses(run: Run) -> None:
     assert run("check", IPM, *fixed[2:]).code == 0
 
 
+@pytest.mark.slow
 def test_machines_schema_and_reproduce(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -315,7 +323,6 @@ def test_machines_schema_and_reproduce(
     )
     # without compilers: what is computed here, and what is left out with its reason
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert "98.6767" in run("reproduce", "000").out
     assert json.loads(run("reproduce", "000", "--json").out)["table_4"][0]["printed_loss"] == 1064.0
     assert "write: dqforge reproduce 000" in one_line(run("reproduce", "007"), 2)
 
@@ -377,7 +384,7 @@ def test_broken_designs_give_one_line_exit_2_and_no_file(
 def test_design_without_solution_exits_1_and_leaves_nothing(run: Run, tmp_path: Path) -> None:
     text = catalogue.read_text(IPM).decode()
     path = tmp_path / "design.yaml"
-    path.write_text(re.sub(r"torque_max: [^#\n]+", "torque_max: 250 N m ", text))
+    path.write_text(re.sub(r"max_torque: [^#\n]+", "max_torque: 250 N m ", text))
     assert "250 N m cannot be had" in one_line(run("run", "design.yaml", "-o", "out"), 1)
     path.write_text(re.sub(r"bandwidth: 500 Hz", "bandwidth: 40 kHz", text))
     assert "current_loop" in one_line(run("run", "design.yaml", "-o", "out"), 1)
@@ -614,6 +621,7 @@ def test_phase_currents_are_emitted_verified_and_a_changed_entry_is_found(
     assert "result.json:" in one_line(run("verify", "out"), 1)
 
 
+@pytest.mark.slow
 def test_phase_currents_of_the_command_line(run: Run, tmp_path: Path) -> None:
     """JSON against the phase model: constant torque at every angle, copper loss R mean(sum i^2)."""
     import numpy as np
@@ -702,7 +710,7 @@ def test_captures_that_are_none(run: Run, tmp_path: Path) -> None:
 def test_budget_of_a_fit_is_shown_with_what_was_tried(run: Run, tmp_path: Path) -> None:
     text = run("machines", IPM).out
     start, end = text.index("\nfit:"), text.index("\n\n", text.index("\nfit:"))
-    budget = "\nfit: {torque_error: 0.2 %, loss_penalty: 0.1 %, flash: 256 B, torque_max: 200 N m}"
+    budget = "\nfit: {torque_error: 0.2 %, loss_penalty: 0.1 %, flash: 256 B, max_torque: 200 N m}"
     (tmp_path / "budget.yaml").write_text(text[:start] + budget + text[end:], encoding="utf-8")
     shown = run("fit", "budget.yaml").out
     assert "Forms tried for the budget" in shown
@@ -753,6 +761,15 @@ def test_simulation_with_the_emitted_controller(run: Run, tmp_path: Path) -> Non
     assert len({(tmp_path / name).read_bytes() for name in names}) == 1
 
 
+@pytest.mark.slow
+def test_a_paper_computed_again_is_shown_without_compilers(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert "98.6767" in run("reproduce", "000").out
+
+
+@pytest.mark.slow
 def test_simulation_is_in_the_report(run: Run, tmp_path: Path) -> None:
     assert run("run", BENCH, "-o", "out").code == 0
     assert (tmp_path / "out" / "bench001_simulation.npz").is_file()
@@ -764,6 +781,10 @@ def test_simulation_is_in_the_report(run: Run, tmp_path: Path) -> None:
     simulated = run("simulate", BENCH, "-o", "simulated", "--json")
     assert written["simulation"] == json.loads(simulated.out)["simulation"]
     assert "as they were written" in run("verify", "out").out
+
+
+@pytest.mark.slow
+def test_a_run_that_compiles_nothing_simulates_nothing(run: Run, tmp_path: Path) -> None:
     assert run("run", BENCH, "-o", "other", "--no-verify").code == 0
     assert "simulation" not in json.loads(
         (tmp_path / "other" / "result.json").read_text(encoding="utf-8")
@@ -777,8 +798,8 @@ def test_simulation_that_cannot_be_had(
 ) -> None:
     assert "add a section such as simulation" in one_line(run("simulate", IPM), 2)
     assert "no folder" in one_line(run("simulate", BENCH, "--plot", "nosuch/run.svg"), 2)
-    monkeypatch.setattr("shutil.which", lambda _: None)
-    assert "Debian package gcc" in one_line(run("simulate", BENCH), 1)
+    hide_compilers(monkeypatch)
+    assert "dqforge[cc]" in one_line(run("simulate", BENCH), 1)
     assert not (tmp_path / "out").exists()
 
 

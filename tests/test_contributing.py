@@ -1,4 +1,4 @@
-"""The code in docs/contributing.md is that of the toys which the tests run."""
+"""The code in docs/project/contributing.md is that of the toys which the tests run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def blocks(heading: str) -> list[str]:
     """Code in the section of a heading."""
-    text = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "project" / "contributing.md").read_text(encoding="utf-8")
     section = text.split(f"## {heading}", 1)[1].split("\n## ", 1)[0]
     return re.findall(r"```\w+\n(.*?)\n```", section, re.DOTALL)
 

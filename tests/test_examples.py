@@ -12,6 +12,7 @@ FOLDER = Path(__file__).resolve().parent.parent / "examples"
 
 SAID = {
     "fit_and_certificate": "torque error proven",
+    "from_standstill": "baldor-pmsyrm-5k6: RUN at 1000",
     "loops_and_tolerances": "method 'bandwidth' holds up to",
     "losses_and_waveforms": "third harmonic 18.0 %, fifth 6.0 %",
     "machine_from_arrays": "results equal the model bit for bit",
@@ -25,11 +26,14 @@ def test_every_example_is_run() -> None:
 
 LONG = {
     "fit_and_certificate",
+    "from_standstill",
     "loops_and_tolerances",
     "machine_from_arrays",
     "mtpa_and_field_weakening",
 }
-"""Run with the campaign; the session of the README does by default what the last two do."""
+"""Run with the campaign; by default the ten lines of docs/reference/python.md do what the last two
+do.
+"""
 
 
 @pytest.mark.parametrize(

@@ -152,7 +152,7 @@ def test_what_does_not_settle_is_not_written(call: Call, tmp_path: Path) -> None
     """Twice the bandwidth that the sampling permits: the current swings."""
     (old,) = [path for path in put("vesc", tmp_path) if path.suffix == ".xml"]
     before = old.read_bytes()
-    given = "control.current_loop={method: given, kp: 6 V/A, ki: 300 V/(A s), phase_margin_min: 0}"
+    given = "control.current_loop={method: given, kp: 6 V/A, ki: 300 V/(A s), min_phase_margin: 0}"
     code, out, err = call("export", "scooter.yaml", "--for", "vesc", "--into", old, "--set", given)
     assert (code, out) == (1, "")
     assert "nothing is written" in err or "unstable" in err or "margin" in err
@@ -344,7 +344,7 @@ def test_a_design_that_is_there_is_kept(call: Call, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--machine", "paper001-pmsm-bench"], "--machine: leave it out with --from"),
+        (["--machine", "paper001-pmsm-bench"], "--from and --machine both say what is to be made"),
         (["--set", "inverter.v_dc=48 V", "--set", "nonsense"], "--set: expected key=value"),
         (["--from", "scooter.yaml"], "scooter.yaml: no firmware is known"),
     ],
@@ -514,6 +514,7 @@ def test_keys_are_set_of_designs_alone(call: Call, tmp_path: Path) -> None:
 # Python
 
 
+@pytest.mark.slow
 def test_python_has_all_of_it(tmp_path: Path) -> None:
     (path,) = put("moteus", tmp_path)
     found = dqforge.read_firmware(path)
@@ -534,6 +535,7 @@ def test_python_has_all_of_it(tmp_path: Path) -> None:
         dqforge.design_from_firmware(vesc)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", ["nxp", "ti"])
 def test_a_file_that_holds_less_is_written_into(call: Call, name: Any, tmp_path: Path) -> None:
     path = next(path for path in put(name, tmp_path) if path.suffix == ".h")

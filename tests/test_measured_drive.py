@@ -20,7 +20,9 @@ from dqforge.reports.simulation.design_run import simulate_design
 
 DRIVE = "vdyno-trampa-6340"
 CAPTURE = "vdyno_trampa6340_0500rpm1_dec10.csv"
-PAGE = (Path(__file__).resolve().parents[1] / "docs" / "measured-drive.md").read_text("utf-8")
+PAGE = (Path(__file__).resolve().parents[1] / "docs" / "methods" / "measured-drive.md").read_text(
+    "utf-8"
+)
 COMMANDS = re.findall(r"^    dqforge (.*)$", PAGE, flags=re.MULTILINE)
 LONG = ("run", "verify", "simulate")
 

@@ -49,14 +49,15 @@ def expected_files() -> set[str]:
     for floor in FLOORS:
         paths += [*(ROOT / floor).rglob("*.py"), *(ROOT / floor).rglob("templates/*.j2")]
     paths += (ROOT / "machines" / "library").rglob("*.yaml")
+    paths += (ROOT / "machines" / "library" / "schemas").glob("*.json")
     return {f"dqforge/{path.relative_to(ROOT).as_posix()}" for path in paths}
 
 
 def test_the_map_of_the_code_names_every_room() -> None:
-    text = (ROOT / "docs" / "architecture.md").read_text()
+    text = (ROOT / "docs" / "project" / "architecture.md").read_text()
     rooms = {path.parent for floor in FLOORS for path in (ROOT / floor).rglob("__init__.py")}
     missing = [room.name for room in rooms if f"`{room.name}`" not in text]
-    assert not missing, f"docs/architecture.md does not name {', '.join(missing)}"
+    assert not missing, f"docs/project/architecture.md does not name {', '.join(missing)}"
 
 
 def test_every_room_is_a_package() -> None:
@@ -68,6 +69,7 @@ def test_every_room_is_a_package() -> None:
     assert all((room / "__init__.py").exists() for room in rooms)
 
 
+@pytest.mark.slow
 def test_wheel_holds_exactly_the_package(wheel: zipfile.ZipFile) -> None:
     names = {name for name in wheel.namelist() if ".dist-info/" not in name}
     assert names == expected_files()
@@ -131,6 +133,8 @@ def test_each_package_of_the_card_is_loaded_where_it_works_alone(tmp_path: Path)
     text = catalogue.read_text("paper001-pmsm-bench").decode()
     flux = re.sub(r"    pole: \{value: 900 rad/s[^\n]*\n", "    method: flux\n", text)
     assert flux != text
+    # calm enough for the observer's lag
+    flux = flux.replace("0.09549296585513721", "0.03").replace("5.968310365946075", "0.6")
     design.write_text(flux, encoding="utf-8")
     assert loaded_by("check", str(design)) == ({"numpy", "yaml"}, 0)
     assert loaded_by("dqy", "paper002-phase-waveforms") == ({"numpy", "yaml", "osqp"}, 0)

@@ -101,7 +101,7 @@ def test_functions_describe_every_argument(name: str) -> None:
 
 @pytest.mark.parametrize("name", dqforge.__all__)
 def test_the_reference_page_has_every_name(name: str) -> None:
-    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "python.md").read_text(encoding="utf-8")
     assert f"`{name}" in page
 
 
@@ -111,21 +111,22 @@ def blocks(page: str) -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
 
 
-def test_the_session_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_ten_lines_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten lines: a flux map from arrays, its map, the figure and the header."""
-    (session,) = blocks("README.md")
+    session = blocks("docs/reference/python.md")[0]
     assert len([line for line in session.splitlines() if line.strip()]) <= 11
     monkeypatch.chdir(tmp_path)
-    exec(compile(session, "README.md", "exec"), {})
+    exec(compile(session, "docs/reference/python.md", "exec"), {})
     assert (tmp_path / "efficiency.svg").stat().st_size > 10_000
     assert "bench_current_reference(" in (tmp_path / "out" / "bench.h").read_text(encoding="ascii")
 
 
+@pytest.mark.slow
 def test_the_examples_of_the_reference_page_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    for number, session in enumerate(blocks("docs/python.md")):
-        exec(compile(session, f"docs/python.md, block {number}", "exec"), names)
+    for number, session in enumerate(blocks("docs/reference/python.md")[1:], start=1):
+        exec(compile(session, f"docs/reference/python.md, block {number}", "exec"), names)
     assert names["dqforge"] is dqforge

@@ -120,6 +120,7 @@ def test_a_modulator_is_refused_outside_its_context(
     assert "thipwm5" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_observer_goes_through_the_whole_chain(observer: ObserverMethod, tmp_path: Path) -> None:
     out = folder_of(WITH_OBSERVER, tmp_path)
     plain = json.loads((out / "result.json").read_text())

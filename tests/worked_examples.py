@@ -1,4 +1,6 @@
-"""The worked examples of docs/contributing.md: their files, as a contributor would write them."""
+"""The worked examples of docs/project/contributing.md: their files, as a contributor would write
+them.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 
-PAGE = Path(__file__).parents[1] / "docs" / "contributing.md"
+PAGE = Path(__file__).parents[1] / "docs" / "project" / "contributing.md"
 
 
 def text_of(path: str, place: int = 0) -> str:

@@ -1,9 +1,9 @@
 """What every function of the control's chain costs on emulated cores, beside the current control
 made of CMSIS-DSP, in one run.
 
-Two tables are printed: that of the README, and every figure as docs/control-cost.md has them. What
-is asserted follows from instructions, none of which depends on the machine that measures. Rows are
-`control_chain.Step`; a further one joins `chain`.
+Both tables of docs/reference/control-cost.md are printed: the short one and that of every figure.
+What is asserted follows from instructions, none of which depends on the machine that measures. Rows
+are `control_chain.Step`; a further one joins `chain`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ NAMES: dict[str, str] = {
 
 FORMATS: tuple[NumberFormat, ...] = ("q15", "q31")
 
-# Columns of the README's table.
+# Columns of the short table.
 SHORT: tuple[tuple[Core, str], ...] = (
     ("cortex-m4", "float32"), ("cortex-m33", "float32"), ("cortex-m7", "float32"),
     ("cortex-m4", "q15"), ("cortex-m0plus", "q15"), ("cortex-m0plus", "q31"),

@@ -4,13 +4,12 @@ points one by one with SciPy.
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from peak_memory import run_and_measure
 from scipy.optimize import minimize
 
 from dqforge.machines.arrays import FloatArray
@@ -130,18 +129,14 @@ def test_every_point_with_a_speed_of_its_own(baldor: SaturatedMachine) -> None:
 def test_memory_of_a_million_points() -> None:
     """Peak memory of a fresh process that solves a million points of a linear machine."""
     program = (
-        "import resource, numpy as np\n"
+        "import numpy as np\n"
         "from dqforge.machines.dq_machines.synchronous import LinearMachine\n"
         "from dqforge.optimizer.operating_points.points import optimal_points\n"
         "g = np.random.default_rng(0)\n"
         "m = LinearMachine(4, 2e-3, 350e-6, 592e-6, 0.1049, 283.0)\n"
         "t, w = g.uniform(-250, 250, 10**6), g.choice(np.linspace(-900, 900, 201), 10**6)\n"
         "p = optimal_points(m, t, w, v_max=288.0)\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    mebibytes = int(done.stdout) / 1024.0
+    mebibytes = run_and_measure(program)[1] / 2.0**20
     print(f"\npeak memory of a million points: {mebibytes:.0f} MiB")
     assert mebibytes < 1024.0

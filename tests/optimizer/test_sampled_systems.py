@@ -192,6 +192,7 @@ def test_margins_and_poles_agree_with_python_control(drive: dict[str, float]) ->
     np.testing.assert_allclose(np.abs(loop.closed.poles), expected, rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(drives)
 def test_margins_are_where_the_loop_becomes_unstable(drive: dict[str, float]) -> None:

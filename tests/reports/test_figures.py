@@ -101,6 +101,7 @@ def test_svg_has_its_labels_with_units(solution: Solution, name: str) -> None:
         assert label in text
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", FIGURES)
 def test_svg_is_small_and_asks_for_nothing(solution: Solution, name: str) -> None:
     svg = to_svg(FIGURES[name][0](solution))
@@ -111,6 +112,7 @@ def test_svg_is_small_and_asks_for_nothing(solution: Solution, name: str) -> Non
     assert "<metadata" not in svg
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", FIGURES)
 def test_identifiers_are_those_of_the_figure_and_resolve(solution: Solution, name: str) -> None:
     svg = to_svg(FIGURES[name][0](solution))
@@ -160,7 +162,7 @@ def test_saving_an_svg_leaves_the_figure_as_it_was(solution: Solution) -> None:
 def test_an_unknown_suffix_is_refused_in_one_line(
     solution: Solution, tmp_path: Path, name: str
 ) -> None:
-    with pytest.raises(InputError, match=r"\.svg, \.png or \.pdf") as caught:
+    with pytest.raises(InputError, match=r"\.svg, \.png or \.pdf, its data as \.csv") as caught:
         save(plot_mtpa(solution.design, solution.curves), tmp_path / name)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []

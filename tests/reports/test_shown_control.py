@@ -151,7 +151,8 @@ def test_errors_of_a_position_observer_at_the_shown_speeds_are_in_the_result() -
             assert row[columns.index(heading)] == f"{math.degrees(shown[key][k]):.3g}"
         assert row[columns.index("acceleration")] == f"{math.degrees(shown['lag_rad'][k]):+.3g}"
         assert row[columns.index("largest pole")] == f"{shown['largest_pole'][k]:.5f}"
-        biases = [f"{math.degrees(values[k]):+.3g}" for values in shown["bias_rad"].values()]
+        degrees = [math.degrees(values[k]) for values in shown["bias_rad"].values()]
+        biases = [f"{round(angle, 4) + 0.0:+.3g}" for angle in degrees]
         assert list(row[1 : 1 + len(biases)]) == biases
         together = round(100.0 * shown["speed_total_rad_per_s"][k] / shown["omega_rad_per_s"][k], 2)
         assert speeds[k][-1] == f"{together:.3g}"

@@ -360,12 +360,12 @@ REFUSED: dict[
     ),
     "probe": (
         lambda c, _: with_channel(c, 1, c.voltages[0] / 10.0),
-        r"channel 1 reads 10\.0 times less .*\(10, 1, 1\)",
+        r"channel 1 reads 10\.0 times less .*--scale 10,1,1, in a design scale: \[10, 1, 1\]",
         2,
     ),
     "probe up": (
         lambda c, _: with_channel(c, 2, c.voltages[1] * 100.0),
-        r"100\.0 times more .*\(1, 0\.01, 1\)",
+        r"100\.0 times more .*--scale 1,0\.01,1,",
         2,
     ),
     "two probes": (
@@ -570,7 +570,7 @@ def test_columns_units_and_scale_are_read_from_the_table() -> None:
         found = analyse(capture_from_table(written(headings, values), **options))
         np.testing.assert_allclose(found.amplitudes, plain.amplitudes, rtol=1e-6, atol=1e-12)
     table = written("t_ms a_V b_V c_V", values[:, :4] * np.array([1.0, 1.0, 0.1, -1.0]))
-    with pytest.raises(InputError, match=r"give scale \(1, 10, 1\)"):
+    with pytest.raises(InputError, match=r"--scale 1,10,1, in a design scale: \[1, 10, 1\]"):
         analyse(capture_from_table(table))
     found = analyse(capture_from_table(table, scale=(1.0, 10.0, -1.0)))
     np.testing.assert_allclose(found.amplitudes, plain.amplitudes, rtol=1e-6, atol=1e-12)
@@ -627,7 +627,7 @@ def test_measured_machine_with_one_probe_set_otherwise(
     shared_data: Path, rpm: int, frequency: float, flux: float, fifth: float
 ) -> None:
     table = measured(shared_data / "bemf" / f"vdyno_trampa6340_0{rpm}rpm1_dec10.csv")
-    with pytest.raises(InputError, match=r"channel 3 reads 10\.0 times less .* scale \(1, 1, 10\)"):
+    with pytest.raises(InputError, match=r"channel 3 reads 10\.0 times less .* --scale 1,1,10,"):
         analyse(capture_from_table(table))
     result = analyse(
         capture_from_table(table, scale=(1.0, 1.0, 10.0)), pole_pairs=7, speed=rpm * np.pi / 30.0

@@ -99,7 +99,7 @@ def test_commented_alternatives_of_the_template_are_valid() -> None:
         ("    # reverse_recovery_energy:", "    reverse_recovery_energy:"),
         ("  # per_unit:", "  per_unit:"),
         ("  segments: 1 ", "  segments: 2 "),
-        ("  # torque_max:", "  torque_max:"),
+        ("  # max_torque:", "  max_torque:"),
         ("  # breakpoints:", "  breakpoints:"),
     ):
         assert text.count(old) == 1, old

@@ -248,7 +248,7 @@ def test_assumptions_name_the_defaults() -> None:
         "control.per_unit.current is 6.4 A: the current limit",
         "control.per_unit.torque is 1.728 N m: 3/2 p psi_pm times the base current",
         "operation.strategy is mtpa",
-        "fit.torque_max is the largest torque within the current limit",
+        "fit.max_torque is the largest torque within the current limit",
         "export.prefix is motor",
     ):
         assert any(sentence.startswith(start) for sentence in sentences), start
@@ -317,7 +317,7 @@ def test_given_gains_and_margin() -> None:
             "    method: bandwidth\n    bandwidth: 200 Hz",
             (
                 "    method: given\n    kp: 1.1 V/A\n    ki: 32 V/(A s)\n    q_formats: [10, 15]\n"
-                "    phase_margin_min: 0"
+                "    min_phase_margin: 0"
             ),
         ),
         (
@@ -327,7 +327,7 @@ def test_given_gains_and_margin() -> None:
     )
     control = load_text(text, "f").control
     assert (control.current_loop.kp, control.current_loop.ki) == (1.1, 32.0)
-    assert control.current_loop.phase_margin_min == 0.0
+    assert control.current_loop.min_phase_margin == 0.0
     assert control.current_loop.q_formats == (10, 15)
     assert control.speed_loop is not None
     assert (control.speed_loop.kp, control.speed_loop.ki, control.speed_loop.filter_time) == (
@@ -335,12 +335,12 @@ def test_given_gains_and_margin() -> None:
         6.0,
         1e-3,
     )
-    assert control.speed_loop.phase_margin_min == pytest.approx(math.pi / 6.0)
+    assert control.speed_loop.min_phase_margin == pytest.approx(math.pi / 6.0)
 
 
 def test_breakpoints() -> None:
     text = _changed(
-        ("  segments: 2", "  segments: 3\n  torque_max: 1.5 N m\n  breakpoints: [0.5 N m, 1]")
+        ("  segments: 2", "  segments: 3\n  max_torque: 1.5 N m\n  breakpoints: [0.5 N m, 1]")
     )
     fit = load_text(text, "f").fit
     assert fit.torque_max == 1.5
@@ -428,7 +428,7 @@ def test_each_setting_of_the_speed_loop_reaches_its_own_field() -> None:
             (
                 "    method: damping\n    ratio: 4\n    bandwidth: 20 rad/s\n    damping: 0.8\n"
                 "    spread: 2.5\n"
-                "    filter_time: 3 ms\n    phase_margin_min: 0.4 rad\n    q_formats: [9, 14]\n"
+                "    filter_time: 3 ms\n    min_phase_margin: 0.4 rad\n    q_formats: [9, 14]\n"
             ),
         )
     )
@@ -439,7 +439,7 @@ def test_each_setting_of_the_speed_loop_reaches_its_own_field() -> None:
         damping=0.8,
         spread=2.5,
         filter_time=3e-3,
-        phase_margin_min=0.4,
+        min_phase_margin=0.4,
         q_formats=(9, 14),
     )
 
@@ -451,7 +451,7 @@ def test_each_setting_of_the_current_loop_reaches_its_own_field() -> None:
             (
                 "    method: given\n    kp: 1.5 V/A\n    ki: 32 V/(A s)\n    damping: 0.9\n"
                 "    spread: 3.5\n"
-                "    phase_margin_min: 0.4 rad\n    q_formats: [9, 14]\n"
+                "    min_phase_margin: 0.4 rad\n    q_formats: [9, 14]\n"
             ),
         )
     )
@@ -461,7 +461,7 @@ def test_each_setting_of_the_current_loop_reaches_its_own_field() -> None:
         ki=32.0,
         damping=0.9,
         spread=3.5,
-        phase_margin_min=0.4,
+        min_phase_margin=0.4,
         q_formats=(9, 14),
     )
 

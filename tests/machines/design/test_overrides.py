@@ -224,8 +224,8 @@ def test_a_refusal_of_the_file_keeps_its_line() -> None:
 def test_a_refusal_of_the_solver_names_the_option() -> None:
     from dqforge.optimizer.solution import solve
 
-    with pytest.raises(DqforgeError, match=r"^--set fit\.torque_max: "):
-        solve(load("fit.torque_max=900 N m"))
+    with pytest.raises(DqforgeError, match=r"^--set fit\.max_torque: "):
+        solve(load("fit.max_torque=900 N m"))
 
 
 def test_files_are_looked_for_beside_the_design(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from dqforge.machines.design.schema import DesignFile, json_schema
+from dqforge.machines.design.schema import SCHEMA_ID, DesignFile, json_schema
 from dqforge.machines.design.settings import (
     CurrentLoopSettings,
     ExportSettings,
@@ -17,12 +17,14 @@ from dqforge.machines.design.settings import (
     FitSettings,
     PerUnitBases,
     SpeedLoopSettings,
+    StartUpSettings,
     Tolerances,
 )
 from dqforge.machines.devices.switch import SwitchDevice
 from dqforge.machines.entries.c_names import KEYWORDS, check_prefix
 from dqforge.machines.entries.kinds import Section
 from dqforge.machines.entries.rules import CountRule, EntryError, QuantityRule, plain_text
+from dqforge.machines.units.kind_words import words_pattern
 
 
 def _properties(schema: Any, path: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
@@ -40,7 +42,7 @@ def test_every_key_is_described() -> None:
         assert described, f"{name} has no description"
 
 
-def test_json_schema_is_plain_json_without_null_or_id() -> None:
+def test_json_schema_is_plain_json_without_null_and_named_once() -> None:
     schema = json_schema()
     text = json.dumps(schema)
     assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
@@ -48,7 +50,8 @@ def test_json_schema_is_plain_json_without_null_or_id() -> None:
     assert schema["required"] == ["dqforge", "name", "machine", "inverter"]
     assert schema["additionalProperties"] is False
     assert "null" not in text
-    assert '"$id"' not in text
+    assert schema["$id"] == SCHEMA_ID
+    assert text.count('"$id"') == 1
     assert json_schema() == schema
 
 
@@ -63,16 +66,27 @@ def test_json_schema_shows_choices_and_defaults() -> None:
     }
     resistance = definitions["MachineSection"]["properties"]["resistance"]["anyOf"]
     assert [choice["type"] for choice in resistance] == ["number", "string", "object"]
-    assert resistance[2]["properties"]["kind"] == {
-        "enum": ["phase", "line-to-line"],
-        "default": "phase",
-    }
+    kind = resistance[2]["properties"]["kind"]
+    # Other words for the same are read as well (terminal, phase-to-phase).
+    words = {"type": "string", "pattern": words_pattern()}
+    assert kind["anyOf"] == [{"enum": ["phase", "line-to-line"]}, words]
+    assert kind["default"] == "phase"
+    # A bare number has no kind, a text may name it: 12 Vrms/krpm line-to-line.
     constant = definitions["MachineSection"]["properties"]["back_emf_constant"]
-    assert constant["required"] == ["value", "kind"]
+    assert [choice["type"] for choice in constant["anyOf"]] == ["string", "object"]
+    assert "12 V/krpm line-to-line rms" in constant["examples"]
 
 
-# Keys of the file that differ from the names of the settings, and settings that
-# have no key of their own.
+BESIDE = {"budget", "full_scale", "counts_observer"}
+
+"""Settings that have no key of their own: ``counts_observer`` follows from an open spread."""
+
+
+OTHERWISE = {"torque_max": "max_torque"}
+
+"""Keys of the file that differ from the names of the settings."""
+
+
 @pytest.mark.parametrize(
     ("section", "settings"),
     [
@@ -82,15 +96,18 @@ def test_json_schema_shows_choices_and_defaults() -> None:
         ("ExportSection", ExportSettings),
         ("PerUnitSection", PerUnitBases),
         ("TolerancesSection", Tolerances),
+        ("StartUpWithObserverSection", StartUpSettings),
         ("DeviceSection", SwitchDevice),
     ],
 )
 def test_each_setting_has_its_key(section: str, settings: type) -> None:
-    keys = set(json_schema()["$defs"][section]["properties"])
+    properties = json_schema()["$defs"][section]["properties"]
+    keys = {name for name, entry in properties.items() if not entry.get("deprecated")}
     # A budget's keys stand beside the others of the fit in the file,
     # and in a class of their own in the settings.
     budget = {field.name for field in fields(FitBudget)} if settings is FitSettings else set()
-    assert keys - budget == {field.name for field in fields(settings)} - {"budget", "full_scale"}
+    named = {OTHERWISE.get(field.name, field.name) for field in fields(settings)}
+    assert keys - budget == named - BESIDE
     assert budget <= keys
 
 

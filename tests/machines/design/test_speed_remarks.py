@@ -68,6 +68,14 @@ KEYS = {
     "simulation.sensorless.above": (
         f"{DESIGN}{_OBSERVED}{_SIMULATION}  torque: {{}}\n  sensorless: {{above: @}}\n"
     ),
+    "control.speed_loop.measurement.lowest": (
+        f"{DESIGN}control:\n  speed_loop:\n"
+        "    measurement: {method: counts, lines: 1024, lowest: @}\n"
+    ),
+    "control.start_up.hand_over": (
+        f"{DESIGN}control:\n  observer: {{method: flux}}\n  speed_loop: {{}}\n"
+        "  start_up: {method: i-f, hand_over: @}\nexport: {control: float32}\n"
+    ),
     "simulation.sensorless.below": f"{DESIGN}{_OBSERVED}{_SIMULATION}  torque: {{}}\n"
     "  sensorless: {above: 9000 rad/s, below: @}\n",
 }

@@ -103,3 +103,9 @@ def test_every_header_of_the_compiler_is_known() -> None:
     names = [path.name for path in Path(folders[0]).iterdir() if path.is_file()] if folders else []
     missed = [name for name in names if "." not in name and not taken_header(name)]
     assert not missed
+
+
+@pytest.mark.parametrize("prefix", ["con", "AUX", "nul", "com1", "lpt9"])
+def test_names_of_devices_of_windows_are_taken(prefix: str) -> None:
+    assert "which Windows keeps for a device" in taken_header(prefix)
+    assert taken_header(f"{prefix}x") == ""

@@ -4,6 +4,7 @@ refused in one line and at once.
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
@@ -81,3 +82,17 @@ def test_a_design_names_only_regular_files(tmp_path: Path, kind: str) -> None:
     assert str(caught.value).startswith("design.yaml:8:")
     assert "map.csv" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_folder_that_windows_may_not_open_is_called_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> int:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    (tmp_path / "file").write_bytes(b"")
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(InputError, match="this is a folder"):
+        read_regular_file(tmp_path, 10)
+    with pytest.raises(InputError, match="may not be read"):
+        read_regular_file(tmp_path / "file", 10)

@@ -185,6 +185,7 @@ def test_a_reference_needs_no_loops(tmp_path: Path) -> None:
     assert reason.startswith("no loop was asked for and none was found: control.current_loop")
 
 
+@pytest.mark.slow
 def test_a_run_without_loops_says_so_and_holds_the_reference() -> None:
     """A linear machine, for speed, with gains that cannot be.
 

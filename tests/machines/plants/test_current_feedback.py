@@ -90,6 +90,7 @@ def test_hysteresis_error_may_reach_twice_the_band_but_not_more(hysteresis: Curr
     assert np.all(hysteresis.rms_error() < 0.25)
 
 
+@pytest.mark.slow
 def test_hysteresis_commutates_at_the_edges_of_the_band(hysteresis: CurrentTrace) -> None:
     count = 0
     for point in range(4):
@@ -104,6 +105,7 @@ def test_hysteresis_commutates_at_the_edges_of_the_band(hysteresis: CurrentTrace
     assert count == np.sum(hysteresis.commutations())
 
 
+@pytest.mark.slow
 def test_isolated_star_point_carries_no_current(hysteresis: CurrentTrace) -> None:
     time = np.linspace(hysteresis.time[0, 1], hysteresis.time[-1, 1], 400)
     assert np.max(np.abs(np.sum(hysteresis.phase_currents(1, time), axis=-1))) < 1e-9
@@ -127,7 +129,7 @@ def test_hysteresis_with_tied_star_point_keeps_the_band_and_the_analytic_frequen
     np.testing.assert_allclose(trace.rms_error(), band / math.sqrt(3.0), rtol=1e-3)
 
 
-@pytest.mark.thinned
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", ["synchronous", "stationary"])
 def test_ramp_comparison_locks_to_the_carrier(frame: str) -> None:
     scheme = RampComparison(
@@ -230,6 +232,8 @@ def test_predictive_acts_at_its_samples_only() -> None:
     trace = simulate_currents(DRIVE, Predictive(20e-6), 0.0, 3.0, 200.0)
     samples = np.concatenate([trace.instants(0, phase)[0] for phase in range(3)]) / 20e-6
     assert samples.size > 100
+    time = np.linspace(trace.time[0, 0], trace.time[-1, 0], 400)  # the star point is isolated
+    assert np.max(np.abs(np.sum(trace.phase_currents(0, time), axis=-1))) < 1e-9
     np.testing.assert_allclose(samples, np.round(samples), atol=1e-6)
     assert trace.switching_frequency().highest[0] <= 25e3 * (1.0 + 1e-9)
 

@@ -109,6 +109,22 @@ def test_everything_is_read_in_si_units() -> None:
     assert (scenario.seed, scenario.sub_steps) == (7, 12)
 
 
+def test_a_load_that_is_there_before_its_first_point_is_remarked_on() -> None:
+    """Whoever writes one point at 0.2 s means a step from nothing, which it is not."""
+    remark = (
+        "simulation.load is 0.3 N m from the start on, since its first point holds before 200 ms "
+        "too; begin with {time: 0 s, ...} for another value until then"
+    )
+    lines = "  duration: 1 s\n  speed: {points: [{time: 0.1 s, speed: 0 rpm}]}\n  load: "
+    for load, expected in (
+        ("{points: [{time: 200 ms, torque: 0.3 N m}]}", [remark]),
+        ("{points: [{time: 0 s, torque: 0 N m}, {time: 200 ms, torque: 0.3 N m}]}", []),
+        ("{points: [{time: 0 s, torque: 0.3 N m}]}", []),
+    ):
+        design = load_text(f"{BASE}{lines}{load}\n".encode(), "drive.yaml")
+        assert [line for line in design.assumptions if "simulation" in line] == expected
+
+
 def test_control_without_encoder_has_a_band() -> None:
     base = BASE.replace(
         "  speed_loop: {ratio: 10}\n", "  speed_loop: {ratio: 10}\n  observer: {method: flux}\n"

@@ -66,6 +66,34 @@ _UNIT: dict[str, tuple[float, tuple[int, ...], int]] = {
     "rps": (TURN, (0, 0, -1, 0, 0), 1),
     "%": (1e-2, (0, 0, 0, 0, 0), 0),
     "ppm": (1e-6, (0, 0, 0, 0, 0), 0),
+    "gf": (9.80665e-3, (1, 1, -2, 0, 0), 0),
+    "kgf": (9.80665, (1, 1, -2, 0, 0), 0),
+}
+# Words, in small letters, with a capital and in capitals.
+_WORDS: dict[str, tuple[float, tuple[int, ...], int]] = {
+    "ohm": _UNIT["Ohm"],
+    "ohms": _UNIT["Ohm"],
+    "volt": _UNIT["V"],
+    "volts": _UNIT["V"],
+    "amp": _UNIT["A"],
+    "amps": _UNIT["A"],
+    "ampere": _UNIT["A"],
+    "amperes": _UNIT["A"],
+    "sec": _UNIT["s"],
+    "rpm": _UNIT["rpm"],
+    "krpm": _UNIT["krpm"],
+    "oz": (0.45359237 / 16.0, (1, 0, 0, 0, 0), 0),
+    "lb": (0.45359237, (1, 0, 0, 0, 0), 0),
+    "lbs": (0.45359237, (1, 0, 0, 0, 0), 0),
+    "ozf": (0.45359237 / 16.0 * 9.80665, (1, 1, -2, 0, 0), 0),
+    "lbf": (0.45359237 * 9.80665, (1, 1, -2, 0, 0), 0),
+    "in": (0.0254, (0, 1, 0, 0, 0), 0),
+    "ft": (0.3048, (0, 1, 0, 0, 0), 0),
+}
+_UNIT |= {
+    spelling: unit
+    for word, unit in _WORDS.items()
+    for spelling in (word, word.upper(), word.capitalize())
 }
 _DIMENSION: dict[str, tuple[int, ...]] = {
     "resistance": (1, 2, -3, -2, 0),
@@ -73,6 +101,7 @@ _DIMENSION: dict[str, tuple[int, ...]] = {
     "capacitance": (-1, -2, 4, 2, 0),
     "flux": (1, 2, -2, -1, 0),
     "back-emf": (1, 2, -2, -1, 0),
+    "speed-constant": (-1, -2, 2, 1, 0),
     "torque-constant": (1, 2, -2, -1, 0),
     "current": (0, 0, 0, 1, 0),
     "voltage": (1, 2, -3, -1, 0),
@@ -121,6 +150,8 @@ def expected_value(symbol: str, sign: int, dimension: str) -> float | None:
     where it must be refused.
     """
     value, powers, angles = unit_of(symbol)
+    if dimension == "speed-constant" and symbol == "kV" and sign > 0:
+        return 1.0  # the name of the constant: 190 kV are 190 rpm/V
     if tuple(sign * power for power in powers) != _DIMENSION[dimension]:
         return None
     value = value**sign
@@ -137,6 +168,7 @@ def expected_value(symbol: str, sign: int, dimension: str) -> float | None:
         "time": None if hertz or angles else value,
         # Wb is a flux linkage, neither of the constants that it implies.
         "back-emf": None,
+        "speed-constant": None,
         "torque-constant": None,
         "torque": None if symbol.endswith("J") else value,
         "speed-integral-gain": None,
@@ -326,19 +358,11 @@ TWO_WAYS = [
     ("3 N m/min", "power", "a power"),
     ("3 s/rad", "time", "a time"),
     ("3 s Hz", "number", "a plain number"),
-    ("0.6 N m/Arms", "torque-constant", "kind: rms"),
-    ("0.6 Nm/A_rms", "torque-constant", "kind: rms"),
-    ("0.6 Nm/Aeff", "torque-constant", "kind: rms"),
-    ("0.6 Nm/Apk", "torque-constant", "kind: peak"),
-    ("12 Arms", "current", "write 'A', with kind: rms"),
-    ("12 A rms", "current", "write 'A', with kind: rms"),
-    ("0.6 N m/A rms", "torque-constant", "write 'N m/A', with kind: rms"),
-    ("12 V rms/krpm", "back-emf", "kind: line-to-line rms"),
-    ("230 V AC", "voltage", "write 'V'"),
-    ("12 A_pk", "current", "kind: peak"),
-    ("12 Vrms/krpm", "back-emf", "kind: line-to-line rms"),
-    ("12 VLL/krpm", "back-emf", "kind: line-to-line peak"),
-    ("48 Vdc", "voltage", "write 'V'"),
+    ("0.6 N m/Arms", "torque-constant", "write '0.6 N m/A'"),
+    ("12 A rms", "current", "write '12 A'"),
+    ("230 V AC", "voltage", "write '230 V'"),
+    ("48 Vdc", "voltage", "write '48 V'"),
+    ("12 V line-to-line", "voltage", "'line-to-line' says of which kind"),
     ("0 P\u200b", "voltage", "is not a unit"),
     ("5 100 V", "voltage", "not complete"),
     ("5 1 V", "voltage", "not complete"),

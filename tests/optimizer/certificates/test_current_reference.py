@@ -157,7 +157,7 @@ def noise(case: Proven) -> Found:
 
 def floors(case: Proven) -> Found:
     """Below these bounds are not refined: 1e-9 of full scale, for the loss in W 1e-5;
-    see docs/certificates.md.
+    see docs/methods/certificates.md.
     """
     end, i_max, r_s = (
         float(case.fit.reference.torque_max),
@@ -251,6 +251,7 @@ def certified_task(choice: CurrentChoice, reference: CurrentReference) -> Certif
     return found
 
 
+@pytest.mark.slow
 def test_another_machine_has_larger_bounds() -> None:
     """Inductance 1 % off: bounds rise to the errors that this makes, which
     sampling against it confirms.

@@ -2,7 +2,7 @@
 and it is no larger.
 
 The extremes are operands at the ends of their balls and errors, and roundings of the full unit;
-what is stated must not be below that, nor more than the lemma of docs/certificates.md says.
+what is stated must not be below that, nor more than the lemma of docs/methods/certificates.md says.
 """
 
 from __future__ import annotations

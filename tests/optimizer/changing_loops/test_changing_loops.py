@@ -217,6 +217,7 @@ def test_what_one_function_does_not_serve_is_proven_up_to_a_rate() -> None:
     assert 1.05 < of_q.rate < of_q.inductance[1] / of_q.inductance[0]
 
 
+@pytest.mark.slow
 def test_tolerances_are_cut_where_one_function_does_not_serve_all() -> None:
     wide = Tolerances(r_s=0.3, l_d=0.2, l_q=0.2, v_dc=0.1)
     (_, of_q), _ = changing("symmetrical-optimum", schedule=False, tolerances=wide)

@@ -43,7 +43,7 @@ def design(machine: LinearMachine, tolerances: Tolerances | None, ratio: int = 4
         t_s=1e-4,
         current_loop=CurrentLoopSettings("bandwidth", bandwidth=600.0),
         speed_loop=SpeedLoopSettings(
-            "symmetrical-optimum", ratio=ratio, spread=6.0, phase_margin_min=0.1
+            "symmetrical-optimum", ratio=ratio, spread=6.0, min_phase_margin=0.1
         ),
         observer=None,
         tolerances=tolerances,
@@ -55,7 +55,7 @@ def solved(made: Design) -> tuple[DriveBox, GainSet]:
     return drive_box(made, *inductance_range(made.machine, made.i_max)), solve_gains(made)
 
 
-@pytest.mark.thinned
+@pytest.mark.slow
 @pytest.mark.parametrize("machine", [SURFACE, INVERSE_SALIENT])
 def test_the_proof_is_about_the_same_poles_as_corners_and_samples(machine: LinearMachine) -> None:
     """Each corner and sample, at no load and at full current, in the parameters of the proof;

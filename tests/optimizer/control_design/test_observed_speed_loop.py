@@ -5,6 +5,7 @@ against the simulated drive.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from dqforge.optimizer.loops.plants import close_pi
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.pll import pll_gains
 from dqforge.optimizer.sampled_systems import SampledSystem, lift, loop_margins
-from dqforge.optimizer.solution import solve
+from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.loops.constants import margin_text
 from dqforge.reports.loops.plain import plain_gains
 from dqforge.reports.loops.tables import gains_tables
@@ -47,6 +48,12 @@ def template(method: ObserverMethodName, spread: float = 3.0, drive: str = "temp
     return replace(
         design, losses=None, control=replace(control, observer=observer, speed_loop=loop)
     )
+
+
+@cache
+def tuned(method: ObserverMethodName, spread: float = 3.0) -> GainSet:
+    """The gains of `template`, solved once."""
+    return solve_gains(template(method, spread))
 
 
 def short_model(design: Design, gains: GainSet, omega: float) -> tuple[float, float, float]:
@@ -115,8 +122,7 @@ def short_model(design: Design, gains: GainSet, omega: float) -> tuple[float, fl
 @pytest.mark.thinned
 @pytest.mark.parametrize("spread", [3.0, 6.0, 12.0])
 def test_margins_of_the_flux_observer_are_those_of_the_short_model(spread: float) -> None:
-    design = template("flux", spread)
-    gains = solve_gains(design)
+    design, gains = template("flux", spread), tuned("flux", spread)
     assert gains.speed is not None
     found = gains.speed.observed
     assert found is not None
@@ -127,11 +133,10 @@ def test_margins_of_the_flux_observer_are_those_of_the_short_model(spread: float
         assert found.radius[k] == pytest.approx(radius, abs=2e-3)
 
 
-@pytest.mark.thinned
+@pytest.mark.slow
 @pytest.mark.parametrize("spread", [3.0, 8.0])
 def test_margins_of_the_extended_emf_are_those_of_the_short_model(spread: float) -> None:
-    design = template("extended-emf", spread)
-    gains = solve_gains(design)
+    design, gains = template("extended-emf", spread), tuned("extended-emf", spread)
     assert gains.speed is not None
     found = gains.speed.observed
     assert found is not None
@@ -146,9 +151,10 @@ def test_margins_of_the_extended_emf_are_those_of_the_short_model(spread: float)
         assert found.radius[found.worst] < 1.0
 
 
+@pytest.mark.slow
 def test_the_shipped_template_is_unstable_on_its_flux_observer() -> None:
     """-13 deg at 600 rpm where an encoder leaves 55; the loop that is said to hold does."""
-    gains = solve_gains(template("flux"))
+    gains = tuned("flux")
     assert gains.speed is not None
     found = gains.speed.observed
     assert found is not None
@@ -179,12 +185,12 @@ def test_an_observer_with_the_torque_costs_nothing_and_a_filter_is_judged() -> N
     assert (seen.kp, seen.ki) == (bare.kp, bare.ki)
 
 
-def swing(design: Design, share: float) -> float:
+def swing(solution: Solution, share: float) -> float:
     """Peak to peak of the speed at the end of a run on the observer after a step of 2 %,
     over the speed.
     """
-    solution = solve(design)
-    position, machine = solution.gains.position, design.machine
+    design, position = solution.design, solution.gains.position
+    machine = design.machine
     assert position is not None
     omega_m = share * position.omega_max / machine.pole_pairs
     scenario = Scenario(
@@ -216,28 +222,28 @@ def test_the_simulated_drive_swings_where_the_loop_is_unstable_and_rests_where_i
     """The emitted controller on its emitted observer, at the worst speed: as given,
     and by what is advised.
     """
-    design = template(method, drive=drive)
-    speed = solve_gains(design).speed
+    solution = solve(template(method, drive=drive))
+    speed = solution.gains.speed
     assert speed is not None
     found = speed.observed
     assert found is not None
     share = float(found.omega[found.worst] / found.omega[-1])
     if np.max(found.radius) > 1.003:
-        assert swing(design, share) > 0.03
+        assert swing(solution, share) > 0.03
     if found.advice:
         calm = template(method, float(found.advice.split("=")[1].split()[0]), drive)
-        assert swing(calm, share) < 0.002
+        assert swing(solve(calm), share) < 0.002
     elif found.holds:
-        assert swing(design, share) < 0.002
+        assert swing(solution, share) < 0.002
 
 
+@pytest.mark.slow
 def test_no_margin_without_the_lag_is_said_of_such_a_loop() -> None:
     """Terminal, header and JSON: the encoder's margin (54.6 deg) and crossover (74.4 Hz) stand
     nowhere.
     """
-    design = template("flux")
+    design, gains = template("flux"), tuned("flux")
     bare = solve_gains(replace(design, control=replace(design.control, observer=None))).speed
-    gains = solve_gains(design)
     assert bare is not None
     assert gains.speed is not None
     texts = [loop_words(gains.speed), *margin_text(gains.speed), *observed_notes(gains.speed)]

@@ -93,6 +93,7 @@ def test_the_box_is_that_of_the_tolerances_and_its_model_that_of_the_corners() -
     )
 
 
+@pytest.mark.slow
 def test_a_design_with_tolerances_is_proven_with_its_sensitivity() -> None:
     robust = solve_gains(design()).robust
     assert robust is not None
@@ -117,6 +118,7 @@ def test_a_drive_that_is_unstable_refuses_the_design_by_name() -> None:
     assert "v_dc +5 %" in text
 
 
+@pytest.mark.slow
 def test_without_a_largest_speed_nothing_is_proven() -> None:
     made = design()
     slow = replace(made, machine=replace(MACHINE, omega_m_max=None))
@@ -126,6 +128,7 @@ def test_without_a_largest_speed_nothing_is_proven() -> None:
     assert robust.turning is None
 
 
+@pytest.mark.slow
 def test_saturation_widens_the_box_of_constant_gains() -> None:
     saturated = catalogue.load("baldor-pmsyrm-5k6")
     control = replace(

@@ -166,6 +166,7 @@ def test_no_segmentation_is_one_percent_better_without_side_conditions(
     assert level_is_out_of_reach(list(curves.values()), end, degree, segments, level, at_zero=False)
 
 
+@pytest.mark.slow
 def test_the_bound_is_sharp() -> None:
     """One percent above the error that is reached, greedy covering reaches the end:
     the tests above can fail.
@@ -471,6 +472,8 @@ HARD: list[tuple[float, FitForm, int]] = [
     (7.24, "torque-exact", 4),
     (6.5, "torque-exact", 4),
     (9.0, "torque-exact", 4),
+    (8.85, "torque-exact", 4),
+    (9.43, "torque-exact", 4),
     (2.2, "torque-exact", 3),
     (0.76, "closed-form", 4),
     (1.7472, "closed-form", 4),
@@ -478,7 +481,7 @@ HARD: list[tuple[float, FitForm, int]] = [
     (30.0, "polynomial", 6),
     (0.05, "polynomial", 4),
 ]
-"""Largest over base torque, form and degree; the first six have two segmentations with
+"""Largest over base torque, form and degree; the first eight have two segmentations with
 a worse one between them."""
 
 
@@ -490,8 +493,18 @@ def test_breakpoint_is_best_where_several_are_level(
     breakpoints_are_best(ratio, form, degree, "minimax", 40)
 
 
+def test_a_low_place_is_left_for_a_lower_one_that_it_hides() -> None:
+    """From its one start the levelling ends 5 % above the best."""
+    machine = machine_up_to(8.78)
+    curves, end = curves_of(machine, machine.i_max)
+    side = SideConditions(exact_at_zero=True, continuous=True)
+    seam = level_edges([curves["d"]], 4, 2, side, end)[1]
+    assert seam / end == pytest.approx(0.268, abs=0.002)
+    breakpoints_are_best(8.78, "torque-exact", 4, "minimax", 30)
+
+
 @pytest.mark.parametrize("method", ["least-squares", "lagrange"])
-@pytest.mark.parametrize(("ratio", "form", "degree"), [HARD[0], HARD[4]])
+@pytest.mark.parametrize(("ratio", "form", "degree"), [HARD[0], HARD[6]])
 def test_breakpoint_of_other_methods_is_best(
     ratio: float, form: FitForm, degree: int, method: FitMethod
 ) -> None:
@@ -561,7 +574,7 @@ def breakpoints_are_best_of_many(
     assert reached <= 1.01 * reached * min(found.fun for found in ends) + 1e-9 * size
 
 
-@pytest.mark.thinned
+@pytest.mark.slow
 @pytest.mark.parametrize(("ratio", "form"), [(30.0, "torque-exact"), (3.5568, "closed-form")])
 def test_two_breakpoints_are_best_along_a_flat_valley(ratio: float, form: FitForm) -> None:
     """Degree 4: the best ends of the low places alone are 1.6 % worse."""

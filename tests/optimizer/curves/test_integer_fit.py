@@ -137,7 +137,7 @@ def test_search_is_within_five_percent_of_an_exhaustive_one(
     assert error <= 1.05 * exhaustive_best(exact, width, degree, segment.shifts, segment)
 
 
-@pytest.mark.thinned
+@pytest.mark.slow
 @pytest.mark.parametrize("degree", [2, 3, 4])
 def test_sixteen_bits_cost_less_than_one_code(degree: int) -> None:
     """All torques: 16 bits lie at most 0.8 codes above 32 bits, and these are the real optimum."""

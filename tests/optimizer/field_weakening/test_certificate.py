@@ -319,6 +319,7 @@ def test_boxes_hold_what_is_evaluated_inside_them(name: str) -> None:
     assert np.mean(np.isfinite(enclosed.high)) > 0.5
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", QUICK)
 def test_rounding_stays_within_its_bound_which_is_not_idle(name: str) -> None:
     fit = fitted(name)

@@ -84,6 +84,7 @@ def test_the_voltage_stays_below_its_bound_which_is_near(name: str) -> None:
     assert found <= bound <= 3.0 * found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_what_is_beyond_reach_gets_the_largest_torque_in_every_region(name: str) -> None:
     """Current limit, both limits, MTPV; motoring and generating; either direction."""
@@ -228,6 +229,7 @@ def test_bounds_of_machines_without_saliency_are_near_what_is_found(
     assert np.max(np.hypot(i_d, i_q)) / i_max - 1.0 <= proof.current_excess
 
 
+@pytest.mark.slow
 def test_the_certificate_of_a_step_sees_a_reserve_that_is_too_small() -> None:
     """Half of what the current takes: the voltage then leaves its limit, and the bound says so."""
     fit = fitted("servo with mtpv")

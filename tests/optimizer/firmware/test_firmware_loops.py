@@ -157,6 +157,7 @@ def test_a_formula_without_a_number_is_slowed_down() -> None:
     assert math.degrees(loop.judged.phase_margin) == pytest.approx(30.0, abs=0.1)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("free", ["axes", "one-pair", "bandwidth"])
 def test_optimised_gains_use_the_bound_and_no_more(free: FreeGains) -> None:
     method = toy_method(free, delay=0.5, rule="trapezoid", pll=None)
@@ -204,6 +205,7 @@ def test_every_corner_of_the_tolerances_keeps_what_is_asked() -> None:
     assert again.max_sensitivity == pytest.approx(speed.worst.max_sensitivity.value, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_the_same_question_has_the_same_answer() -> None:
     drive, method = design("method: optimised", "method: optimised"), toy_method("bandwidth")
     one, two = (solve(drive, method, (4000.0, 4e6))[1] for _ in range(2))

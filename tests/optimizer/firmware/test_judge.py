@@ -156,7 +156,15 @@ STRUCTURES = {
 }
 
 
-@pytest.mark.parametrize("name", STRUCTURES)
+# One of each estimate of the speed, and a filter of the current.
+QUICK = ("slow pll", "averaged a little", "everything", "low-pass", "filtered current")
+
+
+@pytest.mark.thinned
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in STRUCTURES],
+)
 def test_the_slowest_pole_is_that_of_the_recursion_itself(name: str) -> None:
     made = STRUCTURES[name]
     judged = judge(made, SCOOTER).speed

@@ -168,7 +168,7 @@ def with_gain(kp: float, formats: tuple[int, int]) -> Design:
     bases = replace(design.control.bases, current=60.0)
     physical = kp * bases.voltage / bases.current
     loop = CurrentLoopSettings(
-        "given", kp=physical, ki=0.01 * physical / 1e-5, phase_margin_min=0.0, q_formats=formats
+        "given", kp=physical, ki=0.01 * physical / 1e-5, min_phase_margin=0.0, q_formats=formats
     )
     return replace(
         design, control=replace(design.control, bases=bases, current_loop=loop, speed_loop=None)

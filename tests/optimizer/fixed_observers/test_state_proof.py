@@ -25,6 +25,7 @@ EVERY = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.thinned
 @EVERY
 def test_no_run_leaves_the_proven_ranges(name: str) -> None:
     """Random states and inputs, ends of every word, and drives that turn."""

@@ -20,6 +20,7 @@ from dqforge.optimizer.fixed_reference.solve import solve_fixed_references
 from dqforge.optimizer.operating_points.solve import current_choice
 
 
+@pytest.mark.slow
 def test_a_wider_budget_takes_a_smaller_mesh() -> None:
     design = weakened_design("small ipm")
     assert design.weakening is not None

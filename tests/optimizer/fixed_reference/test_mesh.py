@@ -74,6 +74,7 @@ def test_torque_is_that_of_the_exact_operating_point(name: str, width: int) -> N
     assert np.max(apart[free & exact.reached]) < 0.02 * machine.i_max
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("width", [16, 32])
 @pytest.mark.parametrize("name", NAMES)
 def test_no_limit_is_exceeded_beyond_what_is_proven(name: str, width: int) -> None:

@@ -124,6 +124,7 @@ def test_a_point_at_rest_is_refused() -> None:
             compare_flashing(replace(drive, waveform=still))
 
 
+@pytest.mark.slow
 def test_a_salient_machine_has_dq_and_the_table() -> None:
     """Its other frames are refused with the reason. The table makes no use of the saliency: it is
     smoother than dq, whose MTPA loses less, and that is said.

@@ -31,6 +31,7 @@ from dqforge.optimizer.loops.analysis import (
     speed_step_response,
 )
 from dqforge.optimizer.loops.gains import speed_delay, tune_current_loop, tune_speed_loop
+from dqforge.optimizer.loops.integer_gains import to_q
 from dqforge.optimizer.loops.loop_gains import LoopGains, decoupling, per_unit
 from dqforge.optimizer.loops.pi_methods import current_pi, speed_pi
 from dqforge.optimizer.loops.plants import (
@@ -42,7 +43,6 @@ from dqforge.optimizer.loops.plants import (
     speed_loop,
     speed_step,
 )
-from dqforge.optimizer.loops.q_numbers import to_q
 
 FloatArray = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
@@ -454,7 +454,7 @@ def number_after(key: str, text: str) -> float:
         (CurrentLoopSettings(method="bandwidth", bandwidth=3500.0), "phase margin of"),
         (CurrentLoopSettings(method="damping", bandwidth=5000.0), "unstable"),
         (
-            CurrentLoopSettings(method="magnitude-optimum", phase_margin_min=1.2),
+            CurrentLoopSettings(method="magnitude-optimum", min_phase_margin=1.2),
             "phase margin of 62.0 deg",
         ),
     ],

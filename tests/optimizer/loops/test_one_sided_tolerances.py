@@ -195,6 +195,7 @@ def _to(side: float) -> tuple[float, float]:
     return (min(side, 0.0), max(side, 0.0))
 
 
+@pytest.mark.slow
 def test_the_box_is_told_on_the_terminal_and_in_the_json(
     tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -70,7 +70,7 @@ def test_no_pair_on_a_fine_grid_has_more_integral_gain(
 
 def absolute_error(r_s: float, inductance: float, gains: tuple[float, float]) -> float:
     """Integral of |i| in A s after 1 V at the winding, from the simulated response."""
-    asked = CurrentLoopSettings(method="given", kp=gains[0], ki=gains[1], phase_margin_min=0.0)
+    asked = CurrentLoopSettings(method="given", kp=gains[0], ki=gains[1], min_phase_margin=0.0)
     loop = tune_current_loop(r_s, inductance, T_S, asked)
     response = current_step_response(r_s, inductance, loop, 0.5)
     return float(np.sum(np.abs(response.disturbance)) * T_S)
@@ -183,7 +183,7 @@ def test_a_box_that_no_gains_hold_is_refused() -> None:
 
 @pytest.mark.slow
 def test_too_small_a_phase_margin_says_which_bound_holds() -> None:
-    asked = CurrentLoopSettings(method="optimised", max_sensitivity=2.0, phase_margin_min=0.9)
+    asked = CurrentLoopSettings(method="optimised", max_sensitivity=2.0, min_phase_margin=0.9)
     with pytest.raises(
         NoSolutionError, match=r"holds from control\.current_loop\.max_sensitivity = "
     ) as refusal:

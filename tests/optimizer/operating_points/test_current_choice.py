@@ -80,6 +80,7 @@ def test_splines_for_the_search_lie_on_the_exact_curves(machine: Machine) -> Non
         )
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("machine", "speed"),
     [
@@ -132,7 +133,7 @@ def test_what_does_not_suit_is_refused() -> None:
     with pytest.raises(NoSolutionError, match="no current within 50 A keeps the voltage limit"):
         CurrentChoice(SURFACE, "mtpa", SURFACE.i_max, SpeedPoint(8000.0, 100.0)).largest_torque()
     with pytest.raises(NoSolutionError, match="280 V at 750 rad/s give at most"):
-        CurrentChoice(IPM, "mtpa", IPM.i_max, FAST).require(400.0, "fit.torque_max")
+        CurrentChoice(IPM, "mtpa", IPM.i_max, FAST).require(400.0, "fit.max_torque")
     assert possible_forms(CurrentChoice(RELUCTANCE, "mtpa", 22.0, SpeedPoint(60.0, 150.0))) == (
         "polynomial",
     )

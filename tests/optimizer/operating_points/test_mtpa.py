@@ -171,7 +171,7 @@ def test_refusals_name_the_reason(ipm100: LinearMachine) -> None:
     with pytest.raises(InputError, match="straight line"):
         mtpa.per_unit_base(replace(ipm100, l_q=ipm100.l_d))
     with pytest.raises(NoSolutionError, match=r"283 A \(peak\) give at most"):
-        chosen(ipm100).require(1000.0, "fit.torque_max")
+        chosen(ipm100).require(1000.0, "fit.max_torque")
 
 
 def test_a_given_limit_replaces_that_of_the_machine(ipm100: LinearMachine) -> None:

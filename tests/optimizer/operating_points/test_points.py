@@ -156,7 +156,7 @@ def test_scan_of_the_current_plane_finds_nothing_better(name: str) -> None:
 def test_random_machines_have_no_failed_point(seed: int) -> None:
     """100 points of each of 4 x 500: every point keeps its conditions, and without limits the
     currents are those of the quartic. (All 10,000 of seed 11 were run when the solver was written;
-    docs/evidence.md.)
+    docs/project/evidence.md.)
     """
     generator = np.random.default_rng(seed)
     seen = np.zeros(6, dtype=int)
@@ -415,7 +415,7 @@ def test_scalars_broadcast_and_wrong_input_is_refused() -> None:
     assert copper_only(LinearMachine(1, 0.0, 1.0, 1.0, 1.0, 1.0)).square == 1.0
 
 
-@pytest.mark.thinned
+@pytest.mark.slow
 @pytest.mark.parametrize("i_max", [12.45, 19.5, 20.0])
 def test_every_random_point_of_a_measured_map_is_an_optimum(
     shared_data: Path, i_max: float

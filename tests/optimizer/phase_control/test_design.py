@@ -31,6 +31,7 @@ def loops(*settings: str, drive: str = P) -> PhaseLoops:
     return found
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     ("topology", "neutral"),
     [
@@ -85,6 +86,7 @@ def test_a_sine_gets_dq() -> None:
     assert found.frame == "dq"
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("frame", ["dq", "table"])
 def test_saliency_keeps_both_inductances(frame: str) -> None:
     salient = "salient-phase-waveforms"
@@ -99,6 +101,7 @@ def test_saliency_keeps_both_inductances(frame: str) -> None:
     assert at[1] < 0.7 * found.torque_max
 
 
+@pytest.mark.slow
 def test_the_table_of_a_salient_machine_goes_to_the_current_limit_at_least_loss() -> None:
     """Currents of least loss make reluctance torque, those along the back-EMF next to none."""
     made = design(drive="salient-phase-waveforms")
@@ -115,8 +118,9 @@ def test_the_table_of_a_salient_machine_goes_to_the_current_limit_at_least_loss(
     assert copper[0] < 0.99 * copper[1]
 
 
+@pytest.mark.slow
 def test_one_gain_is_refused_from_the_ratio_of_the_page_on() -> None:
-    fast = ("control.current_loop.bandwidth=500 Hz", "control.current_loop.phase_margin_min=1 deg")
+    fast = ("control.current_loop.bandwidth=500 Hz", "control.current_loop.min_phase_margin=1 deg")
     one = (*fast, "control.current_loop.axis_gains=one")
     limit = 10e3 / (2.0 * np.pi * 500.0)
     for ratio in (1.001, 1.5):
@@ -149,6 +153,7 @@ def test_given_gains_scale_with_the_inductance() -> None:
     assert (zero.kp, zero.ki) == pytest.approx((10.0, 500.0))
 
 
+@pytest.mark.slow
 def test_pole_pairs_that_differ_get_a_table_over_the_mechanical_turn() -> None:
     """The first order of the mechanical turn: the second pole pair is weaker than the first."""
     found = loops(

@@ -249,7 +249,7 @@ def test_the_balance_of_a_split_link_leaves_out_what_would_make_torque() -> None
     assert decay == pytest.approx(kept * 3.0 * 0.02 / 4e-3, rel=0.02)
 
 
-@pytest.mark.thinned
+@pytest.mark.slow
 @pytest.mark.parametrize(("frame", "share"), [("dqy", 0.7), ("table", 1.0)])
 def test_learning_in_the_time_domain(frame: CurrentFrame, share: float) -> None:
     _compare(page_control(frame, harmonics=HARMONICS), 40, 1600, None, share)

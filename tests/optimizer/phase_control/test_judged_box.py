@@ -56,6 +56,7 @@ def test_speeds_reach_from_standstill_to_the_largest_one() -> None:
     assert learning == pytest.approx(1.0 / 30.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_worst_corner_is_that_of_the_radius_itself() -> None:
     gains = solve_gains(drive(BOX))
     found = judged(gains)
@@ -88,6 +89,7 @@ def test_the_zero_sequence_is_judged_within_the_tolerances_too() -> None:
     assert [loop.loop for loop in gains.loops] == ["i_d", "i_q", "i_0"]
 
 
+@pytest.mark.slow
 def test_a_zero_sequence_loop_without_margin_in_the_box_is_refused() -> None:
     one = drive(Tolerances(l_d=(-0.6, 0.0), l_q=(-0.6, 0.0)), axis_gains="one")
     with pytest.raises(NoSolutionError, match=r"the i_0 loop .* l_0 -60 %") as refusal:
@@ -95,6 +97,7 @@ def test_a_zero_sequence_loop_without_margin_in_the_box_is_refused() -> None:
     assert "method 'given'" in refusal.value.message
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("frame", ["table", "dqy"])
 def test_measured_coupling_at_few_samples_is_refused_by_name(frame: str) -> None:
     quick = faster(drive(frame=frame, feedforward="measured", bandwidth=3141.6), 13.0)
@@ -109,7 +112,7 @@ def test_measured_coupling_at_few_samples_is_refused_by_name(frame: str) -> None
 def test_saturation_makes_measured_coupling_unstable_and_names_the_corner() -> None:
     halves = Tolerances(l_d=(-0.5, 0.0), l_q=(-0.5, 0.0))
     quick = faster(
-        drive(halves, feedforward="measured", bandwidth=2200.0, phase_margin_min=0.1), 5.0
+        drive(halves, feedforward="measured", bandwidth=2200.0, min_phase_margin=0.1), 5.0
     )
     with pytest.raises(NoSolutionError, match="l_d -50 %, l_q -50 %"):
         solve_gains(quick)

@@ -21,6 +21,9 @@ from dqforge.optimizer.phase_control.shape_vectors import flux_at, reference_cur
 
 MACHINE = near_sinusoidal(360)
 MARGIN = 0.04
+TOPOLOGIES = pytest.mark.parametrize(
+    "topology", ["three-wire", pytest.param("four-leg", marks=pytest.mark.slow)]
+)
 
 
 @cache
@@ -31,8 +34,7 @@ def fitted(topology: Topology) -> tuple[PhaseControl, LimitedFit]:
     return control, found
 
 
-@pytest.mark.thinned
-@pytest.mark.parametrize("topology", ["three-wire", "four-leg"])
+@TOPOLOGIES
 def test_torque_and_voltage_between_the_nodes(topology: Topology) -> None:
     """On speeds, torques and angles of the test's own, in phases, by the law of the control."""
     control, found = fitted(topology)
@@ -72,8 +74,9 @@ def test_torque_and_voltage_between_the_nodes(topology: Topology) -> None:
     assert np.mean(gained) > 0.2 * control.torque_max
 
 
-def test_the_seam_to_the_plain_currents() -> None:
-    control, found = fitted("four-leg")
+@TOPOLOGIES
+def test_the_seam_to_the_plain_currents(topology: Topology) -> None:
+    control, found = fitted(topology)
     limited = found.shapes
     theta = np.linspace(0.0, 6.2, 50)
     knee, link = np.array(limited.omega_e[0]), np.array(150.0)
@@ -93,8 +96,9 @@ def test_the_seam_to_the_plain_currents() -> None:
     assert fast == pytest.approx(slow, abs=1e-9)
 
 
-def test_beyond_the_last_speed_nothing_is_promised() -> None:
-    _, found = fitted("four-leg")
+@TOPOLOGIES
+def test_beyond_the_last_speed_nothing_is_promised(topology: Topology) -> None:
+    _, found = fitted(topology)
     last = found.shapes.omega_e[-1]
     _, beyond = limited_torques(found.shapes, np.array(1.3 * last), np.array(150.0))
     assert beyond == 0.0
@@ -103,8 +107,9 @@ def test_beyond_the_last_speed_nothing_is_promised() -> None:
     assert beyond == 0.0
 
 
-def test_reverse_motoring_is_the_mirror() -> None:
-    _, found = fitted("four-leg")
+@TOPOLOGIES
+def test_reverse_motoring_is_the_mirror(topology: Topology) -> None:
+    _, found = fitted(topology)
     theta = np.linspace(0.0, 6.2, 50)
     link = np.array(150.0)
     ahead = limited_deviation(found.shapes, 1, np.array(3.0), np.array(380.0), link, theta)

@@ -13,7 +13,7 @@ from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
-from dqforge.optimizer.observers.methods.third_harmonic import other_harmonics, third_flux
+from dqforge.optimizer.harmonic_trackers.third_harmonic import other_harmonics, third_flux
 from dqforge.optimizer.waveforms.comparison import compare_waveforms
 from dqforge.optimizer.waveforms.confirmation import confirm_waveforms
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits

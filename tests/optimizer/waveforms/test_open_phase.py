@@ -67,6 +67,7 @@ def test_without_a_neutral_there_is_no_constant_torque() -> None:
     assert open_phase_price(lone, "four-leg", "b", 1.0) is None
 
 
+@pytest.mark.slow
 def test_the_answer_of_dqy_says_it() -> None:
     """Two notes below the table and a key of the document; nothing where all phases are there."""
     design = catalogue.load("paper002-phase-waveforms")

@@ -4,7 +4,6 @@ the model against double precision.
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import pytest
 from dqforge.machines.transforms import Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.reports.c_code import float32_functions as model
+from dqforge.reports.operating_system.host_compiler import find_compiler
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.host import COMPILERS, WARNINGS, Compiler
 
@@ -87,14 +87,16 @@ def _model(x: SingleArray) -> SingleArray:
 
 @pytest.mark.parametrize("compiler", COMPILERS, ids=lambda compiler: compiler.standard)
 def test_compiled_functions_equal_the_model_bit_for_bit(compiler: Compiler, tmp_path: Path) -> None:
-    if shutil.which(compiler.program) is None:
-        pytest.skip(f"{compiler.program} is not installed")
+    there = find_compiler(compiler.language)
+    if there is None:
+        pytest.skip(f"no compiler of {compiler.language}")
     partial = render("c_code/control_types.j2", {"prefix": "t", "macro": "T"})
     (tmp_path / "harness.c").write_text(
         HARNESS % (partial + partial), encoding="ascii"
     )  # twice: it is guarded
     command = [
-        compiler.program,
+        *there.command,
+        *there.flags,
         "-x",
         compiler.language,
         f"-std={compiler.standard}",

@@ -6,16 +6,19 @@ from __future__ import annotations
 
 import re
 import subprocess
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from application_replay import design as application_design
 from static_checks import DEVIATIONS, program
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
-from dqforge.machines.design.settings import ObserverSettings
-from dqforge.machines.names import NumberFormat, ObserverMethodName
+from dqforge.machines.design.loader import load_design
+from dqforge.machines.design.settings import ObserverSettings, SpeedMeasurementSettings
+from dqforge.machines.names import NumberFormat, ObserverMethodName, SpeedMeasurementName
 from dqforge.optimizer.solution import solve
 from dqforge.reports.run import emitted_files
 
@@ -28,20 +31,62 @@ def everything(name: str, formats: tuple[NumberFormat, ...] = FORMATS) -> Design
     return replace(design, export=replace(design.export, prefix="drive", control=formats))
 
 
-def observed(method: ObserverMethodName) -> Design:
+def observed(method: ObserverMethodName, formats: tuple[NumberFormat, ...] = FORMATS) -> Design:
     """The bench with a position observer."""
-    design = everything("paper001-pmsm-bench")
+    design = everything("paper001-pmsm-bench", formats)
     observer = ObserverSettings(method=method)
     return replace(design, control=replace(design.control, observer=observer))
 
 
-DESIGNS = {
+def measured(method: SpeedMeasurementName) -> Design:
+    """The bench with its speed from the edges of its encoder."""
+    design = everything("paper001-pmsm-bench")
+    loop = design.control.speed_loop
+    assert loop is not None
+    clock, edges = (0.0, 4) if method == "counts" else (1e7, 1)
+    own = SpeedMeasurementSettings(method, 1024, clock, 16, edges, 30.0)
+    control = replace(design.control, speed_loop=replace(loop, measurement=own), observer=None)
+    return replace(design, control=control)
+
+
+def injected(observer: str) -> Design:
+    """A saturated machine with a tracker of its saliency."""
+    return catalogue.load(
+        "baldor-pmsyrm-5k6", [observer, "export.control=float32", "export.prefix=drive"]
+    )
+
+
+def third_harmonic_start() -> Design:
+    """The shipped machine of any back-EMF that starts without an encoder."""
+    examples = Path(__file__).resolve().parents[3] / "examples"
+    return load_design(examples / "third-harmonic-start.yaml", ["export.prefix=drive"])
+
+
+def programme(kind: str) -> Design:
+    """The bench with the program around its functions."""
+    made = application_design(kind)
+    return replace(made, export=replace(made.export, prefix="drive"))
+
+
+DESIGNS: dict[str, Callable[[], Design]] = {
     "phases": lambda: everything("paper002-phase-waveforms"),
     "salient phases": lambda: everything("salient-phase-waveforms", ("float32",)),
     "speed observer": lambda: everything("paper001-pmsm-bench"),
     "extended EMF": lambda: observed("extended-emf"),
     "Kalman filter": lambda: observed("ekf"),
+    "learned rules": lambda: observed("neuro-fuzzy", ("float32",)),
+    "learned network": lambda: observed("neural", ("float32",)),
+    "counted speed": lambda: measured("counts"),
+    "captured speed": lambda: measured("capture"),
+    "mixed speed": lambda: measured("mixed"),
+    "program, start-up": lambda: programme("start-up"),
+    "program, edges": lambda: programme("edges"),
+    "program, counts": lambda: programme("counts"),
     "Matsui": lambda: observed("matsui-current"),
+    "injection": lambda: injected("control.observer={method: injection}"),
+    "rotating injection": lambda: injected("control.observer={method: injection, wave: rotating}"),
+    "start on the third harmonic": third_harmonic_start,
+    "pulses": lambda: injected("control.observer={method: inductance-mapping}"),
 }
 
 

@@ -287,6 +287,7 @@ def test_macros_have_differences_where_they_are_numbers() -> None:
     assert MacroRow("A", None, "1").ratio is None
 
 
+@pytest.mark.slow
 def test_json(run: Run, written: Path) -> None:
     code, out, _ = run("compare", written, "thor-pmsyrm-5k", "--json")
     assert code == 0
@@ -360,6 +361,7 @@ def test_faults_of_names_are_one_line(run: Run, written: Path, tmp_path: Path) -
         assert words in err
 
 
+@pytest.mark.slow
 def test_losses_with_and_without_the_bridge_are_not_compared() -> None:
     """A total without the bridge is smaller by what nobody knows; that is no saving."""
     base = make_design()

@@ -199,6 +199,7 @@ def test_feedback_keeps_within_the_current_limit(solved: Solution, program: Simu
     assert tail(found.i_d_reference) < -6.0
 
 
+@pytest.mark.slow
 def test_nothing_is_emitted_that_is_not_asked_for() -> None:
     plain = solve(designed(ReferenceSettings()))
     text = control_files(plain)[f"{plain.design.export.prefix}_control.h"].decode()

@@ -192,6 +192,7 @@ def test_a_design_that_asks_gets_both_headers(written: tuple[Path, str]) -> None
     assert all(abs(reach["high"]) < 2**31 for reach in found["control_fixed"]["q15"]["ranges"])
 
 
+@pytest.mark.slow
 def test_a_changed_integer_is_found(written: tuple[Path, str], tmp_path: Path) -> None:
     folder, prefix = written
     for path in folder.iterdir():
@@ -204,6 +205,7 @@ def test_a_changed_integer_is_found(written: tuple[Path, str], tmp_path: Path) -
         verify_folder(tmp_path)
 
 
+@pytest.mark.slow
 def test_one_unit_in_the_sine_is_found(written: tuple[Path, str], tmp_path: Path) -> None:
     folder, prefix = written
     for path in folder.iterdir():

@@ -14,6 +14,7 @@ from dqforge.reports.control.header import control_from, plain_control
 from dqforge.reports.result import plain_solution
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("flag", ["-fno-math-errno", "-fmath-errno"])
 def test_a_step_of_the_current_control_takes_at_most_200_instructions(flag: str) -> None:
     """In the mean of random samples of which a third is beyond the voltage; and no sample more

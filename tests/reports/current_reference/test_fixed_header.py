@@ -82,6 +82,7 @@ def test_reference_survives_json(solution: Solution) -> None:
     assert from_plain(json.loads(json.dumps(to_plain(reference)))) == reference
 
 
+@pytest.mark.thinned
 def test_vectors_hold_both_ends_of_the_type_and_every_breakpoint(solution: Solution) -> None:
     reference = integers(solution)
     codes = set(vector_codes(reference, 256).tolist())
@@ -96,6 +97,7 @@ def found() -> Solution:
     return solve(make_design(IPM, fit=FitSettings(form="polynomial", degree=3, format="q15")))
 
 
+@pytest.mark.slow
 def test_one_unit_of_one_integer_is_seen(found: Solution) -> None:
     reference = integers(found)
     segment = reference.q.segments[0]
@@ -129,6 +131,7 @@ def test_saturation_is_emitted_where_the_ranges_need_it(found: Solution) -> None
     assert re.search(r"\(([dq]) > 32767\) \? 32767 : \(\(\1 < -32767\) \? -32767 : \1\)", tight)
 
 
+@pytest.mark.thinned
 def test_no_code_meets_undefined_behaviour(solution: Solution, tmp_path: Path) -> None:
     """Every code of 16 bits, a million of 32 bits with the ends, under the sanitizer: no overflow,
     no bad shift.

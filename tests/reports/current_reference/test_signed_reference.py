@@ -68,6 +68,7 @@ def test_each_sign_makes_its_torque_with_the_least_current(solution: Solution) -
         assert abs(made) == pytest.approx(best, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_the_averaged_reference_would_miss_the_torque(
     design_file: Path, solution: Solution
 ) -> None:
@@ -122,6 +123,7 @@ def test_signed_references_survive_the_result(solution: Solution) -> None:
             from_plain(plain | {"negative": broken})
 
 
+@pytest.mark.slow
 def test_a_written_folder_is_verified_with_both_signs(design_file: Path, tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as done:
         cli.main(["export", str(design_file), "-o", str(tmp_path), "--no-verify"])

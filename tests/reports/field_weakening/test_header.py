@@ -265,6 +265,7 @@ def test_the_evaluator_takes_no_more_than_stated_on_a_cortex_m4(
         )  # an estimate that is too high refuses what would do
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("name", NAMES)
 def test_plain_data_rebuild_the_model(name: str) -> None:
     reference = made(name)[1].step

@@ -69,6 +69,7 @@ def found(design: Design, solution: Solution) -> DriveSimulation:
     return simulate_with_firmware(design, solution=solution)
 
 
+@pytest.mark.slow
 def test_our_own_code_runs_as_without_the_firmware(
     design: Design, solution: Solution, found: DriveSimulation
 ) -> None:

@@ -177,6 +177,7 @@ def test_the_structures_by_chance_meet_every_choice() -> None:
     assert {p.reference for p in profiles} == {"id-zero", "mtpa-linear", "table"}
 
 
+@pytest.mark.slow
 def test_the_header_holds_what_the_bytes_say(program: Simulator) -> None:
     """The program with the numbers of its own header runs as another that is handed them."""
     profile = infineon()

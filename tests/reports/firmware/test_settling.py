@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -20,6 +19,7 @@ from firmware_loops import (
     speed_pi,
     vesc,
 )
+from hidden_compilers import hide_compilers
 
 from dqforge.machines.errors import VerificationError
 from dqforge.machines.names import Firmware
@@ -176,7 +176,7 @@ def test_the_base_speed_takes_the_whole_voltage() -> None:
 
 
 def test_a_compiler_is_asked_for_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shutil, "which", lambda _: None)
+    hide_compilers(monkeypatch)
     with pytest.raises(VerificationError, match="no C compiler found"):
         settles(vesc(1e6), scooter(), VALUES)
 

@@ -71,7 +71,7 @@ def test_files_that_are_cut_off_are_read_or_refused(name: Any) -> None:
         assert len(outcomes) > 1
 
 
-@pytest.mark.parametrize("changes", [CHANGES, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("changes", [CHANGES, pytest.param(100, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", FIRMWARE)
 def test_files_that_are_changed_are_read_or_refused(name: Any, changes: int) -> None:
     """Bytes overwritten, lines doubled, lines left out and numbers made absurd; in the campaign

@@ -42,6 +42,7 @@ def test_all_firmware_shares_one_program(monkeypatch: pytest.MonkeyPatch) -> Non
     assert repr(verdicts[1]) == repr(alone)  # a period that is nan equals none
 
 
+@pytest.mark.slow
 def test_a_refusal_names_what_is_wrong_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
     fit = scooter_fit("vesc")
     assert any("whose own lag" in remark for remark in fit.judged.remarks)

@@ -94,6 +94,7 @@ def test_the_c_equals_the_model_under_the_sanitizer(name: str, width: int, tmp_p
     assert np.array_equal(found, row_results(fit.observer, rows))
 
 
+@pytest.mark.thinned
 @EVERY
 def test_the_results_depend_on_their_inputs(name: str) -> None:
     """No column of the model is constant: the comparison sees each word of the state."""
@@ -172,6 +173,7 @@ def test_a_run_emits_both_formats_and_finds_a_changed_sign(tmp_path: Path) -> No
         verify_folder(tmp_path)
 
 
+@pytest.mark.slow
 def test_all_headers_of_a_drive_compile_together(tmp_path: Path) -> None:
     """Control and observer in float32 and both integer formats, in any order."""
     design = observed_design("extended-emf")

@@ -9,6 +9,7 @@ import shutil
 from dataclasses import replace
 
 import pytest
+from hidden_compilers import hide_compilers
 from phase_shapes import paper_machine
 
 from dqforge.machines.design import catalogue
@@ -24,7 +25,6 @@ from dqforge.reports.flashing_choice.counted_cycles import counted_rows
 from dqforge.reports.flashing_choice.question import what_to_flash
 from dqforge.reports.flashing_choice.simulated_rows import simulated_rows
 from dqforge.reports.flashing_choice.tables import flash_tables, plain_flash
-from dqforge.reports.simulation import compiled_plant
 
 NEEDS_COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
@@ -101,8 +101,7 @@ def test_without_a_compiler_the_closed_form_stands_and_it_is_said(
     drive: Design, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither simulation nor cycles, the reasons named, the recommendation as it was."""
-    monkeypatch.setattr(compiled_plant, "_COMPILER", "no-such-compiler")
-    monkeypatch.setenv("PATH", "/nonexistent")
+    hide_compilers(monkeypatch)
     found, advice = what_to_flash(drive, drive.waveform)
     assert "no C compiler" in found.unsimulated
     assert found.uncounted

@@ -57,7 +57,7 @@ def evaluator(form: str) -> GainEvaluator:
     return schedule.fit.evaluator
 
 
-@pytest.mark.thinned
+@pytest.mark.slow
 @pytest.mark.parametrize("form", DRIVES)
 def test_run_writes_verified_headers_that_verify_reads_back(form: str, tmp_path: Path) -> None:
     output = exported(form)

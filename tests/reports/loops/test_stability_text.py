@@ -53,6 +53,7 @@ def words(text: str) -> str:
     return " ".join(text.replace(" * ", " ").split())
 
 
+@pytest.mark.slow
 def test_tune_header_and_json_say_the_same() -> None:
     gains = solution().loops
     assert gains is not None

@@ -176,6 +176,7 @@ def test_torque_that_cannot_be_had_is_named_by_line(run: Run) -> None:
     )
 
 
+@pytest.mark.slow
 def test_files_are_the_same_bytes_every_time(run: Run) -> None:
     for name in ("a.svg", "b.svg"):
         assert run(IPM, "--map", "5x6", "--plot", name)[0] == 0

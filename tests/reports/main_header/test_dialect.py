@@ -8,6 +8,7 @@ import math
 
 import pytest
 from drives import make_design
+from figure_pages import blank_figure
 from toys.vendor import NAMES, VENDOR
 
 from dqforge.machines.design.settings import FitSettings
@@ -64,7 +65,7 @@ def test_a_dialect_from_outside_keeps_the_currents_and_takes_its_own_names(
 def test_the_report_lists_the_macros_of_the_dialect(
     monkeypatch: pytest.MonkeyPatch, solution: Solution
 ) -> None:
-    monkeypatch.setattr("dqforge.reports.report.to_svg", lambda _: "<svg></svg>")
+    monkeypatch.setattr("dqforge.reports.report.page_figure", blank_figure)
     report = render_report(solution, None, dialect=VENDOR)
     assert "DRIVE_FLUX_KP" in report
     assert "DRIVE_ID_KP_V_PER_A" not in report

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drives import INVERSE_SALIENT, IPM, RELUCTANCE, SURFACE, in_floats, make_design
+from hidden_compilers import hide_compilers
 
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
@@ -24,6 +25,7 @@ from dqforge.reports.current_reference.evaluator import vector_torques
 from dqforge.reports.current_reference.plain import from_plain, to_plain
 from dqforge.reports.current_reference.programme import sweep_torques
 from dqforge.reports.main_header.header import header_files
+from dqforge.reports.operating_system.host_compiler import require_compiler
 from dqforge.reports.verification.host import WARNINGS, verify_files
 
 CASES: dict[str, tuple[LinearMachine, FitSettings]] = {
@@ -191,6 +193,7 @@ def test_verification_sees_a_change_of_one_unit_in_the_last_place(found: Solutio
             verify_files(mutated(files, pattern, replacement), "drive", reference, 256)
 
 
+@pytest.mark.slow
 def test_verification_sees_vectors_that_were_changed_with_the_header(found: Solution) -> None:
     """A header and vectors that agree with each other, but not with the model of the design,
     are found out, too.
@@ -224,13 +227,14 @@ def test_verification_sees_a_warning(found: Solution) -> None:
 
 def test_missing_compilers_are_named(found: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     files = header_files(found)
-    which = shutil.which
-    monkeypatch.setattr(shutil, "which", lambda name: None if name == "c++" else which(name))
+    compiler = require_compiler()
+    hide_compilers(monkeypatch)
+    monkeypatch.setattr(shutil, "which", lambda name: compiler.command[0] if name == "cc" else None)
     verification = verify_files(files, "drive", found.fit.reference, 256)
     assert verification.languages == ("c99",)
     assert verification.checks[1].missing == "g++"
     monkeypatch.setattr(shutil, "which", lambda _name: None)
-    with pytest.raises(VerificationError, match="install the Debian package gcc"):
+    with pytest.raises(VerificationError, match=r"dqforge\[cc\].* or give --no-verify$"):
         verify_files(files, "drive", found.fit.reference, 256)
 
 

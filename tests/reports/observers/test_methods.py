@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drives import on_observer
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import ObserverSettings
@@ -40,12 +41,11 @@ def quick_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
-@pytest.mark.thinned
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NEW)
 def test_header_is_emitted_verified_and_read_back(name: ObserverMethodName, tmp_path: Path) -> None:
-    design = catalogue.load("paper001-pmsm-bench")
-    control = replace(design.control, observer=ObserverSettings(method=name))
-    output = export_design(replace(design, control=control), verify=True)
+    design = on_observer(catalogue.load("paper001-pmsm-bench"), ObserverSettings(method=name))
+    output = export_design(design, verify=True)
     assert output.verification is not None
     header = output.files["bench001_observer.h"].decode("ascii")
     assert f"bench001_{METHODS[name].code}_step(" in header

@@ -1,4 +1,4 @@
-"""Emitted Kalman filter, Matsui's models, injection, third harmonic: compiled,
+"""Emitted Kalman filter, Matsui's models, third harmonic: compiled,
 compared bit for bit with their models.
 
 The models run in double precision as well, where they must be the estimators that were analysed.
@@ -6,7 +6,6 @@ The models run in double precision as well, where they must be the estimators th
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,10 +19,13 @@ from drives import IPM
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.observers.methods import third_harmonic as third
+from dqforge.optimizer.harmonic_trackers import third_harmonic as third
+from dqforge.optimizer.harmonic_trackers.tracking_steps import (
+    third_harmonic_gains,
+    third_harmonic_start,
+    third_harmonic_step,
+)
 from dqforge.optimizer.observers.methods.ekf import ekf_gains, ekf_start, ekf_step
-from dqforge.optimizer.observers.methods.injection import injection
-from dqforge.optimizer.observers.methods.injection_run import track
 from dqforge.optimizer.observers.methods.matsui_current import (
     current_gains,
     matsui_current_start,
@@ -34,20 +36,13 @@ from dqforge.optimizer.observers.methods.matsui_voltage import (
     matsui_voltage_step,
     voltage_gains,
 )
-from dqforge.optimizer.observers.methods.tracking_steps import (
-    injection_gains,
-    injection_start,
-    injection_step,
-    third_harmonic_gains,
-    third_harmonic_start,
-    third_harmonic_step,
-)
 from dqforge.optimizer.observers.models import kalman_model as kalman
 from dqforge.optimizer.observers.models import matsui_model as matsui_models
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, cast
 from dqforge.optimizer.observers.sampled_machine import wrapped
 from dqforge.optimizer.observers.trials import CurrentSensor, Trial, simulate
 from dqforge.reports.c_code.float32_functions import SINGLE
+from dqforge.reports.operating_system.host_compiler import find_compiler
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.host import COMPILERS, WARNINGS, Compiler
 
@@ -117,10 +112,6 @@ def emitted(code: str) -> Emitted:
         if observer.kind == "voltage":
             return Emitted(code, voltage_gains(observer), matsui_voltage_start, matsui_voltage_step)
         return Emitted(code, current_gains(observer), matsui_current_start, matsui_current_step)
-    if code == "injection":
-        extra = "out[2] = observer.v.alpha; out[3] = observer.v.beta;"
-        tracker = injection(IPM, T_S, 60.0, 120.0, samples=8, omega_max=2000.0)
-        return Emitted(code, injection_gains(tracker), injection_start, injection_step, extra=extra)
     gains = third_harmonic_gains(third.third_harmonic(PHASES, T_S, 60.0, omega_max=2000.0))
     return Emitted(
         code,
@@ -132,7 +123,7 @@ def emitted(code: str) -> Emitted:
     )
 
 
-CODES = ("ekf", "matsui_voltage", "matsui_current", "injection", "third_harmonic")
+CODES = ("ekf", "matsui_voltage", "matsui_current", "third_harmonic")
 
 
 def rows(drives: int) -> FloatArray:
@@ -176,8 +167,6 @@ def modelled(item: Emitted, sequences: FloatArray, maths: Arithmetic) -> Any:
         found[:, k, 0], found[:, k, 1] = state.theta_e, state.omega_e
         if item.code == "ekf":
             found[:, k, 2], found[:, k, 3] = state.scalars[2 + 8], state.scalars[1]
-        elif item.code == "injection":
-            found[:, k, 2], found[:, k, 3] = state.vectors[0]
         elif item.code == "third_harmonic":
             found[:, k, 2] = state.flux
     return found
@@ -193,11 +182,12 @@ def compiled(item: Emitted, sequences: FloatArray, compiler: Compiler, folder: P
         more=item.more, extra=item.extra,
     )  # fmt: skip
     (folder / "harness.c").write_text(source, encoding="ascii")
-    program = shutil.which(compiler.program)
-    if program is None:
-        pytest.skip(f"{compiler.program} is not installed")
+    there = find_compiler(compiler.language)
+    if there is None:
+        pytest.skip(f"no compiler of {compiler.language}")
     command = [
-        program,
+        *there.command,
+        *there.flags,
         "-x",
         compiler.language,
         f"-std={compiler.standard}",
@@ -244,6 +234,7 @@ def test_single_precision_follows_double_precision(code: str) -> None:
     assert np.max(np.abs(single[..., 1] - double[..., 1])) < 2.0
 
 
+@pytest.mark.slow
 def test_models_are_the_estimators_that_were_analysed() -> None:
     sequences = rows(8)[2:]
     trial = simulate(
@@ -271,19 +262,3 @@ def test_models_are_the_estimators_that_were_analysed() -> None:
         model = modelled(emitted(code), sequences, EXACT)
         assert np.max(np.abs(wrapped(model[..., 0].T - found.theta))) < 1e-8, code
         assert np.max(np.abs(model[..., 1].T - found.omega)) < 1e-5, code
-
-
-def test_injection_asks_for_the_voltage_that_was_simulated() -> None:
-    tracker = injection(IPM, T_S, 60.0, 120.0, samples=8, omega_max=2000.0)
-    result, trial = track(tracker, IPM, np.full((300, 3), 20.0), (0.0, 30.0), theta_error=0.3)
-    gains, state = (
-        injection_gains(tracker),
-        injection_start(wrapped(result.theta[0]), result.omega[0]),
-    )
-    for k in range(300):
-        i = trial.i[k, :, 0], trial.i[k, :, 1]
-        state = injection_step(gains, state, i, i, EXACT)
-        assert np.max(np.abs(wrapped(state.theta_e - result.theta[k]))) < 1e-9
-        assert np.hypot(*state.vectors[0]) == pytest.approx(
-            60.0 * abs(tracker.carrier[k % 8]), abs=1e-9
-        )

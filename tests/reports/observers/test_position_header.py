@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drives import make_design
+from drives import make_design, on_observer
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.names import LEARNED_OBSERVERS
 from dqforge.machines.plants.drive_motion import drive_motion
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.observers import proof as observer_proof
@@ -47,7 +48,7 @@ EVERY = pytest.mark.parametrize("name", list(METHODS))
 def _design(name: str):  # type: ignore[no-untyped-def]
     design = make_design()
     observer = ObserverSettings(method=name)  # type: ignore[arg-type]
-    return replace(design, control=replace(design.control, observer=observer))
+    return on_observer(design, observer)
 
 
 @cache
@@ -66,6 +67,7 @@ def _without_one_number(plain: dict[str, Any]) -> None:
         plain[key] = None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -127,7 +129,10 @@ def test_single_precision_costs_no_angle(name: str) -> None:
     )
     single = observe(method, gains, motion, maths=SINGLE)
     assert single.theta_e.dtype == np.float32
-    assert np.max(np.abs(single.angle_error(motion)[-500:])) < 1e-3
+    expected = np.zeros_like(motion.theta_e)
+    if name in LEARNED_OBSERVERS:  # exact data are one drive of the box, and corrected like others
+        expected = observe(method, gains, motion).angle_error(motion)
+    assert np.max(np.abs(single.angle_error(motion) - expected)[-500:]) < 1e-3
     outputs = observer_outputs(method, gains, observer_inputs(method, gains, 20_000, 3))
     assert np.isfinite(outputs).all()
     assert np.max(np.abs(outputs[:, 1])) * t_s > 0.9
@@ -137,7 +142,7 @@ def test_single_precision_costs_no_angle(name: str) -> None:
 @EVERY
 def test_what_is_said_agrees_with_what_was_judged(name: str) -> None:
     observer = _observer(name)
-    (title, columns, rows, notes), _ = position_parts(observer)
+    (title, columns, rows, notes), *_ = position_parts(observer)
     assert "Position observer" in title
     assert all(len(row) == len(columns) for row in rows)
     assert float(rows[-1][0]) == pytest.approx(observer.omega_max / (2.0 * np.pi), rel=1e-3)
@@ -152,6 +157,7 @@ def test_what_is_said_agrees_with_what_was_judged(name: str) -> None:
     assert len(plain["poles"]) == len(plain["omega_rad_per_s"])
 
 
+@pytest.mark.slow
 def test_header_is_the_same_bytes_every_time() -> None:
     design = _design("flux")
     first, second = (observer_files(design, solve_gains(design).position) for _ in range(2))  # type: ignore[arg-type]

@@ -16,7 +16,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import ObserverSettings, Tolerances
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.names import ObserverMethodName
+from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
 from dqforge.machines.plants.drive_motion import plants
 from dqforge.machines.plants.scenario import PlantErrors, Scenario, constant
 from dqforge.optimizer.control_design.gain_set import solve_gains
@@ -71,7 +71,7 @@ def test_one_range_is_stored_and_printed_everywhere(name: ObserverMethodName) ->
     design = observed_design("paper001-pmsm-bench", name)
     observer = position(design)
     text = speed_range_text(observer)
-    angles, speeds = position_parts(observer)
+    angles, speeds, *_ = position_parts(observer)
     assert text in angles[3]
     header = observer_files(design, observer)[f"{design.export.prefix}_observer.h"].decode("ascii")
     assert text in " ".join(line.removeprefix(" *").strip() for line in header.splitlines())
@@ -129,6 +129,7 @@ def test_loads_tolerances_and_dead_time_are_those_of_the_design() -> None:
     assert known.lost_least == -known.lost
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("drive", ["paper001-pmsm-bench", "abb-ipmsm-2k2"])
 def test_the_locus_and_the_dead_time_raise_the_low_end(drive: str) -> None:
     """The same observer judged at i_d = 0 and half the current, without dead time,
@@ -142,6 +143,7 @@ def test_the_locus_and_the_dead_time_raise_the_low_end(drive: str) -> None:
     assert mild.steady_low < 0.6 * observer.judgement.steady_low
 
 
+@pytest.mark.slow
 def test_an_unstable_rest_counts_as_lost() -> None:
     """Braking, a dead time above the back-EMF turns the EMF that is seen:
     an extended EMF locks half a turn off.
@@ -224,7 +226,9 @@ def test_a_warm_machine_with_its_dead_time_errs_as_is_judged(
     solution = solve(observed_design(drive, method))
     seen, judged = measured(solution, 0.5, 0.5, 0.3)
     assert solution.gains.position is not None
-    assert seen[0] == pytest.approx(judged[0], rel=0.15, abs=np.radians(0.5))
+    # what is learned answers to the little that the dead time differs: it is twice as far off
+    close = 1.0 if method in LEARNED_OBSERVERS else 0.5
+    assert seen[0] == pytest.approx(judged[0], rel=0.15, abs=np.radians(close))
     assert seen[1] == pytest.approx(
         judged[1], rel=0.15, abs=2e-3 * solution.gains.position.omega_max
     )

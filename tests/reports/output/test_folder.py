@@ -20,9 +20,8 @@ from drives import make_design
 from dqforge.machines.design.design import Design, DesignFiles
 from dqforge.machines.errors import InputError
 from dqforge.reports.output import folder_swap
-from dqforge.reports.output.folder import FIGURES, INPUT_DESIGN, RUN, SIMULATION, write_output
+from dqforge.reports.output.folder import FIGURES, RUN, SIMULATION, write_output
 from dqforge.reports.output.manifest import (
-    MANIFEST,
     Manifest,
     Part,
     find_manifest,
@@ -30,6 +29,7 @@ from dqforge.reports.output.manifest import (
     sha256,
     to_bytes,
 )
+from dqforge.reports.run_folder import INPUT_DESIGN, MANIFEST
 
 Way = Callable[[pytest.MonkeyPatch], None]
 

@@ -20,20 +20,14 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_design, load_text
 from dqforge.machines.errors import DqforgeError, InputError, VerificationError
 from dqforge.reports.output import recomputation
-from dqforge.reports.output.folder import INPUT_DESIGN, RUN, SIMULATION, write_output
+from dqforge.reports.output.folder import RUN, SIMULATION, write_output
 from dqforge.reports.output.folder_swap import PENDING
 from dqforge.reports.output.line_comparison import Tally, first_difference, tally
-from dqforge.reports.output.manifest import (
-    MANIFEST,
-    Manifest,
-    find_manifest,
-    part_of,
-    sha256,
-    to_bytes,
-)
+from dqforge.reports.output.manifest import Manifest, find_manifest, part_of, sha256, to_bytes
 from dqforge.reports.output.recomputation import recompute
 from dqforge.reports.output.recomputation_text import recomputation_text
 from dqforge.reports.run import RunOutput, export_design
+from dqforge.reports.run_folder import INPUT_DESIGN, MANIFEST
 
 BENCH = "paper001-pmsm-bench"
 DRIVES = (

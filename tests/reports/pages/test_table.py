@@ -114,6 +114,7 @@ def test_losses_add_up_and_the_title_has_the_speed_in_rpm() -> None:
     np.testing.assert_allclose(100.0 * (1.0 - total / total[0]), saving, atol=0.06)
 
 
+@pytest.mark.slow
 def test_what_is_not_feasible_is_said_and_no_nan_is_printed() -> None:
     """At 500 rad/s i_d = 0 with SPWM is beyond its range, at 1500 rad/s all are.
 

@@ -175,7 +175,8 @@ def outcome(
         capsys, "run", path, "-o", folder / "out", *(() if verify else ("--no-verify",))
     )
     if checked:
-        assert (checked, code, line) == (2, 2, complaint), choice
+        assert (code, line) == (checked, complaint), choice
+        assert checked in (1, 2)
     else:
         assert code in (0, 1), (choice, line)
     if code:
@@ -195,10 +196,11 @@ def test_the_choices_hold_every_name() -> None:
         assert {str(found[key]) for found in designs} == {str(value) for value in values}
 
 
+@pytest.mark.slow
 def test_what_is_refused_is_refused_alike_by_check_and_run(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """Twelve designs by chance; those that `check` accepts are left to the slow tests."""
+    """Designs by chance; those that `check` accepts are left to the slow tests."""
     refused = 0
     for seed in range(12):
         path = written(tmp_path, picked(seed))
@@ -206,7 +208,8 @@ def test_what_is_refused_is_refused_alike_by_check_and_run(
         if code:
             refused += 1
             again = asked(capsys, "run", path, "-o", tmp_path / "out", "--no-verify")
-            assert again == (code, complaint) == (2, complaint)
+            assert again == (code, complaint)
+            assert code in (1, 2)
             assert "design.yaml:" in complaint
             assert "write" in complaint or "remove" in complaint or "leave" in complaint, complaint
     assert 0 < refused < 12

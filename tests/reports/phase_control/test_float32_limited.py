@@ -74,14 +74,8 @@ def shapes_of(control: PhaseControl) -> LimitedShapes:
     return control.limited
 
 
-@pytest.mark.parametrize(
-    "topology",
-    [
-        "four-leg",
-        pytest.param("three-wire", marks=pytest.mark.slow),
-        pytest.param("split-capacitor", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("topology", ["four-leg", "three-wire", "split-capacitor"])
 def test_compiled_code_is_the_model(
     solution: Solution, document: dict[str, Any], topology: Topology
 ) -> None:

@@ -81,6 +81,7 @@ def test_compiled_control_equals_the_model_bit_for_bit(
     prove(solution, document, plain_control(P, topology, frame, feedforward))
 
 
+@pytest.mark.slow
 def test_vectors_visit_every_mode(solution: Solution, document: dict[str, Any]) -> None:
     """Voltages that are made and that are shortened, all duties, open phases, bad samples."""
     model = model_of(solution, document, plain_control(P))
@@ -140,6 +141,7 @@ def test_what_is_not_emitted_is_refused(solution: Solution) -> None:
         plain_solution_control(solution, plain_control(P, shape=PhaseShape(P.flux[:1, :64])))
 
 
+@pytest.mark.slow
 def test_the_limit_of_a_design_is_read_at_equal_load(
     solution: Solution, document: dict[str, Any]
 ) -> None:

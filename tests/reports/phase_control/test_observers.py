@@ -11,13 +11,30 @@ import numpy as np
 import pytest
 
 from dqforge.machines.design.catalogue import load
-from dqforge.machines.names import SPEED_OBSERVER, ObserverMethodName
+from dqforge.machines.errors import InputError
+from dqforge.machines.names import (
+    SIX_STEP_METHODS,
+    SPEED_OBSERVER,
+    TRACKER_NAMES,
+    ObserverMethodName,
+)
 from dqforge.machines.plants.scenario import Encoder, Scenario, constant
 from dqforge.reports.simulation.design_run import simulate_design
 
+# Those that see voltage and current alone; methods of six-step drives commutate, others inject.
+METHODS = [
+    name for name in get_args(ObserverMethodName) if name not in (*TRACKER_NAMES, *SIX_STEP_METHODS)
+]
+
+
+@pytest.mark.parametrize("method", SIX_STEP_METHODS)
+def test_methods_of_six_step_drives_are_refused_of_phase_machines(method: str) -> None:
+    with pytest.raises(InputError, match=f"a six-step drive .control.observer: {method}"):
+        load("paper002-phase-waveforms", [f"control.observer={{method: {method}}}"])
+
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", get_args(ObserverMethodName))
+@pytest.mark.parametrize("method", METHODS)
 def test_every_observer_sees_the_machine_of_the_new_control(method: ObserverMethodName) -> None:
     """Four legs, table, 2 N m at 1200 rpm: the torque stays, speed and angle are found; what the
     harmonics of the back-EMF leave of an angle's error is within 5 degrees."""

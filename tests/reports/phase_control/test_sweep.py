@@ -112,9 +112,10 @@ def pulses_are_small(drive: SweptDrive, neutral: float) -> bool:
     return t_s < 2.0 * math.pi * math.sqrt(square) / 40.0
 
 
-QUICK = ("four-leg", "split-capacitor")
+QUICK = ("four-leg",)
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize(
     "topology",
     [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.slow]) for name in TOPOLOGIES],

@@ -58,6 +58,7 @@ def test_a_missing_file_is_found(emission: dqforge.Emission) -> None:
         dqforge.verify(replace(emission, files=fewer))
 
 
+@pytest.mark.slow
 def test_a_folder_is_computed_again_from_the_design_in_it(
     emission: dqforge.Emission, tmp_path: Path
 ) -> None:
@@ -95,7 +96,7 @@ def test_a_map_of_scattered_points_is_emitted_and_compiled(tmp_path: Path) -> No
     flux_map = dqforge.make_flux_map(i_d, i_q, 0.1 + 3e-4 * i_d, 6e-4 * i_q)
     assert flux_map.hull is not None
     machine = dqforge.SaturatedMachine(pole_pairs=4, r_s=0.02, flux_map=flux_map, i_max=100.0)
-    fit = {"degree": 2, "torque_max": 60.0}
+    fit = {"degree": 2, "max_torque": 60.0}
     design = dqforge.make_design(machine, v_dc=400.0, f_sw=10e3, fit=fit, control={"gains": False})
     other = dqforge.make_flux_map(0.9 * i_d, i_q, 0.1 + 3e-4 * 0.9 * i_d, 6e-4 * i_q)
     moved = dqforge.make_design(replace(machine, flux_map=other), v_dc=400.0, f_sw=10e3, fit=fit)

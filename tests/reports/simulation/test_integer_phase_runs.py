@@ -43,6 +43,7 @@ def runs(
     return list(found.every)
 
 
+@pytest.mark.slow
 def test_torque_control_in_integers_holds_the_torque() -> None:
     scenario = Scenario(
         0.1, "torque", constant(1.0), shaft=constant(78.5), omega_m=78.5, dead_time=0.0

@@ -108,6 +108,7 @@ def test_currents_that_the_link_cannot_make_stay_as_small_as_in_float32(
         np.testing.assert_allclose(run.i_q, found["float32"].i_q, atol=0.05)
 
 
+@pytest.mark.slow
 def test_braking_from_beyond_the_base_speed(ipm: Design, programs: Programs) -> None:
     """From motoring at 2200 rpm to braking, down to 1200 rpm, with the map of field weakening."""
     turning = Profile((0.0, 0.15, 0.3), (2200.0 * RPM, 2200.0 * RPM, 1200.0 * RPM), "linear")

@@ -107,6 +107,7 @@ def test_fundamental_currents_and_torque_ripple_are_those_told(
         assert amplitude_of(torque, time, order) == pytest.approx(float(expected[0]), rel=0.01)
 
 
+@pytest.mark.thinned
 def test_six_step_operation_is_reached(drive: tuple[Solution, Simulator]) -> None:
     found = fed(drive, SIX_STEP * V_DC)
     # the jump from corner to corner falls between two of 199 samples

@@ -69,6 +69,7 @@ def test_emitted_control_answers_an_open_phase() -> None:
     assert drive.phases.neutral_rms == pytest.approx(2.14, rel=0.01)
 
 
+@pytest.mark.slow
 def test_three_wires_show_neither() -> None:
     drive = found("three-wire")
     rows = {row[0]: row[1] for row in simulation_tables(drive)[0].rows}

@@ -95,6 +95,7 @@ def gains() -> bytes:
 COPPER = {True: (3.297, 2.720), False: (3.342, 2.834)}
 
 
+@pytest.mark.slow
 def test_diodes_of_a_neutral_let_the_pulses_leak(design: Design) -> None:
     """Where all legs lie low and the machine's zero-sequence voltage pulls the neutral below them;
     with smooth diodes, by SciPy, 0.022 A at 1800 rpm.
@@ -139,6 +140,7 @@ def test_averaged_torque_and_copper_are_those_of_the_currents(
     assert bool(np.all(found.tail_midpoint > 0.1)) == (topology == "split-capacitor")
 
 
+@pytest.mark.slow
 def test_a_shape_that_is_not_the_header_s_is_refused(design: Design, four_leg: Simulator) -> None:
     with pytest.raises(VerificationError, match="back-EMF"):
         simulate(
@@ -193,6 +195,7 @@ def test_modes_reach_the_controller(design: Design, four_leg: Simulator) -> None
     np.testing.assert_allclose(found.torque_reference, 0.01 * (100.0 - 10.0 * math.pi), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_header_of_three_legs_leaves_the_others_unconnected(design: Design) -> None:
     """As for machines with a sinusoidal back-EMF: nothing drives a neutral that it knows not of."""
     found = simulate_three_legs(design)

@@ -120,11 +120,8 @@ def _model(solved: Solution, found: Simulation) -> tuple[FloatArray, FloatArray]
     return theta, omega / 3.0
 
 
-@pytest.mark.thinned
-@pytest.mark.parametrize(
-    "method", ["flux", "matsui-voltage", *(pytest.param(m, marks=pytest.mark.slow) for m in METHODS
-                                           if m not in ("flux", "matsui-voltage"))],
-)  # fmt: skip
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
 def test_a_drive_runs_on_its_observer_which_equals_its_model(method: ObserverMethodName) -> None:
     """From 60 rad/s up to 150 and a load, all without encoder.
 
@@ -160,6 +157,7 @@ def test_a_drive_runs_on_its_observer_which_equals_its_model(method: ObserverMet
     )
 
 
+@pytest.mark.slow
 def test_the_voltage_is_that_of_the_ending_period(flux: tuple[Solution, Simulator]) -> None:
     """Duty cycles of the sample before, on a constant link, are the recorded voltage of the next
     row.
@@ -259,9 +257,10 @@ def test_figures_and_tables_show_the_angle(flux: tuple[Solution, Simulator]) -> 
     plain = plain_simulation(shown)["observer"]
     assert plain["sensorless_share"] == 1.0
     assert 0.0 < plain["angle_error_rms_rad"] <= plain["angle_error_largest_rad"] < 0.2
-    assert "angle error" in to_svg(plot_simulation(shown))
+    assert "Angle error in deg" in to_svg(plot_simulation(shown))
 
 
+@pytest.mark.slow
 def test_the_speed_observer_in_the_loop_equals_its_model() -> None:
     with _compiled("reduced-order") as (solved, program):
         scenario = Scenario(

@@ -110,6 +110,7 @@ int main(void)
 }
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("core", ["cortex-m0plus", "cortex-m4", "cortex-m7", "cortex-m33"])
 def test_blocks_are_the_same_instructions_as_single_steps(core: Core, tmp_path: Path) -> None:
     """Loops, conditional instructions and routines of the library; every path and its cycles."""

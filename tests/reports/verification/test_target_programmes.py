@@ -15,13 +15,19 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from current_feedback_design import feedback_design
+from drives import on_observer
+from measured_speeds import design as measured_design
+from measured_speeds import settings as measured_settings
+from six_step_drives import bench as six_step_bench
+from start_designs import INJECTION, start_design
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import VerificationError
-from dqforge.machines.names import ObserverMethodName
+from dqforge.machines.names import LEARNED_OBSERVERS, ObserverMethodName
 from dqforge.optimizer.observers.methods import ekf as ekf_method
 from dqforge.optimizer.observers.methods.ekf import ekf_gains
 from dqforge.optimizer.observers.methods.registry import METHODS
@@ -62,11 +68,8 @@ def quick_filter(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def bench() -> Design:
     design = catalogue.load(BENCH)
-    return replace(
-        design,
-        control=replace(design.control, observer=ObserverSettings(method="flux")),
-        export=replace(design.export, control=("float32", "q15", "q31")),
-    )
+    made = on_observer(design, ObserverSettings(method="flux"))
+    return replace(made, export=replace(design.export, control=("float32", "q15", "q31")))
 
 
 def changed(name: str, *changes: tuple[str, str], more: str = "") -> Design:
@@ -82,6 +85,10 @@ SMALL_RULE = (
     " ripple_current: 1 A, torques: 6, speeds: 7}\n\n"
 )
 DESIGNS: dict[str, Callable[[], Design]] = {
+    "start": lambda: start_design(INJECTION, 1.8),
+    "measured speed": lambda: measured_design(measured_settings("mixed")),
+    "six-step": six_step_bench,
+    "current feedback": lambda: feedback_design("predictive"),
     "control and position observer": bench,
     "speed observer": lambda: catalogue.load(BENCH),
     "phase currents": lambda: changed(
@@ -106,6 +113,10 @@ DESIGNS: dict[str, Callable[[], Design]] = {
     ),
 }
 KINDS = {
+    "start": {"start_observer", "startup", "control", "observer"},
+    "measured speed": {"speed_measurement"},
+    "six-step": {"six_step"},
+    "current feedback": {"current_feedback"},
     "control and position observer": {
         "control",
         "control_q15",
@@ -174,12 +185,13 @@ def test_every_header_gives_the_bits_of_its_model_on_the_core(name: str, target:
 @pytest.mark.parametrize("target", ["cortex-m0plus", "cortex-m7"])
 @pytest.mark.parametrize("method", METHODS)
 def test_every_position_observer_runs_on_the_core(method: ObserverMethodName, target: str) -> None:
-    drive = catalogue.load(BENCH)
-    control = replace(drive.control, observer=ObserverSettings(method=method))
-    export = replace(drive.export, control=("q15", "q31"))
-    output = export_design(replace(drive, control=control, export=export), verify=False)
+    drive = on_observer(catalogue.load(BENCH), ObserverSettings(method=method))
+    single = method in LEARNED_OBSERVERS  # these are not there in integers
+    export = replace(drive.export, control=("float32",) if single else ("q15", "q31"))
+    output = export_design(replace(drive, export=export), verify=False)
     kinds, parts = parts_of(output)
-    assert {"observer", "observer_q15", "observer_q31"} <= kinds or "speed_observer" in kinds
+    wanted = {"observer"} if single else {"observer", "observer_q15", "observer_q31"}
+    assert wanted <= kinds
     prefix = output.solution.design.export.prefix
     assert [run.compared for run in run_on_target(headers(output), prefix, parts, target)] == [
         ROWS

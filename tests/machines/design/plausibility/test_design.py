@@ -132,6 +132,11 @@ CASES: dict[str, tuple[str, str, list[tuple[str, str]]]] = {
         "",
         [("value: 1.6 A, kind: rms", "value: 160 mA, kind: rms")],
     ),
+    "rated current and rated torque": (
+        "machine.rated.current",
+        "0.65",
+        [("current: {value: 1.6 A, kind: rms}", "current: {value: 0.8 A, kind: rms}")],
+    ),
     "rated torque": (
         "machine.rated.torque",
         "",
@@ -314,9 +319,9 @@ CASES: dict[str, tuple[str, str, list[tuple[str, str]]]] = {
         [(STRATEGY, STRATEGY + "  speed: 40 rpm\n")],
     ),
     "end of the domain": (
-        "fit.torque_max",
+        "fit.max_torque",
         "%",
-        [("exact_at_zero: true", "exact_at_zero: true\n  torque_max: 1 mN m")],
+        [("exact_at_zero: true", "exact_at_zero: true\n  max_torque: 1 mN m")],
     ),
     "permitted error": (
         "fit.torque_error",

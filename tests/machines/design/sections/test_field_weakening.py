@@ -85,6 +85,7 @@ def test_a_speed_within_the_voltage_is_refused() -> None:
         solve_weakening(design("{speed: 300 rpm}"))
 
 
+@pytest.mark.slow
 def test_margin_and_modulation_set_the_voltage() -> None:
     loaded = design(
         "{}", **{"strategy: mtpa": "strategy: mtpa\n  modulation: spwm\n  voltage_margin: 10 %"}
@@ -138,6 +139,7 @@ def test_the_section_is_refused_exactly_where_no_operating_point_is_limited(
             voltage_region(machine, i_max, v_max, omega_m)
 
 
+@pytest.mark.slow
 def test_a_size_that_would_do_is_named() -> None:
     with pytest.raises(NoSolutionError, match=r"write flash: \d+ B") as caught:
         solve_weakening(design("{flash: 300 B}"))
@@ -188,7 +190,7 @@ def test_headers_are_written_verified_rebuilt_and_a_changed_digit_is_found(tmp_p
         verify_folder(tmp_path)
 
 
-@pytest.mark.thinned
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["x", {}, {"flux_min": 1.0}])
 def test_a_damaged_result_is_refused(damage: object, tmp_path: Path) -> None:
     output = export_design(design("{}"), verify=False)

@@ -128,6 +128,7 @@ def test_the_header_is_written_verified_rebuilt_and_a_changed_threshold_is_found
         verify_folder(tmp_path)
 
 
+@pytest.mark.slow
 def test_the_rule_is_compared_where_the_map_was_made(output: RunOutput) -> None:
     """At every point of the grid the emitted model takes what the choice says."""
     choice = choice_of(output)

@@ -56,7 +56,7 @@ def test_what_holds_is_taken_and_what_rings_is_lowered() -> None:
 
 def test_a_larger_phase_margin_of_the_design_is_kept() -> None:
     asked = scooter()
-    loop = replace(asked.design.control.current_loop, phase_margin_min=1.3)
+    loop = replace(asked.design.control.current_loop, min_phase_margin=1.3)
     design = replace(asked.design, control=replace(asked.design.control, current_loop=loop))
     found = held_bandwidth(
         2e4, lambda bandwidth: loops_of(asked, bandwidth), replace(asked, design=design)
@@ -71,12 +71,12 @@ def test_margins_hold_where_the_machine_saturates_too() -> None:
     found = held_bandwidth(2e4, lambda bandwidth: loops_of(asked, bandwidth), asked)
     alone = replace(asked, drive=replace(asked.drive, i_max=None))
     assert found < held_bandwidth(2e4, lambda bandwidth: loops_of(alone, bandwidth), alone)
-    assert min(margins(asked, found)) >= asked.design.control.current_loop.phase_margin_min
+    assert min(margins(asked, found)) >= asked.design.control.current_loop.min_phase_margin
 
 
 def test_a_margin_that_no_bandwidth_keeps_is_refused() -> None:
     asked = scooter()
-    loop = replace(asked.design.control.current_loop, phase_margin_min=3.2)
+    loop = replace(asked.design.control.current_loop, min_phase_margin=3.2)
     design = replace(asked.design, control=replace(asked.design.control, current_loop=loop))
     impossible = replace(asked, design=design)
     with pytest.raises(NoSolutionError, match="keeps a phase margin of"):

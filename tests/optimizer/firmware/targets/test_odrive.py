@@ -47,7 +47,7 @@ def test_the_loops_of_the_scooter() -> None:
     assert loops.current.angle_advance == 1.5
     judged = judge(loops, asked.drive)
     assert judged.current_q is not None
-    assert judged.current_q.phase_margin >= asked.design.control.current_loop.phase_margin_min
+    assert judged.current_q.phase_margin >= asked.design.control.current_loop.min_phase_margin
     assert judged.speed is not None
     assert judged.speed.stable
     assert loops.speed is not None

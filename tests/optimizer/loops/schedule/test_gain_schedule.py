@@ -138,7 +138,7 @@ def test_scheduled_gains_that_do_not_hold_are_refused_with_the_current() -> None
     margin = solve_gains(
         scheduled("abb-syrm-6k7-saturated", replace(settings, schedule=False))
     ).i_d.phase_margin
-    tight = replace(settings, phase_margin_min=float(margin) - 1e-4)
+    tight = replace(settings, min_phase_margin=float(margin) - 1e-4)
     with pytest.raises(
         NoSolutionError, match=r"with scheduled gains the i_[dq] loop has a phase margin of .* A"
     ):

@@ -19,7 +19,13 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.machines.names import OBSERVER_KEYS, SPEED_OBSERVER, ObserverMethodName
+from dqforge.machines.names import (
+    OBSERVER_KEYS,
+    SIX_STEP_METHODS,
+    SPEED_OBSERVER,
+    TRACKER_NAMES,
+    ObserverMethodName,
+)
 from dqforge.machines.plants.drive_motion import DriveMotion, drive_motion, next_flux, plants
 from dqforge.optimizer.observers.judgement import judge_at
 from dqforge.optimizer.observers.method import ObserverMethod, observe
@@ -182,6 +188,7 @@ def test_with_exact_parameters_the_angle_converges(
     assert np.max(np.abs(found.angle_error(motion)[1])) > 0.1  # it was wrong at first
 
 
+@pytest.mark.slow
 def test_current_model_of_matsui_needs_an_angle_pole_above_its_speed_error() -> None:
     """180 rad/s off, a pole of the speed at 20 rad/s: the angle runs away with 200 rad/s,
     and holds with 1000.
@@ -225,7 +232,7 @@ def test_error_of_wrong_parameters_is_the_closed_form(name: str, wrong: str) -> 
         assert np.max(np.abs(expected)) > 5e-3
 
 
-@pytest.mark.thinned
+@pytest.mark.slow
 @EVERY
 def test_poles_are_how_fast_a_small_error_decays(method: ObserverMethod) -> None:
     motion = _motion("steady")
@@ -273,7 +280,7 @@ def test_noise_of_the_angle_is_what_a_trial_gives(method: ObserverMethod) -> Non
     assert np.std(error) == pytest.approx(expected, rel=0.08)
 
 
-@pytest.mark.thinned
+@pytest.mark.slow
 @EVERY
 def test_acceleration_lag_is_where_a_ramp_ends(method: ObserverMethod) -> None:
     motion, disturbances = _motion("ramp", SURFACE), replace(NO_DISTURBANCE, acceleration=3000.0)
@@ -288,6 +295,7 @@ def test_acceleration_lag_is_where_a_ramp_ends(method: ObserverMethod) -> None:
     assert abs(seen) > LAGS.get(method.name, 0.02)
 
 
+@pytest.mark.slow
 def test_filter_of_the_open_loop_flux_forgets_an_offset() -> None:
     """A current offset stays bounded, where a bare integrator would drift without end."""
     method = METHODS["open-loop-flux"]
@@ -395,7 +403,8 @@ def test_refusals_say_what_to_write() -> None:
 
 def test_every_word_has_its_file_and_its_keys() -> None:
     words = get_args(ObserverMethodName)
-    assert [*METHODS] == [word for word in words if word != SPEED_OBSERVER]
+    others = (SPEED_OBSERVER, *TRACKER_NAMES, *SIX_STEP_METHODS)
+    assert [*METHODS] == [word for word in words if word not in others]
     assert tuple(OBSERVER_KEYS) == words
     for name, method in METHODS.items():
         assert method.name == name
@@ -410,7 +419,9 @@ def test_scales_are_those_of_the_machine() -> None:
 
 
 def test_a_registered_method_is_one_of_the_package_and_leaves_no_trace(tmp_path: Path) -> None:
-    """The worked example of docs/contributing.md: on a drive without faults its error dies out."""
+    """The worked example of docs/project/contributing.md: on a drive without faults its error
+    dies out.
+    """
     with module_of("optimizer/observers/methods/back_emf.py", tmp_path) as file:
         method = file.METHOD
     with registered(method, ("pll_bandwidth", "damping")):

@@ -131,9 +131,14 @@ def test_the_search_finds_the_stated_noise_from_a_wrong_start(
     assert float(np.mean(run(again, trial).log_likelihood)) == pytest.approx(likelihood, abs=3e-3)
 
 
-def test_covariance_tells_the_angle_error(bench001: LinearMachine, tuned: Ekf) -> None:
+@pytest.mark.parametrize("searched", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_covariance_tells_the_angle_error(
+    bench001: LinearMachine, request: pytest.FixtureRequest, *, searched: bool
+) -> None:
+    """With the covariances of the stated noise, and with those that a search finds."""
     trial = noisy_trial(bench001, T_S, NOISE, SPEED, I_REF, 400, 200, 5)
-    result = run(tuned, trial)
+    used = request.getfixturevalue("tuned") if searched else first_guess(bench001, T_S, NOISE)
+    result = run(used, trial)
     spread = np.std(angle_error(result.theta, trial)[-1])
     assert spread == pytest.approx(np.sqrt(np.mean(result.p[:, 3, 3])), rel=0.2)
     assert np.std((result.omega - trial.omega)[-1]) == pytest.approx(

@@ -29,8 +29,9 @@ def text_of(found: Configuration, existing: str | None = None) -> str:
     return write(found, TITLE, existing)[NAME].decode()
 
 
-def test_200_machines_come_back() -> None:
-    for asked in random_asked(200):
+@pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
+def test_random_machines_come_back(count: int) -> None:
+    for asked in random_asked(count):
         found = configure(asked)
         assert kept_of(read(text_of(found), NAME)) == kept_of(found)
 

@@ -73,15 +73,17 @@ def _random_asked(asked: Asked, rng: np.random.Generator) -> Asked:
     )
 
 
-def test_two_hundred_random_machines_come_back_as_they_went(tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
+def test_random_machines_come_back_as_they_went(tmp_path: Path, count: int) -> None:
     asked = asked_for(design_of(tmp_path))
     rng = np.random.default_rng(17)
-    for number in range(200):
+    for number in range(count):
         found = NXP.configure(_random_asked(asked, rng))
         back = read(_text(found), NAME)
         assert _same(back, found), number
 
 
+@pytest.mark.slow
 def test_fixed_point_comes_back_too_where_it_fits(tmp_path: Path) -> None:
     asked = asked_for(design_of(tmp_path, loop="q_formats: auto"))
     rng = np.random.default_rng(18)

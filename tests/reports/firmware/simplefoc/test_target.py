@@ -4,6 +4,7 @@ currents it does not settle as fast.
 
 from __future__ import annotations
 
+import pytest
 from firmware_asked import scooter
 
 from dqforge.optimizer.firmware.simplefoc_format.simplefoc_configuration import configuration
@@ -11,6 +12,7 @@ from dqforge.reports.firmware.settling import settles
 from dqforge.reports.firmware.simplefoc.target import TARGET
 
 
+@pytest.mark.slow
 def test_current_torque_and_speed_settle() -> None:
     asked, method = scooter(), TARGET.method
     held = method.configure(asked)

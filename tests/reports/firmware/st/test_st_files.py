@@ -139,8 +139,9 @@ def written(found: Configuration) -> dict[str, str]:
     return {name: text.decode() for name, text in TARGET.write(found, TITLE, None).items()}
 
 
-def test_two_hundred_drives_come_back() -> None:
-    for wish in random_asked(200, 17, tables=3):
+@pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
+def test_random_drives_come_back(count: int) -> None:
+    for wish in random_asked(count, 17, tables=3):
         found = ST.configure(wish)
         files = written(found)
         back = together([(text, name) for name, text in files.items()])

@@ -44,6 +44,7 @@ def drive(*, salient: bool) -> Design:
     return replace(design, machine=machine, control=control, operation=operation)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("salient", [False, True])
 def test_torque_current_and_speed_settle(program: Simulator, *, salient: bool) -> None:
     design = drive(salient=salient)

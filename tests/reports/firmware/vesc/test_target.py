@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 from firmware_asked import scooter
 
 from dqforge.optimizer.firmware.configuration import PiGains
@@ -13,6 +14,7 @@ from dqforge.reports.firmware.settling import settles
 from dqforge.reports.firmware.vesc.target import TARGET
 
 
+@pytest.mark.slow
 def test_current_torque_and_speed_settle_but_not_on_the_default_tracking_loop() -> None:
     asked, method = scooter(), TARGET.method
     for pll, expected in ((None, True), (PiGains(2000.0, 30000.0), False)):

@@ -140,6 +140,7 @@ def test_the_header_holds_the_printed_digits_and_runs(header: PrintedPolynomial)
     assert header.compared > 20_000
 
 
+@pytest.mark.slow
 def test_tables_and_figures_show_them(found: StatedMethod, header: PrintedPolynomial) -> None:
     table = method_tables.coefficient_table(found.segments)
     assert table.rows[0][3] == "-0.00333 -0.101* 0*"

@@ -8,7 +8,7 @@ import pytest
 from dqforge.reports.pages.figures_style import to_svg
 from dqforge.reports.papers.paper001 import bench_sensorless, bench_transients, tables
 from dqforge.reports.papers.paper001.bench_transients import Reproduction
-from dqforge.reports.papers.paper001.figures import plot_bench
+from dqforge.reports.papers.paper001.figures import plot_bench, plot_without_encoder
 from dqforge.reports.papers.transients import RPM
 
 pytestmark = pytest.mark.slow
@@ -161,3 +161,4 @@ def test_tables_and_figures_show_them(found: Reproduction) -> None:
     assert "20000 20000" in text
     assert len(tables.plain_reproduction(found)["transients"]) == 6
     assert "<svg" in to_svg(plot_bench(found.runs))
+    assert "Figure 8.33" in to_svg(plot_without_encoder(found.runs))

@@ -136,6 +136,7 @@ def test_the_program_in_c_gives_the_start_of_the_program_in_python() -> None:
     assert speeds[size - 1] > 800.0
 
 
+@pytest.mark.slow
 def test_the_speed_is_that_between_two_lines_of_the_encoder() -> None:
     """Within a count of 33.9 ns in the time between lines, below 26 rpm not at all."""
     with program_bench(bench_design()) as place:

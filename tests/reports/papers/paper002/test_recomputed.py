@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hidden_compilers import hide_compilers
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
@@ -69,7 +69,7 @@ def test_drive_makes_its_torque_and_its_q_current_is_constant() -> None:
 def found() -> Reproduction:
     """Without a compiler: all but the closed loops."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shutil, "which", lambda _: None)
+        hide_compilers(patch)
         return reproduce_paper()
 
 
@@ -138,12 +138,13 @@ def test_copper_losses_of_dqx_over_dqy_in_closed_form(found: Reproduction) -> No
     assert found.curves.loss_ratio == pytest.approx(1.0137, abs=5e-5)
 
 
+@pytest.mark.slow
 def test_command_prints_both_values_and_writes_the_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from dqforge.cli import app
 
-    monkeypatch.setattr(shutil, "which", lambda _: None)
+    hide_compilers(monkeypatch)
     runner = CliRunner()
     shown = runner.invoke(app, ["reproduce", "002", "--figures", str(tmp_path)])
     assert shown.exit_code == 0, shown.output

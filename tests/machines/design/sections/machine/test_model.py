@@ -115,6 +115,18 @@ def test_flux_map_beside_the_design_becomes_the_machine(tmp_path: Path) -> None:
     assert any("fit.form is polynomial" in text for text in design.assumptions)
 
 
+def test_either_slash_leads_to_a_file_below_the_design(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    written(tmp_path / "maps", MAPPED, {"map.csv": TRUTH})
+    (tmp_path / "design.yaml").write_text(
+        MAPPED.replace("map.csv", "maps\\map.csv"), encoding="utf-8"
+    )
+    design = load_design(tmp_path / "design.yaml")
+    assert isinstance(design.machine, SaturatedMachine)
+    assert design.given is not None
+    assert [name for name, _ in design.given.named] == ["maps/map.csv"]
+
+
 def test_digest_covers_the_map(tmp_path: Path) -> None:
     path = written(tmp_path, MAPPED, {"map.csv": TRUTH})
     before = load_design(path).digest
@@ -363,3 +375,48 @@ def test_constants_do_not_stand_beside_a_saturation_model() -> None:
     )
     with pytest.raises(InputError, match="magnet_flux does not belong to the model 'saturation'"):
         loaded(text)
+
+
+def test_a_map_is_scaled_by_its_factors(tmp_path: Path) -> None:
+    scale = "  map_scale: {magnet: 1.1, inductance_q: 0.9, current: 105 %}\n"
+    text = MAPPED.replace("  max_current", scale + "  max_current")
+    plain = load_design(written(tmp_path, MAPPED, {"map.csv": TRUTH})).machine
+    design = load_design(written(tmp_path, text, {"map.csv": TRUTH}))
+    machine = design.machine
+    assert isinstance(machine, SaturatedMachine)
+    assert isinstance(plain, SaturatedMachine)
+    assert machine.psi_pm == pytest.approx(1.05 * 1.1 * plain.psi_pm, rel=1e-12)
+    assert machine.l_d == pytest.approx(plain.l_d, rel=1e-9)
+    assert machine.l_q == pytest.approx(0.9 * plain.l_q, rel=1e-9)
+    at = np.array([-40.0]), np.array([60.0])
+    before = plain.flux(at[0] / 1.05, at[1] / 1.05)
+    psi_d, psi_q = machine.flux(*at)
+    assert psi_d == pytest.approx(1.05 * (before[0] + 0.1 * plain.psi_pm), rel=1e-12)
+    assert psi_q == pytest.approx(1.05 * 0.9 * before[1], rel=1e-12)
+    told = [text for text in design.assumptions if "map_scale" in text]
+    assert told == [
+        "the flux map is scaled (machine.map_scale): magnet 1.1, inductance_q 0.9, current 1.05"
+    ]
+
+
+def test_factors_of_1_leave_a_map_as_it_is(tmp_path: Path) -> None:
+    text = MAPPED.replace("  max_current", "  map_scale: {magnet: 1}\n  max_current")
+    one, other = (
+        load_design(written(tmp_path, part, {"map.csv": TRUTH})).machine for part in (MAPPED, text)
+    )
+    assert isinstance(one, SaturatedMachine)
+    assert isinstance(other, SaturatedMachine)
+    assert one.flux_map.psi_d.tobytes() == other.flux_map.psi_d.tobytes()
+    assert one.flux_map.psi_q.tobytes() == other.flux_map.psi_q.tobytes()
+
+
+def test_a_scale_needs_a_map_that_covers_the_current(tmp_path: Path) -> None:
+    text = LINEAR.replace("  max_current", "  map_scale: {magnet: 1.1}\n  max_current")
+    with pytest.raises(InputError, match=r"9:3: machine.map_scale scales the flux map"):
+        load_text(text.encode(), "linear.yaml")
+    beyond = MAPPED.replace("  max_current", "  map_scale: {current: 0.8}\n  max_current")
+    with pytest.raises(InputError, match="lies beyond the flux map, which ends at 96 A"):
+        load_design(written(tmp_path, beyond, {"map.csv": TRUTH}))
+    far = MAPPED.replace("  max_current", "  map_scale: {current: 0.1}\n  max_current")
+    with pytest.raises(InputError, match=r"machine.map_scale.current"):
+        load_design(written(tmp_path, far, {"map.csv": TRUTH}))

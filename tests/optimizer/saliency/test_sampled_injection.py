@@ -14,7 +14,9 @@ from scipy.integrate import solve_ivp
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.observers.methods.injection import (
+from dqforge.optimizer.observers.trials import CurrentSensor
+from dqforge.optimizer.saliency.injection_run import track
+from dqforge.optimizer.saliency.sampled_injection import (
     admittance,
     angle_noise,
     cross_saturation_error,
@@ -23,8 +25,6 @@ from dqforge.optimizer.observers.methods.injection import (
     speed_error,
     usable_saliency,
 )
-from dqforge.optimizer.observers.methods.injection_run import track
-from dqforge.optimizer.observers.trials import CurrentSensor
 
 T_S = 1e-4
 
@@ -68,6 +68,7 @@ def test_admittance_is_the_steady_state_of_an_integration() -> None:
     assert y[0, 1] == 0.0
 
 
+@pytest.mark.thinned
 @pytest.mark.parametrize("samples", [2, 8])
 def test_noise_of_the_angle(samples: int) -> None:
     tracker = injection(IPM, T_S, 60.0, 120.0, samples=samples)

@@ -1,0 +1,286 @@
+"""The circle, the look-up table, sampled prediction and trajectory tracking, against geometry,
+brute force and the published table.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.errors import InputError
+from dqforge.machines.names import SampledRuleName
+from dqforge.machines.plants.current_feedback import best_states, simulate_currents
+from dqforge.machines.plants.current_regulators.circle import times_within
+from dqforge.machines.plants.current_regulators.pulse_patterns import (
+    LEAST_WIDTH,
+    amplitudes,
+    distortion,
+    optimal_pattern,
+)
+from dqforge.machines.plants.current_regulators.sampled_rules import (
+    RuleConstants,
+    RuleInputs,
+    SampledRule,
+)
+from dqforge.machines.plants.current_regulators.schemes import Circle, Sampled, Trajectory
+from dqforge.machines.plants.current_regulators.state_table import (
+    ACTIVE,
+    LEGS,
+    codes_of,
+    switching_table,
+    unit_vectors,
+)
+from dqforge.machines.plants.current_regulators.trajectory import (
+    TrajectoryController,
+    patterns_of,
+    steady_trajectory,
+)
+from dqforge.machines.plants.fed_machine import I_D, I_Q, BridgeDrive, build_plant
+
+SALIENT = LinearMachine(pole_pairs=3, r_s=2.35, l_d=1.2e-3, l_q=2.4e-3, psi_pm=0.06, i_max=6.4)
+DRIVE = BridgeDrive(SALIENT, 180.0)
+
+
+def vectors() -> FloatArray:
+    found = unit_vectors()
+    return np.asarray(found[:, 0] + 1j * found[:, 1])
+
+
+def test_states_and_their_vectors() -> None:
+    assert codes_of(LEGS).tolist() == list(range(8))
+    angles = np.angle(vectors()[list(ACTIVE)], deg=True) % 360.0
+    np.testing.assert_allclose(angles, 60.0 * np.arange(6), atol=1e-9)
+    np.testing.assert_allclose(np.abs(vectors()[list(ACTIVE)]), 2.0 / 3.0)
+
+
+def test_table_is_the_published_one_and_the_best_at_the_middle_of_each_sector() -> None:
+    """First row as printed; each entry pushes the current along the error, as no other of the three
+    does, where the counter voltage stands in the middle of its triangle.
+    """
+    table = switching_table()
+    assert table[0] == (1, 3, 3, 0, 0, 1)  # V1 V2 V2 V0 V0 V1 as codes of the legs
+    for sector in range(6):
+        three = [ACTIVE[sector], ACTIVE[(sector + 1) % 6], 0]
+        middle = np.mean(vectors()[three])
+        for region in range(6):
+            error = np.exp(1j * math.pi / 3.0 * region)
+            pushes = [((vectors()[code] - middle) * np.conj(error)).real for code in three]
+            assert table[sector][region] in three
+            chosen = ((vectors()[table[sector][region]] - middle) * np.conj(error)).real
+            assert chosen > 0.0
+            assert chosen == pytest.approx(max(pushes))
+
+
+def test_circle_keeps_the_error_within_it() -> None:
+    trace = simulate_currents(
+        DRIVE, Circle(0.5), [0.0, -1.0, 0.0], [2.0, 3.0, -2.0], [60.0, 250.0, 250.0]
+    )
+    error = np.hypot(
+        trace.state[..., I_D] - trace.plant.i_d, trace.state[..., I_Q] - trace.plant.i_q
+    )
+    assert np.max(error) <= 0.5 * (1.0 + 1e-6)
+    # Where it commutates it is on the circle.
+    changed = np.any(trace.legs[1:] != trace.legs[:-1], axis=-1)
+    assert np.sum(changed) > 50
+    np.testing.assert_allclose(error[1:][changed], 0.5, rtol=1e-8)
+
+
+def test_circle_takes_the_longest_predicted_time_and_some_state_always_leads_back() -> None:
+    """Predicted times against the exact run; the reachable voltage lies within the hexagon."""
+    generator = np.random.default_rng(5)
+    count = 200
+    i_d, i_q = generator.uniform(-2.0, 0.0, count), generator.uniform(-3.0, 3.0, count)
+    omega = generator.uniform(-1100.0, 1100.0, count)
+    plant = build_plant(DRIVE, i_d, i_q, omega)
+    needed = np.hypot(*SALIENT.voltage(i_d, i_q, omega))
+    assert np.all(needed < 180.0 / math.sqrt(3.0))
+    state, place = plant.start(LEGS[np.zeros(count, dtype=int)]), generator.uniform(0, 6.28, count)
+    state[:, I_D] += 0.05 * np.cos(place)
+    state[:, I_Q] += 0.05 * np.sin(place)
+    time = generator.uniform(0.0, 0.01, count)
+    tried = np.broadcast_to(np.arange(8)[:, None], (8, count))
+    within = times_within(plant, state, time, tried)
+    assert np.all(np.max(within, axis=0) > 0.0)
+    best = np.argmax(within[1:7], axis=0) + 1
+    for k in range(0, count, 10):
+        one = plant.part(slice(k, k + 1))
+        start = one.switched(state[k : k + 1], omega[k] * time[k : k + 1], LEGS[best[k : k + 1]])
+        lasts = float(within[best[k], k])
+        for share, inside in ((0.5, True), (0.9, True), (1.15, False)):
+            end = one.advance(start, share * lasts)[0]
+            size = math.hypot(end[I_D] - i_d[k], end[I_Q] - i_q[k])
+            assert (size < 0.05) == inside
+
+
+def sample(count: int, seed: int) -> tuple[RuleInputs, FloatArray]:
+    generator = np.random.default_rng(seed)
+    draw = generator.uniform
+    theta = draw(0.0, 2.0 * math.pi, count)
+    told = RuleInputs(
+        draw(-3.0, 0.0, count), draw(-4.0, 4.0, count), draw(-4.0, 1.0, count),
+        draw(-5.0, 5.0, count), np.cos(theta), np.sin(theta), draw(-900.0, 900.0, count),
+        np.full(count, 180.0),
+    )  # fmt: skip
+    return told, theta
+
+
+RULES: tuple[SampledRuleName, ...] = ("predictive", "circle", "look-up-table")
+
+
+def constants(rule: SampledRuleName, t_s: float = 20e-6, band: float = 0.6) -> RuleConstants:
+    return RuleConstants(
+        rule, SALIENT.r_s, SALIENT.l_d, SALIENT.l_q, SALIENT.psi_pm, t_s, band, 3.0 * band
+    )
+
+
+def test_sampled_prediction_is_the_exact_best_state_one_sample_later() -> None:
+    """The rule's short model against the exact solution over two samples."""
+    count, t_s = 300, 20e-6
+    told, theta = sample(count, 11)
+    codes = np.random.default_rng(1).integers(0, 8, count)
+    named = SampledRule(constants("predictive", t_s)).next_codes(codes, told)
+    agreeing = 0
+    for k in range(count):
+        plant = build_plant(
+            DRIVE, told.i_d_ref[k : k + 1], told.i_q_ref[k : k + 1], told.omega_e[k : k + 1]
+        )
+        time = theta[k : k + 1] / told.omega_e[k]
+        state = plant.start(LEGS[codes[k : k + 1]])
+        state[:, I_D], state[:, I_Q] = told.i_d[k], told.i_q[k]
+        state = plant.switched(state, theta[k : k + 1], LEGS[codes[k : k + 1]])
+        later = plant.advance(state, t_s)
+        best = best_states(plant, later, time + t_s, LEGS[codes[k : k + 1]], t_s)
+        agreeing += int(codes_of(best)[0] == named[k])
+    assert agreeing >= 0.98 * count
+
+
+def test_rules_in_both_precisions_name_the_same_and_survive_nan() -> None:
+    told, _ = sample(400, 12)
+    codes = np.random.default_rng(2).integers(0, 8, 400)
+    for rule in RULES:
+        named = [SampledRule(constants(rule), real).next_codes(codes, told)
+                 for real in (np.float64, np.float32)]  # fmt: skip
+        assert np.mean(named[0] == named[1]) > 0.99
+        assert len(set(named[0].tolist())) >= 6
+        lost = RuleInputs(*(np.full(400, math.nan) for _ in range(8)))
+        np.testing.assert_array_equal(SampledRule(constants(rule)).next_codes(codes, lost), codes)
+
+
+def test_table_rule_finds_sector_region_and_both_bands() -> None:
+    """Sector and region by angles of complex numbers, without the comparisons of the rule."""
+    told, theta = sample(500, 13)
+    codes = np.random.default_rng(3).integers(0, 8, 500)
+    known = constants("look-up-table", 1e-9)  # so short that nothing moves meanwhile
+    named = SampledRule(known).next_codes(codes, told)
+    turn = np.exp(1j * theta)
+    error = ((told.i_d_ref - told.i_d) + 1j * (told.i_q_ref - told.i_q)) * turn
+    v_d, v_q = SALIENT.voltage(told.i_d_ref, told.i_q_ref, told.omega_e)
+    sector = (np.angle((v_d + 1j * v_q) * turn, deg=True) % 360.0 // 60.0).astype(int)
+    region = (np.round(np.angle(error, deg=True) / 60.0) % 6).astype(int)
+    phases = np.abs(np.real(error[:, None] * np.exp(-2j * math.pi / 3.0 * np.arange(3))))
+    largest = np.max(phases, axis=-1)
+    for k in range(500):
+        if largest[k] <= 0.6:
+            expected = {int(codes[k])}
+        elif largest[k] > 1.8:
+            expected = {ACTIVE[region[k]]}
+        else:
+            entry = switching_table()[sector[k]][region[k]]
+            expected = {entry} if entry else {0, 7}
+        assert int(named[k]) in expected
+    assert np.sum(largest <= 0.6) > 5
+    assert np.sum((largest > 0.6) & (largest <= 1.8)) > 30
+
+
+@pytest.mark.slow
+def test_fast_sampled_circle_stays_in_the_circle() -> None:
+    """With samples that move the error by a twelfth of the radius it never leaves."""
+    trace = simulate_currents(
+        DRIVE, Sampled("circle", 5e-6, 1.5, real=np.float64), 0.0, 2.0, 250.0, settling=1
+    )
+    error = np.hypot(trace.state[..., I_D], trace.state[..., I_Q] - 2.0)
+    assert np.max(error) <= 1.5 * 1.005
+    assert np.max(error) > 1.35
+
+
+def test_patterns_make_their_fundamental_and_keep_their_widths() -> None:
+    for count, index in ((1, 0.4), (3, 0.8), (5, 1.0)):
+        pattern = optimal_pattern(count, index)
+        edges, levels = pattern.edges()
+        assert edges.size == 4 * count + 2
+        # Fourier series of the edges themselves.
+        for order in (1, 2, 3, 5, 7):
+            fine = np.exp(-1j * order * np.append(edges, 2.0 * math.pi))
+            found = np.sum(levels * (fine[:-1] - fine[1:])) / (1j * order) / math.pi
+            expected = pattern.amplitudes(np.array([float(order)]))[0] if order % 2 else 0.0
+            assert abs(found - (-1j) * expected) < 1e-9
+        assert pattern.amplitudes(np.ones(1))[0] == pytest.approx(index, abs=1e-7)
+        assert np.min(np.diff(edges)) >= LEAST_WIDTH * (1.0 - 1e-6)
+
+
+def test_pattern_of_two_angles_is_the_best_of_all() -> None:
+    """One angle follows from the other, so that all pairs can be tried."""
+    index, best = 0.9, math.inf
+    for sign in (1, -1):
+        for first in np.linspace(LEAST_WIDTH, 0.5 * math.pi, 4000):
+            cosine = 0.5 * (sign * index * math.pi / 4.0 - 1.0) + math.cos(first)
+            if abs(cosine) < 1.0 and math.acos(cosine) >= first + LEAST_WIDTH:
+                pair = np.array([first, math.acos(cosine)])
+                if pair[1] < 0.5 * math.pi - 0.5 * LEAST_WIDTH:
+                    best = min(best, distortion(pair, sign))
+    pattern = optimal_pattern(2, index)
+    assert distortion(pattern.angles, pattern.sign) == pytest.approx(best, rel=2e-3)
+    assert amplitudes(pattern.angles, pattern.sign, np.ones(1))[0] == pytest.approx(index)
+
+
+def tracked_error(offset: tuple[float, float], *, tracking: bool) -> tuple[FloatArray, FloatArray]:
+    """Times in s and distances in A from the steady trajectory."""
+    scheme = Trajectory(3, 50e-6, offset, tracking)
+    trace = simulate_currents(DRIVE, scheme, 0.0, 3.0, 400.0, settling=0)
+    plant = trace.plant
+    steady = TrajectoryController(steady_trajectory(plant, *patterns_of(plant, 3)), 1.0)
+    at = np.stack([steady.steady_state(plant, time)[0] for time in trace.time])
+    away = np.hypot(trace.state[:, 0, I_D] - at[:, I_D], trace.state[:, 0, I_Q] - at[:, I_Q])
+    return trace.time[:, 0], away
+
+
+@pytest.mark.slow
+def test_trajectory_is_steady_and_tracking_removes_an_error_faster_than_the_winding() -> None:
+    _, still = tracked_error((0.0, 0.0), tracking=True)
+    assert np.max(still) < 1e-6
+    time, alone = tracked_error((1.0, -1.0), tracking=False)
+    moved, tracked = tracked_error((1.0, -1.0), tracking=True)
+    late = 1.5e-3
+    assert np.max(tracked[moved > late]) < 0.02
+    assert np.max(alone[time > late]) > 0.1
+
+
+def test_trajectory_has_the_frequency_and_fundamental_of_its_pattern() -> None:
+    trace = simulate_currents(DRIVE, Trajectory(2, 100e-6), -0.5, 2.0, 300.0)
+    electrical = 3.0 * 300.0 / (2.0 * math.pi)
+    assert trace.switching_frequency().average[0] == pytest.approx(5.0 * electrical, rel=1e-9)
+    assert trace.spectrum([1])[0, 0, 0] == pytest.approx(-0.5 + 2.0j, abs=1e-3)
+    power = trace.power_balance()
+    np.testing.assert_allclose(power.dc_link - power.copper, power.shaft + power.stored, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "omega_m", "words"),
+    [
+        (Circle(0.0), 100.0, "radius: expected a positive number in A"),
+        (Circle(1e-6), 100.0, "wider band"),
+        (Circle(0.3), 800.0, "the bridge makes 103.9 V"),
+        (Sampled("predictive", 0.0), 100.0, "t_s"),
+        (Sampled("circle", 20e-6), 100.0, "band"),
+        (Sampled("look-up-table", 20e-6, 0.4, 0.2), 100.0, "outer_band"),
+        (Trajectory(0, 20e-6), 100.0, "angles"),
+        (Trajectory(2, 20e-6), -100.0, "positive speeds"),
+    ],
+)
+def test_refused(scheme: Circle | Sampled | Trajectory, omega_m: float, words: str) -> None:
+    with pytest.raises(InputError, match=words.replace("(", r"\(")):
+        simulate_currents(DRIVE, scheme, 0.0, 2.0, omega_m)

@@ -1,0 +1,86 @@
+"""The network: its tangent, its gradient, and the same bytes every time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from learned_drives import learned_observer
+
+from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.learned_correction.correction_frame import TOLD
+from dqforge.optimizer.learned_correction.network import (
+    TANH_ERROR,
+    Network,
+    answered,
+    hyperbolic_tangent,
+    mean_square,
+    trained_network,
+)
+from dqforge.optimizer.observers.parts import EXACT, cast
+from dqforge.reports.c_code.float32_functions import SINGLE
+
+
+def test_the_tangent_is_bounded_and_as_near_as_stated() -> None:
+    x = np.concatenate([np.linspace(-12.0, 12.0, 400_001), [-3e38, 3e38]]).astype(np.float32)
+    found = hyperbolic_tangent(x, SINGLE)
+    assert found.dtype == np.float32
+    assert np.max(np.abs(found)) <= 1.0
+    assert np.max(np.abs(found - np.tanh(x.astype(np.float64)))) < TANH_ERROR
+    assert np.all(np.diff(hyperbolic_tangent(x[:-2].astype(np.float64), EXACT)) >= 0.0)
+
+
+@pytest.mark.parametrize("hidden", [(1, 1), (4, 3), (16, 16)])
+def test_the_gradient_is_that_of_differences(hidden: tuple[int, int]) -> None:
+    generator = np.random.default_rng(2)
+    x, wanted = generator.uniform(-1.0, 1.0, (TOLD, 200)), generator.uniform(-0.9, 0.9, 200)
+    cost = mean_square(x, wanted, *hidden)
+    first, second = hidden
+    flat = 0.7 * generator.standard_normal((TOLD + 1) * first + (first + 1) * second + second + 1)
+    _, gradient = cost(flat)
+    for _ in range(5):
+        way = generator.standard_normal(flat.size)
+        slope = (cost(flat + 1e-6 * way)[0] - cost(flat - 1e-6 * way)[0]) / 2e-6
+        assert slope == pytest.approx(float(gradient @ way), rel=1e-5, abs=1e-9)
+
+
+def toy_answers() -> tuple[FloatArray, FloatArray]:
+    """Inputs, and what a network is to answer to them."""
+    x = np.random.default_rng(9).uniform(-1.0, 1.0, (6, 600))
+    return x, 0.5 * x[0] * x[3] - 0.2 * np.abs(x[1])
+
+
+@cache
+def toy_network() -> Network:
+    """A network that has learned them."""
+    return trained_network(*toy_answers(), (5, 4), 1.0)
+
+
+def test_training_repeats_to_the_bit_and_learns() -> None:
+    x, wanted = toy_answers()
+    first = toy_network()
+    assert first == trained_network(x, wanted, (5, 4), 1.0)
+    assert first.size == 5 * 5 + 5 + 5 * 4 + 4 + 4 + 1
+    assert all(np.float32(value) == value for value in first.weights_1)
+    left = answered(first, 1.0, tuple(x), EXACT) - wanted
+    assert np.std(left) < 0.1 * np.std(wanted)
+
+
+@pytest.mark.parametrize("trained", ["toy", pytest.param("neural", marks=pytest.mark.slow)])
+def test_the_limit_bounds_whatever_the_weights(trained: str) -> None:
+    network = toy_network() if trained == "toy" else learned_observer("neural").gains.network
+    x = np.random.default_rng(1).uniform(-50.0, 50.0, (6, 200_000)).astype(np.float32)
+    for factor in (1.0, 1e3):
+        weights = tuple(factor * value for value in network.weights_3)
+        loud = cast(replace(network, weights_3=weights), SINGLE)
+        found = np.abs(answered(loud, np.float32(0.35), tuple(x), SINGLE))
+        assert np.max(found) <= np.float32(0.35)
+    assert np.max(found) > 0.99999 * 0.35
+
+
+def test_layers_that_do_not_fit_are_refused() -> None:
+    network = toy_network()
+    with pytest.raises(ValueError, match="do not fit"):
+        replace(network, weights_2=network.weights_2[:-1])
