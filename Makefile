@@ -7,7 +7,7 @@ DEMO_DESIGN ?= paper000-ipmsm-100kw
 # The tests start the package in some hundred processes: its modules are compiled once, not by each of them.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test importers campaign coverage check lint types contracts format figures wheel lock clean
+.PHONY: demo test importers campaign coverage check lint types contracts format figures sessions docs page-checks wheel sbom schemas site-checks lock clean
 
 demo: $(VENV)/runtime.stamp
 	@mkdir -p out
@@ -51,18 +51,52 @@ format: $(VENV)/dev.stamp
 	$(BIN)/ruff check --fix .
 
 figures: $(VENV)/dev.stamp
-	$(BIN)/python docs/make_figures.py
+	$(BIN)/python docs/drawing/make_figures.py
 
+# What the pages whose sessions are run say that comes, and the figures that they draw; read what it wrote.
+sessions: $(VENV)/dev.stamp
+	$(BIN)/python tests/documented_sessions.py --update docs/tutorials/*.md docs/how-to/*.md
+
+# Generated copies in the package, for editors; a test holds them against the models.
+schemas: $(VENV)/dev.stamp
+	$(BIN)/dqforge schema -o machines/library/schemas/design.schema.json
+	$(BIN)/dqforge schema --study -o machines/library/schemas/study.schema.json
+
+# The site of the documentation, in out/docs; a warning is an error.
+docs: $(VENV)/dev.stamp
+	rm -rf out/docs
+	$(BIN)/sphinx-build -b html -E -W --keep-going -n -q -d out/doctrees docs out/docs
+
+# Links of the site, and the spelling of the site and of a report; needs aspell with British English.
+site-checks: docs
+	$(BIN)/linkchecker -f docs/linkchecker.ini out/docs/index.html
+	$(BIN)/dqforge run $(DEMO_DESIGN) -o out/demo --no-verify
+	$(BIN)/pyspelling -c docs/spelling.yaml
+
+# Accessibility, HTML, links into folded parts, print and size of the reports of these drives and of a study, and of pages
+# of the site, where there is one (make docs). Needs node, npm, java and chromium; see docs/reference/report.md.
+PAGE_DRIVES := paper000-ipmsm-100kw paper001-pmsm-bench paper002-phase-waveforms salient-phase-waveforms baldor-pmsyrm-5k6 examples/six-step-drive.yaml
+page-checks: $(VENV)/runtime.stamp .ci/pages/node_modules
+	@PATH="$(CURDIR)/$(BIN):$$PATH" bash .ci/pages/check-pages $(PAGE_DRIVES)
+
+.ci/pages/node_modules: .ci/pages/package-lock.json
+	cd .ci/pages && npm ci --ignore-scripts --no-audit --no-fund
+	@touch $@
+
+# Wheel and source archive, the same bytes from the same files.
 wheel: $(VENV)/dev.stamp
-	rm -rf build dist
-	$(BIN)/python -m build
+	$(BIN)/python release/build_distributions.py
+
+# What a locked installation consists of, beside the wheel.
+sbom: $(VENV)/dev.stamp
+	$(BIN)/python release/bill_of_materials.py
 
 # Needs uv; the locks hold the hashes of every file that may be installed.
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q \
 	    pyproject.toml --extra build -o requirements.lock
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q \
-	    pyproject.toml --extra build --extra test --extra dev -o requirements-dev.lock
+	    pyproject.toml --extra build --extra test --extra docs --extra cc --extra dev -o requirements-dev.lock
 	uv pip compile --no-deps --generate-hashes --no-header --no-annotate -q \
 	    requirements-importers.in -o requirements-importers.lock
 
