@@ -48,7 +48,7 @@ class Cluster:
         started = self._start(
             "scheduler", words, {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
         )
-        until = time.monotonic() + 60.0
+        until = time.monotonic() + 300.0
         while not self.file.exists():
             assert time.monotonic() < until
             assert started.poll() is None

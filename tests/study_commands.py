@@ -6,19 +6,15 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import psutil
 from study_trials import MACHINES, POINTS, loop_names, outputs
+from study_workers import parts_in
 
 STRANGE_WORKERS = Path(__file__).resolve().parent / "strange_workers"
 
@@ -99,7 +95,7 @@ class Command:
 
     def parts(self) -> int:
         """How many parts are there."""
-        return len([*self.out.glob("parts/part-*.parquet")])
+        return parts_in(self.out)
 
     def wait_for_parts(self, count: int) -> None:
         """Wait until so many parts are there."""
@@ -125,47 +121,6 @@ class Command:
 def explored(study: Path, out: Path, *words: object, **environment: str) -> Ended:
     """The command, run to its end."""
     return Command(study, out, *words, **environment).end()
-
-
-def workers_of(process: int) -> list[psutil.Process]:
-    """Worker processes that a process started, or that its children did."""
-    found = []
-    with suppress(psutil.NoSuchProcess):
-        for child in psutil.Process(process).children(recursive=True):
-            with suppress(psutil.NoSuchProcess):
-                if "spawn_main" in " ".join(child.cmdline()):
-                    found.append(child)
-    return found
-
-
-@contextmanager
-def killing_workers(command: Command, every: float) -> Iterator[list[int]]:
-    """Kill one worker of a command after the other while parts come; the list of them.
-
-    On a machine so busy that no part comes in ``every`` seconds the next one is waited for: workers
-    that are all killed while they start compute nothing, ever.
-    """
-    done, killed, drawn = threading.Event(), list[int](), random.Random(1)
-
-    def kill() -> None:
-        seen = command.parts()
-        while not done.wait(every):
-            there = command.parts()
-            found = workers_of(command.process.pid) if there > seen else []
-            if found:
-                seen = there
-                chosen = drawn.choice(found)
-                with suppress(psutil.NoSuchProcess):
-                    chosen.kill()
-                    killed.append(chosen.pid)
-
-    thread = threading.Thread(target=kill)
-    thread.start()
-    try:
-        yield killed
-    finally:
-        done.set()
-        thread.join()
 
 
 def strange(**asked: object) -> dict[str, str]:

@@ -237,7 +237,7 @@ class Terminal(io.StringIO):
         return True
 
     def waits_for(self, text: str) -> bool:
-        end = time.monotonic() + 20.0
+        end = time.monotonic() + 120.0
         while text not in self.getvalue() and time.monotonic() < end:
             time.sleep(0.01)
         return text in self.getvalue()

@@ -195,9 +195,9 @@ def test_the_simulated_drive_is_the_same_up_to_the_library_of_functions(
             continue
         # What a drive does not have is no number in either.
         scale = float(np.max(np.abs(here[name]), initial=1e-12, where=~np.isnan(here[name])))
-        assert np.allclose(
-            here[name], there[name], rtol=0.0, atol=1e-4 * scale, equal_nan=True
-        ), name
+        assert np.allclose(here[name], there[name], rtol=0.0, atol=1e-4 * scale, equal_nan=True), (
+            name
+        )
 
 
 @pytest.mark.parametrize("other", OTHERS, ids=named)

@@ -31,7 +31,7 @@ def looked_at(monkeypatch: pytest.MonkeyPatch) -> Terminal:
 
 def shown(terminal: Terminal, text: str) -> bool:
     """Whether a text appears within some seconds."""
-    end = time.monotonic() + 20.0
+    end = time.monotonic() + 120.0
     while text not in terminal.getvalue() and time.monotonic() < end:
         time.sleep(0.01)
     return text in terminal.getvalue()

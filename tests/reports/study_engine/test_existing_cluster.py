@@ -11,6 +11,7 @@ import pytest
 from study_clusters import TESTS, certificates, cluster, end, free_port
 from study_rows import StudyRows
 from study_runs import parts_hash, rows_there, run_in
+from study_workers import parts_in
 
 from dqforge import __version__
 from dqforge.machines.errors import InputError
@@ -107,8 +108,8 @@ def test_a_scheduler_that_is_lost_leaves_what_is_done(tmp_path: Path) -> None:
         settings = EngineSettings(scheduler=there.address)
 
         def kill_when_under_way() -> None:
-            until = time.monotonic() + 60.0
-            while len([*folder.glob("parts/part-*.parquet")]) < 5 and time.monotonic() < until:
+            until = time.monotonic() + 300.0
+            while parts_in(folder) < 5 and time.monotonic() < until:
                 time.sleep(0.05)
             there.scheduler.kill()
 

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 from study_clusters import certificates, cluster
-from study_commands import Command, Ended, explored, killing_workers, linear_study, strange
+from study_commands import Command, Ended, explored, linear_study, strange
 from study_runs import rows_there
+from study_workers import killing_workers
 
 from dqforge.reports.study_engine.engine_settings import TlsFiles
 
@@ -95,7 +96,7 @@ def test_a_study_that_is_disturbed_in_every_way_has_the_bytes_of_one_that_is_not
         out = room.folder / "study"
         for least in (4, 10):
             run = Command(study, out, "--workers", 8)
-            with killing_workers(run, 2.0) as killed:
+            with killing_workers(run.out, 2.0, run.process.pid, run.parts()) as killed:
                 run.wait_for_parts(least)
                 while not killed:
                     assert run.process.poll() is None
@@ -107,7 +108,7 @@ def test_a_study_that_is_disturbed_in_every_way_has_the_bytes_of_one_that_is_not
         full_disk(study, out, room)
         lost_scheduler(study, out, tls)
         run = Command(study, out, "--workers", 8)
-        with killing_workers(run, 3.0) as killed:
+        with killing_workers(run.out, 3.0, run.process.pid, run.parts()) as killed:
             ended = run.end()
         assert (ended.code, ended.err) == (0, "")
         assert killed
