@@ -1,22 +1,19 @@
 """The house: floors and rooms without circles, rooms of a size that can be surveyed, names with
 one meaning, and tests that mirror the rooms.
 
-Imports are read from the source, wherever they stand in it: inside functions and for the type
-checker alone too.
+Imports are those that stand in the source, wherever: inside functions and for the type checker
+alone too.
 """
 
 from __future__ import annotations
 
-import ast
 import re
 from collections import Counter
-from functools import cache
 from pathlib import Path
 
 import pytest
+from house import FLOORS, ROOT, Imports, imports, modules
 
-ROOT = Path(__file__).resolve().parent.parent
-FLOORS = ("machines", "optimizer", "reports")
 LARGEST_ROOM = 16
 # What several rooms may call a part of theirs: the room says of what.
 # fmt: off
@@ -35,36 +32,6 @@ FACES = (
     "reports.answers",
     "reports.session",
 )
-
-Imports = dict[str, set[str]]
-
-
-@cache
-def modules() -> dict[str, Path]:
-    """Every module of the three floors by its dotted name without the package's."""
-    found = {}
-    for floor in FLOORS:
-        for path in sorted((ROOT / floor).rglob("*.py")):
-            name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
-            found[name.removesuffix(".__init__")] = path
-    return found
-
-
-def imported(path: Path) -> set[str]:
-    """Modules of the package that a file imports."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("dqforge."):
-            where = str(node.module).removeprefix("dqforge.")
-            for name in node.names:
-                whole = f"{where}.{name.name}"
-                found.add(whole if whole in modules() else where)
-    return found & set(modules())
-
-
-@cache
-def imports() -> Imports:
-    return {name: imported(path) - {name} for name, path in modules().items()}
 
 
 def room(module: str) -> str:
