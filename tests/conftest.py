@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,10 @@ settings.register_profile("dqforge", deadline=None, derandomize=bool(os.environ.
 settings.load_profile("dqforge")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+# What is started in the background of a script has Ctrl-C ignored, and hands that down to every
+# command that the tests start and interrupt.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Modules and tests that are collected stay to the end: no collector need walk them, then or later.
 gc.disable()
