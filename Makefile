@@ -69,7 +69,7 @@ docs: $(VENV)/dev.stamp
 
 # Links of the site, and the spelling of the site and of a report; needs aspell with British English.
 site-checks: docs
-	$(BIN)/linkchecker -f docs/linkchecker.ini out/docs/index.html
+	$(BIN)/python tests/site_links.py -f docs/linkchecker.ini out/docs/index.html
 	$(BIN)/dqforge run $(DEMO_DESIGN) -o out/demo --no-verify
 	$(BIN)/pyspelling -c docs/spelling.yaml
 
