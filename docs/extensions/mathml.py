@@ -24,6 +24,22 @@ _NAMESPACE = "http://www.w3.org/1998/Math/MathML"
 _SPOKEN = {r"\langle": "\u27e8", r"\rangle": "\u27e9", r"\arg": "arg"}
 """What the converter leaves as it stands."""
 
+_ENVIRONMENTS = {"{aligned}": "{align*}"}
+"""What GitHub knows within two dollars, and what the converter calls it."""
+
+_PRIMES = ("\u2032", "\u2033")
+
+_BOLD = {
+    "bold": (("A", "Z", 0x1D400), ("a", "z", 0x1D41A), ("0", "9", 0x1D7CE)),
+    "bold-italic": (
+        ("A", "Z", 0x1D468),
+        ("a", "z", 0x1D482),
+        ("\u0391", "\u03a9", 0x1D71C),
+        ("\u03b1", "\u03c9", 0x1D736),
+    ),
+}
+"""First and last letter of each alphabet, and where its bold one begins in Unicode."""
+
 
 def mathml(formula: str, *, block: bool) -> str:
     """MathML of a formula in LaTeX.
@@ -40,6 +56,8 @@ def mathml(formula: str, *, block: bool) -> str:
     ValueError
         The converter refuses it, or leaves a command as it stands.
     """
+    for known, called in _ENVIRONMENTS.items():
+        formula = formula.replace(known, called)
     try:
         made = convert(formula, display="block" if block else "inline")
         tree = ElementTree.fromstring(made.replace(f' xmlns="{_NAMESPACE}"', "", 1))
@@ -50,6 +68,10 @@ def mathml(formula: str, *, block: bool) -> str:
         _set_labels_upright(leaf)
         if block:
             _put_limits_below(leaf)
+        _set_bold(leaf)
+        _keep_bars_small(leaf)
+    for leaf in list(tree.iter()):
+        _set_primes(leaf)
     left = re.search(r"\\[A-Za-z]+|&", "".join(tree.itertext()))
     if left:
         raise ValueError(f"{left[0]} is not known to the converter")
@@ -75,6 +97,43 @@ def _put_limits_below(leaf: ElementTree.Element) -> None:
     first = leaf[0].text if len(leaf) else ""
     if leaf.tag == "msub" and first in ("min", "max", "lim", "sup", "inf"):
         leaf.tag = "munder"
+
+
+def _set_bold(leaf: ElementTree.Element) -> None:
+    """Letters that are bold in Unicode, since browsers know no other variant than that."""
+    begins = _BOLD.get(leaf.attrib.get("mathvariant", ""))
+    letter = leaf.text or ""
+    if begins is None or len(letter) != 1:
+        return
+    for first, last, bold in begins:
+        if first <= letter <= last:
+            leaf.text = chr(bold + ord(letter) - ord(first))
+            del leaf.attrib["mathvariant"]
+
+
+def _keep_bars_small(leaf: ElementTree.Element) -> None:
+    """Bars that are not asked to grow keep their size, however high their line is."""
+    if leaf.tag == "mo" and leaf.text in ("|", "\u2016") and "stretchy" not in leaf.attrib:
+        leaf.set("stretchy", "false")
+
+
+def _set_primes(leaf: ElementTree.Element) -> None:
+    """A prime is high up by itself: beside its letter, with the subscript behind both."""
+    if leaf.tag not in ("msup", "msubsup") or (leaf[-1].text or "") not in _PRIMES:
+        return
+    parts = list(leaf)
+    prime = ElementTree.Element("mo", {"lspace": "0em", "rspace": "0em"})
+    prime.text = parts[-1].text
+    for part in parts:
+        leaf.remove(part)
+    if leaf.tag == "msup":
+        leaf.tag = "mrow"
+        leaf.extend([parts[0], prime])
+    else:
+        leaf.tag = "msub"
+        primed = ElementTree.SubElement(leaf, "mrow")
+        primed.extend([parts[0], prime])
+        leaf.append(parts[1])
 
 
 def _visit(translator: HTML5Translator, node: nodes.math | nodes.math_block, block: bool) -> None:
