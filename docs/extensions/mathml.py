@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 from docutils import nodes
 from latex2mathml.converter import convert
+from sphinx.transforms.post_transforms import SphinxPostTransform
 from sphinx.util import logging
 
 if TYPE_CHECKING:
@@ -26,6 +27,12 @@ _SPOKEN = {r"\langle": "\u27e8", r"\rangle": "\u27e9", r"\arg": "arg"}
 
 _ENVIRONMENTS = {"{aligned}": "{align*}"}
 """What GitHub knows within two dollars, and what the converter calls it."""
+
+_BEFORE, _AFTER = re.compile(r"[(\[]+$"), re.compile(r"^[.,;:)\]]+")
+
+_CLOSE = ("|", "\u2016", "/")
+_SIGNS = ("+", "\u2212", "\u00b1", "\u2213")
+_OPENING = tuple("([{,;=<>\u2264\u2265\u2208\u2190\u2192\u2248\u2260\u22c5\u00d7")
 
 _PRIMES = ("\u2032", "\u2033")
 
@@ -69,7 +76,7 @@ def mathml(formula: str, *, block: bool) -> str:
         if block:
             _put_limits_below(leaf)
         _set_bold(leaf)
-        _keep_bars_small(leaf)
+        _space_as_in_print(leaf)
     for leaf in list(tree.iter()):
         _set_primes(leaf)
     left = re.search(r"\\[A-Za-z]+|&", "".join(tree.itertext()))
@@ -111,10 +118,22 @@ def _set_bold(leaf: ElementTree.Element) -> None:
             del leaf.attrib["mathvariant"]
 
 
-def _keep_bars_small(leaf: ElementTree.Element) -> None:
-    """Bars that are not asked to grow keep their size, however high their line is."""
-    if leaf.tag == "mo" and leaf.text in ("|", "\u2016") and "stretchy" not in leaf.attrib:
-        leaf.set("stretchy", "false")
+def _space_as_in_print(leaf: ElementTree.Element) -> None:
+    """Bars that are not asked to grow, and strokes of fractions, are close to what is beside them.
+
+    A sign that follows an operator or a bracket belongs to what comes next.
+    """
+    before = "("
+    for each in leaf:
+        text = each.text or ""
+        if each.tag == "mo" and text in _CLOSE and "stretchy" not in each.attrib:
+            each.attrib.update(lspace="0em", rspace="0em")
+            if text != "/":
+                each.set("stretchy", "false")
+        if each.tag == "mo" and text in _SIGNS and before in _OPENING:
+            each.set("form", "prefix")
+        if each.tag != "mspace":
+            before = text if each.tag == "mo" else ""
 
 
 def _set_primes(leaf: ElementTree.Element) -> None:
@@ -145,6 +164,9 @@ def _visit(translator: HTML5Translator, node: nodes.math | nodes.math_block, blo
     if block:
         # Wide formulas scroll on narrow screens, by the keyboard as well.
         made = f'<div class="formula" tabindex="0">{made}</div>\n'
+    elif "before" in node or "after" in node:
+        beside = [translator.encode(node.get(name, "")) for name in ("before", "after")]
+        made = f'<span class="joined">{beside[0]}{made}{beside[1]}</span>'
     translator.body.append(made)
     raise nodes.SkipNode
 
@@ -153,11 +175,31 @@ def _inline(translator: HTML5Translator, node: nodes.math) -> None:
     _visit(translator, node, block=False)
 
 
+class JoinPunctuation(SphinxPostTransform):
+    """No line begins with the full stop, and none ends with the bracket, of a formula within it."""
+
+    default_priority = 900
+    formats = ("html",)
+
+    def run(self, **_: Any) -> None:
+        """Move what touches a formula into its node."""
+        for formula in list(self.document.findall(nodes.math)):
+            at, around = formula.parent.index(formula), formula.parent
+            for step, name, touching in ((1, "after", _AFTER), (-1, "before", _BEFORE)):
+                beside = around[at + step] if 0 <= at + step < len(around) else None
+                found = touching.search(beside.astext()) if isinstance(beside, nodes.Text) else None
+                if found is not None and isinstance(beside, nodes.Text):
+                    formula[name] = found[0]
+                    rest = beside.astext()[found.end() :] if step == 1 else beside[: found.start()]
+                    around.replace(beside, nodes.Text(rest))
+
+
 def _block(translator: HTML5Translator, node: nodes.math_block) -> None:
     _visit(translator, node, block=True)
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Offer the renderer that conf.py names."""
+    app.add_post_transform(JoinPunctuation)
     app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}
