@@ -92,6 +92,8 @@ def test_no_text_is_cut_off(tmp_path: Path) -> None:
 
 DRAWN_FAST = {
     "current-loop-step": ("figures_gains", "current_loop_step"),
+    "firmware-moteus": ("figures_firmware_pages", "moteus"),
+    "firmware-odrive": ("figures_firmware_pages", "odrive"),
     "hysteresis-frequency": ("figures_current_feedback", "hysteresis_over_speed"),
     "modulation-family": ("figures_modulation", "zero_sequences"),
     "phase-waveforms": ("figures_waveforms", "phase_waveforms"),

@@ -36,7 +36,7 @@ def shipped(name: str) -> Study:
 
 
 @contextmanager
-def _viewed(study: Study) -> Iterator[StudyView]:
+def viewed(study: Study) -> Iterator[StudyView]:
     """A study computed here, in this process, and what its rows say."""
     plan = StudyPlan(study)
     header = study_header(study, plan)
@@ -51,7 +51,7 @@ def _viewed(study: Study) -> Iterator[StudyView]:
 @style()
 def front(path: Path) -> None:
     """Losses and ripple of every module, frequency and modulator; the front among the allowed."""
-    with _viewed(shipped("modules-and-modulators")) as view:
+    with viewed(shipped("modules-and-modulators")) as view:
         rows = view.pictured
         losses, ripple = (rows.columns[goal.column] for goal in view.question.goals)
         found = view.summary.front
@@ -74,7 +74,7 @@ def yields(path: Path) -> None:
     """Torque error and loss penalty of drawn machines under one header, with what is accepted."""
     study = shipped("production-yield")
     assert study.draw is not None
-    with _viewed(replace(study, draw=replace(study.draw, count=_DRAWN))) as view:
+    with viewed(replace(study, draw=replace(study.draw, count=_DRAWN))) as view:
         spread = dict(zip(view.question.spread, view.summary.spread, strict=True))
         bounds = {each.column: each.below for each in view.question.accept}
     figure = new_figure("study-yield", 2.8, "Errors of drawn machines", arranged=True)

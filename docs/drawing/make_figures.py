@@ -17,7 +17,9 @@ import figures_estimators
 import figures_explore
 import figures_explore_statistics
 import figures_firmware_loops
+import figures_firmware_pages
 import figures_firmware_simulation
+import figures_firmware_vendors
 import figures_fixed_control
 import figures_fixed_point
 import figures_fixed_reference
@@ -44,6 +46,7 @@ import figures_speed_measurement
 import figures_stability
 import figures_start_up
 import figures_start_up_bench
+import figures_study_pages
 import figures_waveforms
 import figures_weakening
 
@@ -66,6 +69,22 @@ def main() -> None:
     figures_fixed_control.integers_of_a_loop(folder / "fixed-control.svg")
     figures_fixed_reference.reference_in_integers(folder / "fixed-reference.svg")
     figures_firmware_loops.firmware_loops(folder / "firmware-loops.svg")
+    for draw, name in (
+        (figures_firmware_pages.eight_targets, "firmware-targets"),
+        (figures_firmware_pages.vesc, "firmware-vesc"),
+        (figures_firmware_pages.simplefoc, "firmware-simplefoc"),
+        (figures_firmware_pages.odrive, "firmware-odrive"),
+        (figures_firmware_pages.moteus, "firmware-moteus"),
+        (figures_firmware_vendors.nxp, "firmware-nxp"),
+        (figures_firmware_vendors.st, "firmware-st"),
+        (figures_firmware_vendors.ti, "firmware-ti"),
+        (figures_firmware_vendors.infineon, "firmware-infineon"),
+        (figures_study_pages.sampling, "study-sampling"),
+        (figures_study_pages.shared_steps, "study-shared-steps"),
+        (figures_study_pages.parts, "study-parts"),
+        (figures_study_pages.cluster, "study-cluster"),
+    ):
+        draw(folder / f"{name}.svg")
     figures_flux_maps.flux_map(folder / "flux-map.svg")
     figures_from_standstill.four_starts(folder / "from-standstill.svg")
     figures_home.machine_to_code(folder / "machine-to-code.svg")
