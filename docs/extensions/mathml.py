@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from docutils import nodes
+from formula_spacing import set_spacing
 from latex2mathml.converter import convert
 from sphinx.util import logging
 
@@ -50,6 +51,7 @@ def mathml(formula: str, *, block: bool) -> str:
         _set_labels_upright(leaf)
         if block:
             _put_limits_below(leaf)
+    set_spacing(tree, formula)
     left = re.search(r"\\[A-Za-z]+|&", "".join(tree.itertext()))
     if left:
         raise ValueError(f"{left[0]} is not known to the converter")
