@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from docutils import nodes
+from formula_spacing import set_spacing
 from latex2mathml.converter import convert
 from sphinx.transforms.post_transforms import SphinxPostTransform
 from sphinx.util import logging
@@ -76,8 +77,9 @@ def mathml(formula: str, *, block: bool) -> str:
         if block:
             _put_limits_below(leaf)
         _set_bold(leaf)
-        _space_as_in_print(leaf)
+    set_spacing(tree, formula)
     for leaf in list(tree.iter()):
+        _space_as_in_print(leaf)
         _set_primes(leaf)
     left = re.search(r"\\[A-Za-z]+|&", "".join(tree.itertext()))
     if left:
