@@ -11,11 +11,16 @@ from pathlib import Path
 import figures_application
 import figures_box_proofs
 import figures_certificates
+import figures_comparison
+import figures_costs
 import figures_current_feedback
+import figures_data_sheets
+import figures_devices
 import figures_estimator_comparison
 import figures_estimators
 import figures_explore
 import figures_explore_statistics
+import figures_firmware_blocks
 import figures_firmware_loops
 import figures_firmware_pages
 import figures_firmware_simulation
@@ -27,7 +32,9 @@ import figures_flux_maps
 import figures_from_standstill
 import figures_gains
 import figures_home
+import figures_hub_motor
 import figures_learned_correction
+import figures_loop_proofs
 import figures_losses
 import figures_machine_batch
 import figures_measured_drive
@@ -39,6 +46,7 @@ import figures_overmodulation
 import figures_phase_control
 import figures_phase_design
 import figures_references
+import figures_result_blocks
 import figures_saliency
 import figures_simulation
 import figures_six_step
@@ -136,6 +144,32 @@ def main() -> None:
     figures_references.voltage_feedback(folder / "voltage-feedback.svg")
     figures_weakening.weakening_errors(folder / "weakening-errors.svg")
     figures_certificates.proven_bounds(folder / "certificate.svg")
+    _guides(folder)
+
+
+def _guides(folder: Path) -> None:
+    """Those of the how-to pages, the reference, and of comparison, devices and loop proofs."""
+    for draw, name in (
+        (figures_comparison.sides, "compared-sides"),
+        (figures_costs.control, "control-cost"),
+        (figures_costs.reference, "reference-cost"),
+        (figures_data_sheets.constants, "convert-constants"),
+        (figures_data_sheets.scooter, "scooter-torque"),
+        (figures_devices.library, "devices"),
+        (figures_firmware_blocks.build, "header-build"),
+        (figures_firmware_blocks.control_chain, "control-chain"),
+        (figures_firmware_blocks.harness, "core-harness"),
+        (figures_firmware_blocks.headers, "header-files"),
+        (figures_hub_motor.explained, "hub-explained"),
+        (figures_hub_motor.exported, "hub-exported"),
+        (figures_hub_motor.tolerances, "hub-tolerances"),
+        (figures_hub_motor.two_designs, "hub-two-designs"),
+        (figures_loop_proofs.loop_proofs, "loop-proofs"),
+        (figures_result_blocks.keys, "result-keys"),
+        (figures_result_blocks.study, "study-course"),
+        (figures_result_blocks.tree, "result-tree"),
+    ):
+        draw(folder / f"{name}.svg")
 
 
 if __name__ == "__main__":
