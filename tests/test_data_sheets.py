@@ -21,6 +21,7 @@ from dqforge.machines.files.library_files import (
     schema_bytes,
     with_modeline,
 )
+from dqforge.reports.firmware.registry import TARGETS
 
 Call = Callable[..., tuple[int, str, str]]
 
@@ -71,6 +72,43 @@ def test_options_make_a_design_that_is_run(call: Call, motor: DataSheet) -> None
     code, out, err = call("run", "made/design.yaml", "-o", "out")
     assert (code, err) == (0, "")
     assert "equal the model bit for bit" in out
+
+
+INERTIAS = {
+    "scooter": "0.02 kg m^2",
+    "drone": "2e-5 kg m^2",
+    "servo": "2.9 kg cm^2",
+    "industrial": "0.5 kg cm^2",
+}
+
+WANTED = {
+    "st": ["inverter.current_sensing={shunt: 1 mOhm, gain: 20, reference: 3.3 V, bits: 12}"],
+    "nxp": ["machine.max_speed=4500 rpm"],
+}
+"""What else a firmware needs to be told, and says so."""
+
+
+def exported(call: Call, motor: str, firmware: str) -> None:
+    """A new design with its inertia, as the files of a firmware whose loops settle."""
+    flags = [*MOTORS[motor].flags, "--inertia", INERTIAS[motor]]
+    assert call("new", "made", *flags)[0] == 0
+    words = [word for setting in WANTED.get(firmware, []) for word in ("--set", setting)]
+    code, out, err = call("export", "made/design.yaml", "--for", firmware, *words)
+    assert (code, err) == (0, "")
+    assert "large speed step at rest" in out
+    assert f"the loops of {firmware} settle" in out
+
+
+def test_a_new_design_is_exported_for_vesc(call: Call) -> None:
+    """Its phase-locked loop filters the speed; the fastest speed loop oscillates on it."""
+    exported(call, "scooter", "vesc")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("firmware", list(TARGETS))
+@pytest.mark.parametrize("motor", MOTORS)
+def test_a_new_design_is_exported(call: Call, motor: str, firmware: str) -> None:
+    exported(call, motor, firmware)
 
 
 def test_json_has_what_check_has(call: Call) -> None:

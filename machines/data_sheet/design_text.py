@@ -49,14 +49,17 @@ control:
     method: magnitude-optimum               # or bandwidth, with e.g. bandwidth: 500 Hz
 """
 
+# Not the fastest loop that the sampling permits: firmware of others filters its speed, and
+# oscillates on that one (VESC's phase-locked loop is done at some 150 Hz).
 _SPEED_LOOP = """\
   speed_loop:                               # possible, since the inertia is known
-    method: symmetrical-optimum
+    method: bandwidth
+    bandwidth: 20 Hz                        # calm; symmetrical-optimum is as fast as samples permit
     ratio: 10                               # every tenth sample of the currents
 """
 
 _NO_SPEED_LOOP = """\
-  # speed_loop: {method: symmetrical-optimum}   # needs machine.inertia
+  # speed_loop: {method: bandwidth, bandwidth: 20 Hz}   # needs machine.inertia
 """
 
 _END = """\

@@ -48,12 +48,31 @@ def answer_losses(design: Design, request: LossRequest, *, choice: bool) -> Answ
     stage("comparing the losses")
     if request.chart is not None or request.mission is not None:
         return answer(design, request)
-    if (request.strategies, request.modulations, request.frequencies) != (None, None, None):
-        raise InputError(
-            "--strategies, --modulations and --frequencies go with --map or --mission; add one of "
-            "them"
-        )
+    _refuse_alternatives(request)
     return _points(design)
+
+
+def _refuse_alternatives(request: LossRequest) -> None:
+    """Refuse what goes with a map or a mission, and say how the points of the design have it."""
+    for name, text, instead in (
+        ("--strategies", request.strategies, "write --set losses.strategies='[mtpa, id0]'"),
+        ("--modulations", request.modulations, "write --set losses.modulations='[spwm, svpwm]'"),
+        (
+            "--frequencies",
+            request.frequencies,
+            "write --set inverter.switching_frequency='8 kHz', a command for each",
+        ),
+        (
+            "--margin",
+            None if request.margin == LossRequest().margin else request.margin,
+            "write operation.voltage_margin in the design",
+        ),
+    ):
+        if text is not None:
+            raise InputError(
+                f"{name} goes with --map or --mission; add one of them, or for the points of the "
+                f"design {instead}"
+            )
 
 
 def _points(design: Design) -> Answer:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -57,6 +58,23 @@ def test_a_refusal_names_what_is_wrong_and_nothing_else(monkeypatch: pytest.Monk
             settled.require_settling(scooter(), one)
         assert words in refused.value.message
         assert "whose own lag" not in refused.value.message
+
+
+def test_a_refusal_names_a_speed_loop_that_settles() -> None:
+    """As fast as the samples permit is too fast for VESC's phase-locked loop."""
+    loop = "control={current_loop: {method: magnitude-optimum}, speed_loop: {method: "
+    fast = scooter(f"{loop}symmetrical-optimum}}}}")
+    fit = solve_firmware(fast, solve_gains(fast), ["vesc"])[0]
+    with firmware_simulator(fit.profile, fit.configuration.drive) as program:
+        with pytest.raises(NoSolutionError) as refused:
+            settled.require_settling(fast, fit, program)
+        words = refused.value.message
+        named = re.search(r"method: bandwidth and bandwidth: (\d+) Hz under control.speed", words)
+        assert named is not None
+        assert "write control.firmware" not in words
+        follows = scooter(f"{loop}bandwidth, bandwidth: {named[1]} Hz}}}}")
+        slower = solve_firmware(follows, solve_gains(follows), ["vesc"])[0]
+        assert settled.require_settling(follows, slower, program).settles
 
 
 @pytest.mark.slow

@@ -138,7 +138,10 @@ def test_every_kind_of_loss_has_a_heading_and_a_colour() -> None:
         (("--map", "6x8", "--frequencies", "20 V"), "--frequencies: expected a frequency"),
         (("--map", "6x8", "--margin", "95 %"), "--margin: expected a share"),
         (("--map", "2000x2000"), "budgets are asked for"),
-        (("--modulations", "spwm"), "go with --map or --mission"),
+        (("--modulations", "spwm"), "write --set losses.modulations='[spwm, svpwm]'"),
+        (("--strategies", "id0"), "write --set losses.strategies='[mtpa, id0]'"),
+        (("--frequencies", "8 kHz,16 kHz"), "write --set inverter.switching_frequency='8 kHz'"),
+        (("--margin", "5 %"), "--margin goes with --map or --mission"),
         (("--mission", "none.csv"), "none.csv: there is no such file"),
         (("--mission", "late.csv"), "late.csv:3: time 0 s does not lie after"),
         (("--mission", "fast.csv"), "fast.csv:2: speed 20000 rpm is above machine.max_speed"),
@@ -151,6 +154,22 @@ def test_faults_are_one_line(run: Run, arguments: tuple[str, ...], message: str)
     assert (code, out) == (2, "")
     assert err.count("\n") == 1
     assert message in err
+
+
+def test_the_points_take_what_the_refusals_name(run: Run) -> None:
+    def rows(*settings: str) -> list[dict[str, object]]:
+        words = [word for setting in settings for word in ("--set", setting)]
+        code, out, err = run(IPM, *words, "--json")
+        assert (code, err) == (0, "")
+        found: list[dict[str, object]] = json.loads(out)["losses"]["rows"]
+        return found
+
+    named = ("losses.modulations=[spwm, svpwm]", "losses.strategies=[mtpa, id0]")
+    found = rows(*named)
+    assert {row["modulation"] for row in found} == {"spwm", "svpwm"}
+    assert {row["strategy"] for row in found} == {"mtpa", "id0"}
+    slower = rows(*named, "inverter.switching_frequency=50 kHz")
+    assert [row["switching_W"] for row in slower] != [row["switching_W"] for row in found]
 
 
 @pytest.mark.parametrize("mission", [False, True])
