@@ -10,6 +10,7 @@ from matplotlib.ticker import FuncFormatter
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
+from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.operating_points.characteristics import (
     characteristics,
     envelope,
@@ -17,10 +18,24 @@ from dqforge.optimizer.operating_points.characteristics import (
 )
 from dqforge.optimizer.operating_points.operating_map import operating_map, voltage_limit
 from dqforge.optimizer.operating_points.points import optimal_points
+from dqforge.optimizer.operating_points.solve import solve_curves
+from dqforge.reports.current_reference.figures import plot_fit, plot_mtpa
 from dqforge.reports.operating_points.figures import plot_operating_map
 from dqforge.reports.pages.figures_style import BLUE, MUTED, ORANGE, PALE, new_figure, save, style
 
 _DRIVE = "paper000-ipmsm-100kw"
+
+
+def mtpa(path: Path) -> None:
+    """Currents of least copper loss over the torque."""
+    design = catalogue.load(_DRIVE)
+    save(plot_mtpa(design, solve_curves(design)), path)
+
+
+def fit(path: Path) -> None:
+    """The polynomials beside those currents, and their errors."""
+    design = catalogue.load(_DRIVE)
+    save(plot_fit(design, solve_fit(design).fit), path)
 
 
 def operating_points_map(path: Path) -> None:

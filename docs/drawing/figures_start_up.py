@@ -56,9 +56,3 @@ def start_on_the_third_harmonic(path: Path) -> None:
     folder = Path(__file__).resolve().parents[2] / "examples"
     design = load_design(folder / "third-harmonic-start.yaml")
     save(plot_simulation(simulate_design(design)), path)
-
-
-def starts(folder: Path) -> None:
-    """Both figures of the page."""
-    start_and_back(folder / "start-up.svg")
-    start_on_the_third_harmonic(folder / "start-up-third-harmonic.svg")
