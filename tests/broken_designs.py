@@ -564,7 +564,7 @@ _UNITS: list[Broken] = [
         _flux("back_emf_constant: 12 V/krpm"),
         9,
         22,
-        "kind: phase peak} with one of phase peak,",
+        "write '12 V/krpm phase peak', or phase rms",
     ),
     (
         "kind-unknown",
@@ -573,7 +573,7 @@ _UNITS: list[Broken] = [
         39,
         "expected one of phase, line-to-line",
     ),
-    ("kind-misspelt", changed("6.4 A", "{value: 6.4 A, kind: RMS}"), 10, 37, "did you mean 'rms'?"),
+    ("kind-misspelt", changed("6.4 A", "{value: 6.4 A, kind: rsm}"), 10, 37, "did you mean 'rms'?"),
     (
         "kind-not-wanted",
         changed("180 V", "{value: 180 V, kind: peak}"),

@@ -6,6 +6,7 @@ of the segments are level.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -76,6 +77,11 @@ _NEAR_POWERS, _NEARLY = (1.15, 1.0 / 1.15), 1.45
 not above this multiple of its own."""
 
 
+Levelled = tuple[FloatArray, float]
+
+"""Edges of shape (S + 1,), and the error that they leave."""
+
+
 _LEVEL_GOAL = 1e-3
 
 """Relative distance between the attained error and its linear model at
@@ -135,24 +141,30 @@ def level_edges(
     starts = Segmentations(errors, segments).starts(levelling.estimates)
     if levelling.is_rough(first):
         starts += _other_starts(first)
-    found = min((levelling.run(start, errors.rounding) for start in starts), key=_error)
+    runs = [levelling.run(start, errors.rounding) for start in starts]
+    found = _best(runs, degree, (first, math.inf))
     if segments == 2 and len(starts) == 1:
-        others = [levelling.run(edges, errors.rounding) for edges in levelling.hidden(found[0])]
-        beside = min(others, key=_error, default=found)
+        runs = [levelling.run(edges, errors.rounding) for edges in levelling.hidden(found[0])]
+        beside = _best(runs, degree, found)
         found = beside if _error(beside) < _GAIN * _error(found) else found
     for _ in range(_ROUNDS if segments > 2 else 0):
-        tried = [levelling.run(start, errors.rounding) for start in _beside(found[0])]
-        # Beside a narrow first segment lie some whose powers floats cannot hold.
-        beside = min(
-            (part for part in tried if _widths_hold(part[0], degree)), key=_error, default=found
-        )
+        runs = [levelling.run(start, errors.rounding) for start in _beside(found[0])]
+        beside = _best(runs, degree, found)
         if _error(beside) > _GAIN * _error(found):
             break
         found = beside
     return rounded_edges(found[0])
 
 
-def _error(found: tuple[FloatArray, float]) -> float:
+def _best(runs: list[Levelled], degree: int, default: Levelled) -> Levelled:
+    """The least error of those whose powers floats can hold: segments of level errors may be too
+    narrow for that where a curve is steep at zero.
+    """
+    held = (levelled for levelled in runs if _widths_hold(levelled[0], degree))
+    return min(held, key=_error, default=default)
+
+
+def _error(found: Levelled) -> float:
     return found[1]
 
 
@@ -258,7 +270,7 @@ class _Levelling:
         sizes = self.estimates(np.vstack([edges, moved]))
         return list(moved[sizes[1:] < _NEARLY * sizes[0]])
 
-    def run(self, edges: FloatArray, rounding: float) -> tuple[FloatArray, float]:
+    def run(self, edges: FloatArray, rounding: float) -> Levelled:
         """Edges of level errors from a start, shape (S + 1,), and the error.
 
         Stops at errors below ``rounding``.

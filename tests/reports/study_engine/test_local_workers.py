@@ -148,6 +148,7 @@ class Terminal:
         self.pid, self.screen = pty.fork()
         if self.pid == 0:
             os.chdir(TESTS)
+            os.environ["NO_COLOR"] = "1"
             os.execv(sys.executable, [*words, json.dumps(rows), json.dumps(settings)])
 
     def wait_for_parts(self, count: int) -> None:
