@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
-_PATIENCE_S = 60.0
+_PATIENCE_S, _NEXT_KEY_S = 60.0, 5.0
 # Who leads a session gets the first terminal that it opens as its own, whose keys then reach it.
 _PROGRAM = (
     "import os; os.close(os.open(os.ttyname(0), os.O_RDWR)); from dqforge import cli; cli.main()"
@@ -62,9 +62,20 @@ class PseudoTerminal:
         return shown
 
     def press(self, prompt: str, key: str) -> str:
-        """Wait for a prompt, press a key; what was shown up to the prompt."""
+        """Wait for a prompt, press a key until something comes of it; what was shown up to the
+        prompt.
+
+        Ctrl-C in the very moment at which a question begins to wait is heard with the next key.
+        """
         shown = self._until(prompt)
-        os.write(self._ours, key.encode())
+        while self._pending():
+            self._more()
+        before = self.seen
+        for _ in range(round(_PATIENCE_S / _NEXT_KEY_S)):
+            os.write(self._ours, key.encode())
+            while self._pending(_NEXT_KEY_S) and self._more():
+                if self.seen.removeprefix(before).replace("^C", "").strip():
+                    return shown
         return shown
 
     def rest(self) -> tuple[str, int]:
@@ -80,10 +91,14 @@ class PseudoTerminal:
         shown, _, self.seen = self.seen.partition(prompt)
         return shown
 
+    def _pending(self, seconds: float = 0.2) -> bool:
+        """Whether more is shown within some seconds."""
+        return bool(select.select([self._ours], [], [], seconds)[0])
+
     def _more(self) -> bool:
         end = time.monotonic() + _PATIENCE_S
         while time.monotonic() < end:
-            if not select.select([self._ours], [], [], 0.1)[0]:
+            if not self._pending():
                 continue
             try:
                 data = os.read(self._ours, 65536)

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 
 from dqforge.machines.design.design import Design
-from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
+from dqforge.machines.errors import NoSolutionError
+from dqforge.optimizer.firmware.solve import FirmwareFit
 from dqforge.reports.firmware.loop_code import modulation_of
 from dqforge.reports.firmware.loop_run import firmware_simulator
 from dqforge.reports.firmware.settling import Verdict, settles
+from dqforge.reports.firmware_files.calmer_loop import calmer_bandwidth
 from dqforge.reports.simulation.compiled_plant import Simulator
-
-_CALMER = (50.0, 20.0, 10.0, 5.0, 2.0)
-"""Bandwidths in Hz of the speed loop that are tried for a refusal, fastest first."""
 
 
 def settling_verdicts(
@@ -76,7 +71,7 @@ def require_settling(design: Design, fit: FirmwareFit, program: Simulator | None
         why = "; ".join((verdict.reason, *fit.judged.faults[:1]))
         asked_for = design.control.firmware
         within = asked_for is not None and asked_for.name == fit.name
-        calmer = _calmer(design, fit, verdict, program)
+        calmer = calmer_bandwidth(design, fit, verdict, program)
         if calmer is not None:
             advice = (
                 f"write method: bandwidth and bandwidth: {calmer:g} Hz under control.speed_loop, "
@@ -91,35 +86,6 @@ def require_settling(design: Design, fit: FirmwareFit, program: Simulator | None
             f"{advice}, or --no-verify to write the file all the same"
         )
     return verdict
-
-
-def _calmer(
-    design: Design, fit: FirmwareFit, verdict: Verdict, program: Simulator | None
-) -> float | None:
-    """Fastest of a few bandwidths in Hz with which the loops settle, where it is the speed that
-    does not; None where none of them does, or something else is wrong.
-    """
-    settings = design.control.speed_loop
-    failed = [step for step in verdict.tried if not step.settles]
-    of_speed = all(
-        step.quantity == "the speed" and step.answer.outcome != "steady error" for step in failed
-    )
-    inertia, asked = design.machine.inertia, fit.asked.speed
-    if settings is None or inertia is None or asked is None or not of_speed:
-        return None
-    rate = asked.kp * design.machine.torque_per_ampere / inertia / (2.0 * math.pi)
-    for bandwidth in _CALMER:
-        if bandwidth >= rate:
-            continue
-        slower = replace(settings, method="bandwidth", bandwidth=2.0 * math.pi * bandwidth)
-        trial = replace(design, control=replace(design.control, speed_loop=slower))
-        try:
-            found = solve_firmware(trial, solve_gains(trial, proofs=False), [fit.name])[0]
-        except (InputError, NoSolutionError):
-            continue
-        if settles(found.profile, trial, found.configuration.drive, program=program).settles:
-            return bandwidth
-    return None
 
 
 def settling_text(verdict: Verdict) -> str:

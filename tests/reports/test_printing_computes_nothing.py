@@ -30,6 +30,7 @@ ORCHESTRATORS = {
     "estimator_comparison.question": "answers a question: which estimators, and what they cost",
     "exploration.question": "says which columns of a study the rows together are asked of",
     "exploration.viewing": "goes through the parts of a study for what is shown of it",
+    "firmware_files.calmer_loop": "tunes a slower speed loop where firmware does not settle",
     "firmware_files.design_made": "finds the phase-locked loop of a file that becomes a design",
     "firmware.design_simulation": "solves a design, and runs the loops of its firmware beside it",
     "flashing_choice.row_files": "solves the currents of a salient machine on the row's topology",
@@ -146,6 +147,7 @@ def test_a_module_that_prints_asks_nobody_who_asks(name: str) -> None:
     found = functions_of_orchestrators(modules()[name].read_text(encoding="utf-8"))
     runs = {
         "estimator_comparison.tried_starts",
+        "firmware_files.settled",
         "flashing_choice.counted_cycles",
         "flashing_choice.simulated_rows",
         "study_store.winners_answer",
