@@ -96,8 +96,8 @@ def test_whatever_check_calls_valid_runs_or_is_refused_with_its_place(one_in: in
 @pytest.mark.slow
 @pytest.mark.parametrize("part", range(8))
 def test_whatever_check_calls_valid_runs_over_the_whole_template(part: int) -> None:
-    """Every word, both ends of every range and every key left out."""
-    for change in list(permitted("template"))[part::8]:
+    """Every second one of every word, both ends of every range and every key left out."""
+    for change in list(permitted("template"))[2 * part :: 16]:
         outcome(change, lambda design: run_design(design, verify=False))
 
 
