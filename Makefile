@@ -30,10 +30,11 @@ campaign: $(VENV)/dev.stamp
 # Lines and branches that the default tests run. Every line of the proofs is run; of their branches the
 # last per cent are loops that a return leaves.
 PROOFS := optimizer/certificates/*,optimizer/field_weakening/certificate.py,optimizer/field_weakening/enclosures.py,optimizer/fixed_control/ranges.py,optimizer/observers/methods/lpv_certificate.py
+PROOF_REPORT = $(BIN)/coverage report --include='$(PROOFS)' --fail-under=99
 PROOF_TESTS := $(addprefix tests/optimizer/,certificates field_weakening fixed_control observers)
 coverage: $(VENV)/dev.stamp
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "not slow and not benchmark" --cov --cov-report=term
-	$(BIN)/coverage report --include='$(PROOFS)' --fail-under=99
+	$(PROOF_REPORT)
 
 # The default tests in two parts, for CI: only those of the proofs carry what counting lines costs.
 other-tests: $(VENV)/dev.stamp
@@ -41,7 +42,7 @@ other-tests: $(VENV)/dev.stamp
 
 proof-coverage: $(VENV)/dev.stamp
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "not slow and not benchmark" $(PROOF_TESTS) --cov --cov-report=
-	$(BIN)/coverage report --include='$(PROOFS)' --fail-under=99
+	$(PROOF_REPORT)
 
 check: lint types contracts
 
