@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -289,10 +290,16 @@ def doctor(json: given.Json = False) -> int:
     return respond("doctor", answers.doctor.answer_doctor, json)
 
 
+@cache
+def _command() -> Any:
+    """All commands with their options, made once however often a process asks."""
+    return typer.main.get_command(app)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; errors become a line on stderr and an exit code, never a traceback."""
     forget()
-    command, words = typer.main.get_command(app), None if arguments is None else [*arguments]
+    command, words = _command(), None if arguments is None else [*arguments]
     started = partial(command.main, args=words, prog_name="dqforge", standalone_mode=False)
     sys.exit(exit_code(started, locate))
 
