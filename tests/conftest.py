@@ -7,6 +7,7 @@ import os
 import signal
 from pathlib import Path
 
+import drawn_cases
 import pytest
 from hypothesis import settings
 
@@ -32,16 +33,44 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let a run take a part of the costly cases."""
+    drawn_cases.add_options(parser)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Measure what cases take, where that is asked for."""
+    drawn_cases.configure(config)
+    config.pluginmanager.register(_AfterSelection())
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    """Say what was drawn, and how to draw it again."""
+    return drawn_cases.headline(config)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave all but the first case of each thinned test to the campaign."""
-    seen: set[str] = set()
+    """Leave all but one case of each thinned test, drawn like the others, to the campaign."""
+    cases: dict[str, list[pytest.Item]] = {}
     for item in items:
         if item.get_closest_marker("thinned") is not None:
-            name = item.nodeid.split("[")[0]
-            if name in seen:
+            cases.setdefault(drawn_cases.function_of(item.nodeid), []).append(item)
+    for thinned in cases.values():
+        chosen = min(thinned, key=lambda item: drawn_cases.turn(item.nodeid))
+        for item in thinned:
+            if item is not chosen:
                 item.add_marker(pytest.mark.slow)
-            seen.add(name)
+
+
+class _AfterSelection:
+    """Draws from what the expression of markers has left over."""
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(
+        self, config: pytest.Config, items: list[pytest.Item]
+    ) -> None:
+        drawn_cases.leave_out(config, items)
 
 
 @pytest.fixture(scope="session")

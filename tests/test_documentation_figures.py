@@ -22,49 +22,42 @@ DRAWERS = sorted(path for path in REPORTS.rglob("*.py") if "figures" in path.ste
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-@pytest.mark.parametrize("path", [*DRAWING, *DRAWERS], ids=lambda path: path.stem)
-def test_everything_that_draws_goes_through_the_style(path: Path) -> None:
-    if path.name == "figures_style.py":
-        return
-    calls = {
-        node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Call)
-    }
-    assert calls.isdisjoint({"Figure", "savefig", "rc_context", "subplot_mosaic"})
-    if "subplots" in calls or "add_subplot" in calls:
-        assert {"new_figure", "style"} <= calls
+def test_everything_that_draws_goes_through_the_style() -> None:
+    for path in [*DRAWING, *DRAWERS]:
+        if path.name == "figures_style.py":
+            continue
+        calls = {
+            node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.Call)
+        }
+        assert calls.isdisjoint({"Figure", "savefig", "rc_context", "subplot_mosaic"}), path
+        if "subplots" in calls or "add_subplot" in calls:
+            assert {"new_figure", "style"} <= calls, path
 
 
-@pytest.mark.parametrize("path", DRAWING, ids=lambda path: path.stem)
-def test_the_documentation_has_no_colours_of_its_own(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    assert not re.search(r"#[0-9a-fA-F]{6}|color=\"(?!none)|\"C\d\"|\"k[-:_.]", text)
+def test_the_documentation_has_no_colours_of_its_own() -> None:
+    own = re.compile(r"#[0-9a-fA-F]{6}|color=\"(?!none)|\"C\d\"|\"k[-:_.]")
+    assert [path.name for path in DRAWING if own.search(path.read_text(encoding="utf-8"))] == []
 
 
-def texts(path: Path) -> list[str]:
-    return ["".join(found.itertext()) for found in ET.parse(path).iter(f"{SVG}text")]
+MARKUP = re.compile(r"[${}\\]|_\{|(?<!\w)[A-Za-z\u03b1-\u03c9]_[a-z\u03b1-\u03c90]{1,2}(?!\w)")
 
 
-@pytest.mark.parametrize("path", FIGURES, ids=lambda path: path.stem)
-def test_no_figure_shows_its_markup(path: Path) -> None:
-    for text in texts(path):
-        assert not re.search(
-            r"[${}\\]|_\{|(?<!\w)[A-Za-z\u03b1-\u03c9]_[a-z\u03b1-\u03c90]{1,2}(?!\w)", text
-        ), text
-
-
-@pytest.mark.parametrize("path", FIGURES, ids=lambda path: path.stem)
-def test_every_figure_has_the_width_and_the_ground_of_the_style(path: Path) -> None:
+def test_every_figure_is_of_the_style_and_shows_no_markup() -> None:
     """White behind the whole figure: it can be read on a dark page, too."""
-    root = ET.parse(path).getroot()
-    assert root.get("width") == "504pt"
-    assert root.get("aria-label")
-    first = next(root.iter(f"{SVG}path"))
-    assert "fill: #ffffff" in (first.get("style") or "")
-    numbers = [float(n) for n in re.findall(r"[\d.]+", first.get("d") or "")]
-    assert max(numbers[::2]) == pytest.approx(504.0)
-    assert "var(" not in path.read_text(encoding="utf-8"), "a file stands alone"
+    assert FIGURES
+    for path in FIGURES:
+        root = ET.parse(path).getroot()
+        texts = ["".join(found.itertext()) for found in root.iter(f"{SVG}text")]
+        assert [text for text in texts if MARKUP.search(text)] == [], path.name
+        assert root.get("width") == "504pt", path.name
+        assert root.get("aria-label"), path.name
+        first = next(root.iter(f"{SVG}path"))
+        assert "fill: #ffffff" in (first.get("style") or ""), path.name
+        numbers = [float(n) for n in re.findall(r"[\d.]+", first.get("d") or "")]
+        assert max(numbers[::2]) == pytest.approx(504.0), path.name
+        assert "var(" not in path.read_text(encoding="utf-8"), f"{path.name} does not stand alone"
 
 
 CUT_OFF = """

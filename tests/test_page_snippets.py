@@ -73,13 +73,18 @@ def _commands(snippet: Snippet) -> Iterator[list[str]]:
         yield words[: ends[0]] if ends else words
 
 
+@cache
+def _group() -> Any:
+    return typer.main.get_command(app)
+
+
 def _fault(words: list[str], *, whole: bool) -> str:
     """What the command line says to these words; empty where it takes them.
 
     A line that is not ``whole`` may leave out arguments and the value of its last option: it names
     a command.
     """
-    group = typer.main.get_command(app)
+    group = _group()
     assert isinstance(group, click.Group | typer.core.TyperGroup)
     if not words or words[0].startswith("-"):
         return "" if words and words[0] in {"-h", "--help", "--version"} else "no command"
@@ -104,10 +109,10 @@ def _fault(words: list[str], *, whole: bool) -> str:
     return f"{', '.join(map(str, missing))} is missing" if whole and missing else ""
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_command_lines_are_those_of_the_commands(page: Path) -> None:
+def test_command_lines_are_those_of_the_commands() -> None:
     faults = [
         f"{snippet.place}: dqforge {' '.join(words)}: {fault}"
+        for page in PAGES
         for snippet in _snippets(page)
         for words in _commands(snippet)
         if (fault := _fault(words, whole=not snippet.inline))
@@ -186,9 +191,10 @@ def _faults_of_yaml(snippet: Snippet) -> list[str]:
     return [f"{snippet.place}: {key}" for key in _strange_keys(data, [_design_schema()], "")]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_blocks_of_yaml_are_designs_or_parts_of_one(page: Path) -> None:
-    blocks = [snippet for snippet in _snippets(page) if snippet.language == "yaml"]
+def test_blocks_of_yaml_are_designs_or_parts_of_one() -> None:
+    found = [snippet for page in PAGES for snippet in _snippets(page)]
+    blocks = [snippet for snippet in found if snippet.language == "yaml"]
+    assert blocks
     assert [fault for snippet in blocks for fault in _faults_of_yaml(snippet)] == []
 
 
@@ -202,8 +208,7 @@ def test_strange_keys_of_a_fragment_are_seen() -> None:
     ]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_blocks_of_python_are_python(page: Path) -> None:
-    for snippet in _snippets(page):
+def test_blocks_of_python_are_python() -> None:
+    for snippet in (snippet for page in PAGES for snippet in _snippets(page)):
         if snippet.language == "python":
             compile(snippet.text, snippet.place, "exec")

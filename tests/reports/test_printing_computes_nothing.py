@@ -117,17 +117,18 @@ def modules() -> dict[str, Path]:
     }
 
 
-@pytest.mark.parametrize("name", modules())
-def test_a_module_that_prints_imports_results_and_no_functions(name: str) -> None:
-    found = functions_of_the_optimizer(modules()[name].read_text(encoding="utf-8"))
-    if name.split(".", maxsplit=1)[0] in ROOMS_THAT_ASK or reads_firmware(name):
-        return
-    if name in {*ORCHESTRATORS, *MODELS}:
-        assert found, f"{name} stands on a list of exceptions and needs none: take it off"
-    else:
-        assert not found, (
-            f"{name} prints and calls {', '.join(found)}: let the result carry what is printed"
-        )
+def test_modules_that_print_import_results_and_no_functions() -> None:
+    calling, needless = {}, []
+    for name, path in modules().items():
+        if name.split(".", maxsplit=1)[0] in ROOMS_THAT_ASK or reads_firmware(name):
+            continue
+        found = functions_of_the_optimizer(path.read_text(encoding="utf-8"))
+        if name not in {*ORCHESTRATORS, *MODELS}:
+            calling |= {name: found} if found else {}
+        elif not found:
+            needless.append(name)
+    assert calling == {}, "let the result carry what is printed"
+    assert needless == [], "they stand on a list of exceptions and need none: take them off"
 
 
 def functions_of_orchestrators(source: str) -> list[str]:
@@ -142,9 +143,7 @@ def functions_of_orchestrators(source: str) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("name", modules())
-def test_a_module_that_prints_asks_nobody_who_asks(name: str) -> None:
-    found = functions_of_orchestrators(modules()[name].read_text(encoding="utf-8"))
+def test_modules_that_print_ask_nobody_who_asks() -> None:
     runs = {
         "estimator_comparison.tried_starts",
         "firmware_files.settled",
@@ -153,8 +152,13 @@ def test_a_module_that_prints_asks_nobody_who_asks(name: str) -> None:
         "study_store.winners_answer",
     }
     asks = {*ORCHESTRATORS, "output.recomputation", *runs}
-    if name not in asks and name.split(".", maxsplit=1)[0] not in ROOMS_THAT_ASK:
-        assert not found, f"{name} prints and calls {', '.join(found)}"
+    asking = {
+        name: found
+        for name, path in modules().items()
+        if name not in asks and name.split(".", maxsplit=1)[0] not in ROOMS_THAT_ASK
+        if (found := functions_of_orchestrators(path.read_text(encoding="utf-8")))
+    }
+    assert asking == {}
 
 
 def test_lists_name_modules_that_there_are_and_each_once() -> None:
