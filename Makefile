@@ -4,10 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO_DESIGN ?= paper000-ipmsm-100kw
 
-# The tests start the package in some hundred processes: its modules are compiled once, not by each of them.
+# Modules are compiled once, when they are installed and when they change, not by each process.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test importers campaign coverage other-tests proof-coverage check lint types contracts format figures sessions docs page-checks wheel sbom schemas site-checks lock clean
+.PHONY: demo test importers campaign drawn-campaign coverage costs planted check lint types contracts format figures sessions docs page-checks page-drives wheel sbom schemas site-checks lock clean
 
 demo: $(VENV)/runtime.stamp
 	@mkdir -p out
@@ -16,33 +16,35 @@ demo: $(VENV)/runtime.stamp
 	$(BIN)/dqforge run $(DEMO_DESIGN) -o out/demo
 
 # One thread per worker: the matrices are small, and threads of the linear algebra get in each other's way.
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
+DEFAULT := -m "not slow and not benchmark"
+
+# The cheap ones, and of the costly ones what fills this many seconds, drawn anew for each commit.
+DRAWN_TESTS ?= 60
 test: $(VENV)/dev.stamp
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "not slow and not benchmark"
+	$(PYTEST) $(DEFAULT) --drawn $(DRAWN_TESTS)
 
 # Importers of other firmware, which the tests of its files try them with where they are installed. Without
 # dependencies: those that they need stand in the lock.
 importers: $(VENV)/importers.stamp
 
-# Long sweeps, searches over many machines, benchmarks: what CI runs besides.
+# Long sweeps, searches over many machines, benchmarks: all of them, and what CI draws of them.
 campaign: $(VENV)/dev.stamp
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "slow or benchmark"
+	$(PYTEST) -m "slow or benchmark"
 
-# Lines and branches that the default tests run. Every line of the proofs is run; of their branches the
-# last per cent are loops that a return leaves.
-PROOFS := optimizer/certificates/*,optimizer/field_weakening/certificate.py,optimizer/field_weakening/enclosures.py,optimizer/fixed_control/ranges.py,optimizer/observers/methods/lpv_certificate.py
-PROOF_REPORT = $(BIN)/coverage report --include='$(PROOFS)' --fail-under=99
-PROOF_TESTS := $(addprefix tests/optimizer/,certificates field_weakening fixed_control observers)
+DRAWN_CAMPAIGN ?= 300
+drawn-campaign: $(VENV)/dev.stamp
+	$(PYTEST) -m "slow or benchmark" --drawn $(DRAWN_CAMPAIGN)
+
+# All default tests, and what they run of the proofs: every line; of the branches the last per cent are loops
+# that a return leaves. Lines are counted in the proofs alone, which costs little.
 coverage: $(VENV)/dev.stamp
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "not slow and not benchmark" --cov --cov-report=term
-	$(PROOF_REPORT)
+	$(PYTEST) $(DEFAULT) --cov --cov-report=
+	$(BIN)/coverage report --fail-under=99
 
-# The default tests in two parts, for CI: only those of the proofs carry what counting lines costs.
-other-tests: $(VENV)/dev.stamp
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "not slow and not benchmark" $(addprefix --ignore=,$(PROOF_TESTS))
-
-proof-coverage: $(VENV)/dev.stamp
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "not slow and not benchmark" $(PROOF_TESTS) --cov --cov-report=
-	$(PROOF_REPORT)
+# What the costly cases take, for the draw; on a quiet machine.
+costs: $(VENV)/dev.stamp
+	$(PYTEST) --keep-costs $(DEFAULT)
 
 check: lint types contracts
 
@@ -55,6 +57,11 @@ types: $(VENV)/dev.stamp
 
 contracts: $(VENV)/dev.stamp
 	$(BIN)/lint-imports
+
+# Small faults planted in formulas, proofs and emitted C, drawn anew for each commit: how many the tests notice.
+PLANTED ?= --number 30 --minutes 3
+planted: $(VENV)/dev.stamp
+	$(BIN)/python tests/planted_changes.py --seed "$$(git rev-parse HEAD)" $(PLANTED)
 
 format: $(VENV)/dev.stamp
 	$(BIN)/ruff format .
@@ -86,6 +93,9 @@ site-checks: docs
 # Accessibility, HTML, links into folded parts, print and size of the reports of these drives and of a study, and of pages
 # of the site, where there is one (make docs). Needs node, npm, java and chromium; see docs/reference/report.md.
 PAGE_DRIVES := paper000-ipmsm-100kw paper001-pmsm-bench paper002-phase-waveforms salient-phase-waveforms baldor-pmsyrm-5k6 examples/six-step-drive.yaml
+page-drives:
+	@echo $(PAGE_DRIVES)
+
 page-checks: $(VENV)/runtime.stamp .ci/pages/node_modules
 	@PATH="$(CURDIR)/$(BIN):$$PATH" bash .ci/pages/check-pages $(PAGE_DRIVES)
 
@@ -129,6 +139,7 @@ $(BIN)/pip:
 $(VENV)/runtime.stamp: requirements.lock pyproject.toml | $(BIN)/pip
 	$(BIN)/pip install -q --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(BIN)/python -m compileall -q -j 0 __init__.py cli.py machines optimizer reports
 	@touch $@
 
 $(VENV)/dev.stamp: requirements-dev.lock $(VENV)/runtime.stamp

@@ -4,6 +4,8 @@
 cheap, and always runs. ``--drawn 60`` fills 60 s of processor time with costly
 cases in an order that the commit gives, so that every case has its turn; without the option all of
 them run. ``--keep-costs`` writes the file anew from what a run without the option took.
+
+As a program, ``python tests/drawn_cases.py 2 NAME...`` prints the two names whose turn it is.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import hashlib
 import json
 import os
 import subprocess
+import sys
 from collections import defaultdict
 from functools import cache
 from pathlib import Path
@@ -131,3 +134,8 @@ def headline(config: pytest.Config) -> str:
     if budget is None:
         return "drawn: nothing, every selected case runs"
     return f"drawn: costly cases for {budget:g} s by the seed {seed()} (DQFORGE_SEED repeats it)"
+
+
+if __name__ == "__main__":
+    number, names = int(sys.argv[1]), sys.argv[2:]
+    sys.stdout.write("".join(f"{name}\n" for name in sorted(names, key=turn)[:number]))
