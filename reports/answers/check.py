@@ -83,10 +83,10 @@ def _refuse(design: Design) -> tuple[str, ...]:
         gains = solve_gains(design)
         require_observed(design, gains)
         leaving = leaving_notes(gains.speed)
+    stage("judging the start")
     if control.start_up is not None:
         from dqforge.optimizer.start_up.solve import solve_start_up
 
-        stage("judging the start")
         solve_start_up(design)
     return leaving
 
