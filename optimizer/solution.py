@@ -5,51 +5,48 @@ each with its evidence.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.application.application_plan import ApplicationPlan, application_plan
 from dqforge.optimizer.certificates.current_reference import Certificate, certify
 from dqforge.optimizer.control_design.gain_set import GainSet, gains_or_reason
-from dqforge.optimizer.current_feedback.solve import CurrentFeedback, solve_current_feedback
 from dqforge.optimizer.current_reference.alternatives import Alternative, alternatives
-from dqforge.optimizer.current_reference.cheapest import Trial
 from dqforge.optimizer.current_reference.data_use import COVERED, DataUse
-from dqforge.optimizer.current_reference.fit import ReferenceFit
-from dqforge.optimizer.current_reference.forms import Emitted
 from dqforge.optimizer.current_reference.signed import signed_designs, signed_reference
 from dqforge.optimizer.current_reference.solve import solve_fit
-from dqforge.optimizer.field_weakening.fit import WeakeningFit
 from dqforge.optimizer.field_weakening.solve import solve_weakening
 from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
-from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
-    FixedObserverFit,
-    solve_fixed_observers,
-)
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
-from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
 from dqforge.optimizer.fixed_reference.solve import solve_fixed_references
-from dqforge.optimizer.frame_tables.fit import FrameTables, solve_frame_tables
-from dqforge.optimizer.losses.mission_budget import MissionComparison
-from dqforge.optimizer.losses.point_comparison import LossComparison
 from dqforge.optimizer.losses.solve import solve_losses, solve_mission
-from dqforge.optimizer.modulation_choice.solve import ModulationChoice, solve_choice
 from dqforge.optimizer.negative_torques import NegativeHalf, solve_negative
-from dqforge.optimizer.observers.reduced_order import (
-    ErrorsAtLoad,
-    errors_at_loads,
-)
 from dqforge.optimizer.operating_points.solve import Curves, current_choice, solve_curves
-from dqforge.optimizer.overmodulation.solve import Overmodulation, solve_overmodulation
-from dqforge.optimizer.six_step.design import SixStepDesign, solve_six_step
-from dqforge.optimizer.start_up.solve import StartUp, solve_start_up
-from dqforge.optimizer.waveforms.comparison import (
-    WaveformComparison,
-    compare_waveforms,
-)
-from dqforge.optimizer.waveforms.firmware_fit import PhaseFit
-from dqforge.optimizer.waveforms.solve import solve_phases
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.application.application_plan import ApplicationPlan
+    from dqforge.optimizer.current_feedback.solve import CurrentFeedback
+    from dqforge.optimizer.current_reference.cheapest import Trial
+    from dqforge.optimizer.current_reference.fit import ReferenceFit
+    from dqforge.optimizer.current_reference.forms import Emitted
+    from dqforge.optimizer.field_weakening.fit import WeakeningFit
+    from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
+        FixedObserverFit,
+    )
+    from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
+    from dqforge.optimizer.frame_tables.fit import FrameTables
+    from dqforge.optimizer.losses.mission_budget import MissionComparison
+    from dqforge.optimizer.losses.point_comparison import LossComparison
+    from dqforge.optimizer.modulation_choice.solve import ModulationChoice
+    from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
+    from dqforge.optimizer.overmodulation.solve import Overmodulation
+    from dqforge.optimizer.six_step.design import SixStepDesign
+    from dqforge.optimizer.start_up.solve import StartUp
+    from dqforge.optimizer.waveforms.comparison import (
+        WaveformComparison,
+    )
+    from dqforge.optimizer.waveforms.firmware_fit import PhaseFit
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +135,8 @@ def _observer_errors(
     if gains is None or gains.observer is None:
         return ()
     speed, loads = 0.5 * design.control.bases.speed, (0.0, 0.5 * torque_max)
+    from dqforge.optimizer.observers.reduced_order import errors_at_loads
+
     return errors_at_loads(design.machine, gains.observer, speed, loads)
 
 
@@ -156,6 +155,89 @@ def _integers(
     """Control functions in fixed point, with their references."""
     known = {found.reference.width: found.reference for found in references}
     return solve_integers(design, gains, fit.torque_max, known)
+
+
+# What not every design asks for is loaded where one does.
+
+
+def _waveforms(design: Design) -> WaveformComparison | None:
+    if design.phase_machine is None:
+        return None
+    from dqforge.optimizer.waveforms.comparison import compare_waveforms
+
+    return compare_waveforms(design)
+
+
+def _phases(design: Design) -> PhaseFit | None:
+    if design.phase_machine is None:
+        return None
+    from dqforge.optimizer.waveforms.solve import solve_phases
+
+    return solve_phases(design)
+
+
+def _choice(design: Design) -> ModulationChoice | None:
+    if design.modulation_choice is None:
+        return None
+    from dqforge.optimizer.modulation_choice.solve import solve_choice
+
+    return solve_choice(design)
+
+
+def _fixed_observers(design: Design, gains: GainSet | None) -> tuple[FixedObserverFit, ...]:
+    if gains is None or gains.position is None:
+        return ()
+    from dqforge.optimizer.fixed_observers.fixed_observer_fit import solve_fixed_observers
+
+    return solve_fixed_observers(design, gains.position)
+
+
+def _frame_tables(design: Design) -> FrameTables | None:
+    if not design.export.frame_tables:
+        return None
+    from dqforge.optimizer.frame_tables.fit import solve_frame_tables
+
+    return solve_frame_tables(design)
+
+
+def _overmodulation(design: Design) -> Overmodulation | None:
+    if design.inverter.overmodulation == "none":
+        return None
+    from dqforge.optimizer.overmodulation.solve import solve_overmodulation
+
+    return solve_overmodulation(design)
+
+
+def _six_step(design: Design) -> SixStepDesign | None:
+    if design.control.six_step is None:
+        return None
+    from dqforge.optimizer.six_step.design import solve_six_step
+
+    return solve_six_step(design)
+
+
+def _start_up(design: Design) -> StartUp | None:
+    if design.control.start_up is None:
+        return None
+    from dqforge.optimizer.start_up.solve import solve_start_up
+
+    return solve_start_up(design)
+
+
+def _current_feedback(design: Design) -> CurrentFeedback | None:
+    if not design.control.current_loop.switches:
+        return None
+    from dqforge.optimizer.current_feedback.solve import solve_current_feedback
+
+    return solve_current_feedback(design)
+
+
+def _application(design: Design) -> ApplicationPlan | None:
+    if design.export.application is None:
+        return None
+    from dqforge.optimizer.application.application_plan import application_plan
+
+    return application_plan(design)
 
 
 @on_design("machine")
@@ -181,23 +263,23 @@ def solve(design: Design) -> Solution:
         alternatives=alternatives(current_choice(positive), fit),
         loops=gains,
         losses=solve_losses(design),
-        waveforms=None if design.phase_machine is None else compare_waveforms(design),
-        phases=None if design.phase_machine is None else solve_phases(design),
+        waveforms=_waveforms(design),
+        phases=_phases(design),
         weakening=weakening,
-        choice=solve_choice(design),
+        choice=_choice(design),
         mission=solve_mission(design),
         fixed=() if gains is None else _integers(design, gains, fit, references),
-        fixed_observers=(() if gains is None else solve_fixed_observers(design, gains.position)),
+        fixed_observers=_fixed_observers(design, gains),
         data=chosen.data,
         gains_left_out=left_out,
         negative=solve_negative(design),
         observer_errors=_observer_errors(design, gains, fit.torque_max),
-        frame_tables=solve_frame_tables(design),
-        overmodulation=solve_overmodulation(design),
+        frame_tables=_frame_tables(design),
+        overmodulation=_overmodulation(design),
         fixed_references=references,
         firmware=solve_firmware(design, gains),
-        six_step=solve_six_step(design),
-        start_up=solve_start_up(design),
-        current_feedback=solve_current_feedback(design),
-        application=application_plan(design),
+        six_step=_six_step(design),
+        start_up=_start_up(design),
+        current_feedback=_current_feedback(design),
+        application=_application(design),
     )

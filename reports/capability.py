@@ -6,16 +6,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from dqforge.machines.design.design import Design
-from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_code.header_kind import HeaderKind
-from dqforge.reports.pages.chapters import Chapter
-from dqforge.reports.pages.table import Table
-from dqforge.reports.plain_data import PlainData
-
 if TYPE_CHECKING:
     from markupsafe import Markup
     from matplotlib.figure import Figure
+
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.solution import Solution
+    from dqforge.reports.c_code.header_kind import HeaderKind
+    from dqforge.reports.pages.chapters import Chapter
+    from dqforge.reports.pages.table import Table
+    from dqforge.reports.plain_data import PlainData
 
 R = TypeVar("R")
 

@@ -5,10 +5,12 @@ a new design starts from.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
-from dqforge.machines.design.loader import load_text
 from dqforge.machines.files.library_files import DESIGNS, TEMPLATE
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
 
 
 def names() -> list[str]:
@@ -26,6 +28,8 @@ def load(name: str, settings: Sequence[str] = ()) -> Design:
 
     Raises `InputError` when there is none of this name.
     """
+    from dqforge.machines.design.loader import load_text
+
     return load_text(read_text(name), DESIGNS.source(name), settings=settings)
 
 

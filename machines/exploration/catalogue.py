@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from dqforge.machines.exploration.study import Study
-from dqforge.machines.exploration.study_reader import study_of_text
+from typing import TYPE_CHECKING
+
 from dqforge.machines.files.library_files import STUDIES
+
+if TYPE_CHECKING:
+    from dqforge.machines.exploration.study import Study
 
 
 def names() -> list[str]:
@@ -19,4 +22,6 @@ def read_text(name: str) -> bytes:
 
 def load(name: str) -> Study:
     """Study from the library; raises `InputError` when there is none of this name."""
+    from dqforge.machines.exploration.study_reader import study_of_text
+
     return study_of_text(read_text(name), STUDIES.source(name))

@@ -1,5 +1,5 @@
 """The grammar of units: from ``N m/(A s)``, ``min⁻¹`` or ``V per 1000 rpm`` to powers of
-the unit library's names.
+the names in full.
 
 The reciprocal of a time that is written as such (``1/min``, ``min^-1``, ``min⁻¹``, ``per min``)
 keeps a name of its own (``1/minute``): beside V it says "per revolution per minute", where the same
@@ -11,8 +11,9 @@ from __future__ import annotations
 import re
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.units.meaning import TEN, Powers, is_of, weighed
+from dqforge.machines.units.meaning import TEN, is_of, weighed
 from dqforge.machines.units.registry import COMPOUNDS, SYMBOLS, TIMES, Dimension
+from dqforge.machines.units.si_factors import Powers
 from dqforge.machines.wording import close_matches, shown
 
 _SUPERSCRIPT = str.maketrans("\u2070¹²³\u2074\u207a\u207b", "01234+-")
@@ -50,7 +51,7 @@ Token = tuple[str, str]
 
 
 def parse_unit(unit: str, wanted: Dimension) -> Powers:
-    """Powers of the unit library's names in a unit expression, reciprocals of times and
+    """Powers of the names in full in a unit expression, reciprocals of times and
     powers of ten named apart.
 
     Raises

@@ -1,40 +1,35 @@
 """What a unit means for a dimension: its SI value, the angles that it counts,
 and what it is refused for.
 
-The unit library takes an angle for a number. Whether 3000 1/min are revolutions, radians or cycles
-is therefore decided here: by the angles that the unit names, and where it names none by the
+Of its dimension an angle is a number. Whether 3000 1/min are revolutions, radians or cycles is
+therefore decided here: by the angles that the unit names, and where it names none by the
 dimension (`Dimension.unnamed`).
 """
 
 from __future__ import annotations
 
-import importlib
 import math
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cache
-from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.units.registry import (
     ANGULAR,
     CYCLIC,
-    DEFINITIONS,
     DIMENSIONS,
     FORCES,
     LONG_TIMES,
     Dimension,
 )
+from dqforge.machines.units.si_factors import (
+    ICE_POINT,
+    Powers,
+    dimension_of,
+    factor_between,
+    powers_of,
+)
 from dqforge.machines.wording import shown
-
-if TYPE_CHECKING:
-    from pint import UnitRegistry
-
-    Registry = UnitRegistry[float]
-
-
-Powers = dict[str, int]
-
 
 TEN = "ten"
 
@@ -91,8 +86,8 @@ def convert(number: float, powers: Powers, wanted: Dimension, text: str) -> Conv
 
 
 def is_of(powers: Powers, dimension: Dimension) -> bool:
-    """Whether the unit library gives a unit the dimension, whatever it means."""
-    return _dimension_of(_key(_library(powers))) == _base_of(dimension.base)
+    """Whether a unit has the dimension on paper, whatever it means."""
+    return dimension_of(_library(powers)) == dimension_of(powers_of(dimension.base))
 
 
 def weighed(powers: Powers, wanted: Dimension) -> Powers:
@@ -175,7 +170,7 @@ def _has_radians_by_name(powers: Powers) -> bool:
 
 
 def _library(powers: Powers) -> Powers:
-    """Powers of the unit library's names alone: reciprocals of times undone,
+    """Powers of the names of units alone: reciprocals of times undone,
     powers of ten left out.
     """
     plain: Powers = {}
@@ -187,15 +182,6 @@ def _library(powers: Powers) -> Powers:
         )
         plain[known] = plain.get(known, 0) + sign * power
     return {name: power for name, power in plain.items() if power}
-
-
-@cache
-def _registry() -> Registry:
-    """Build the unit library's registry on first use, because that takes a third of a second."""
-    registry: Registry = importlib.import_module("pint").UnitRegistry()
-    for definition in DEFINITIONS:
-        registry.define(definition)
-    return registry
 
 
 _Key = tuple[tuple[str, int], ...]
@@ -213,22 +199,8 @@ def _key(powers: Powers) -> _Key:
 
 
 @cache
-def _base_of(base: str) -> object:
-    return _registry().Unit(base).dimensionality
-
-
-@cache
-def _dimension_of(key: _Key) -> object:
-    registry = _registry()
-    return registry.Unit(registry.UnitsContainer(dict(key))).dimensionality
-
-
-@cache
 def _factor_of(key: _Key, base: str) -> float:
-    registry = _registry()
-    return float(
-        registry.Quantity(1.0, registry.Unit(registry.UnitsContainer(dict(key)))).to(base).magnitude
-    )
+    return factor_between(dict(key), powers_of(base))
 
 
 def _scaled(number: float, powers: Powers, wanted: Dimension) -> float:
@@ -238,14 +210,11 @@ def _scaled(number: float, powers: Powers, wanted: Dimension) -> float:
     """
     plain = _library(powers)
     key = _key(plain)
-    if wanted.base == "degree_Celsius":
-        registry = _registry()
-        unit = registry.Unit(registry.UnitsContainer(dict(key)))
-        return float(
-            registry.Quantity(number * 10.0 ** powers.get(TEN, 0), unit).to(wanted.base).magnitude
-        )
     factor = _factor_of(key, wanted.base)
     decimals = powers.get(TEN, 0)
+    if wanted.base == "degree_Celsius":
+        value = number * 10.0**decimals
+        return value if plain == {wanted.base: 1} else value * factor - ICE_POINT
     exponent = round(math.log10(factor))
     if math.isclose(factor, 10.0**exponent, rel_tol=1e-12):
         return float(Decimal(repr(number)).scaleb(exponent + decimals))

@@ -1,8 +1,7 @@
 """Quantities with units: read strictly at the edge ("1.61 mH"), written for people ("1.61 mH").
 
 Inside the program every number is in SI units; a bare number in an input file is SI. The text must
-match a small grammar, and every symbol a fixed vocabulary, before the unit library sees any of it,
-so nothing is ever evaluated.
+match a small grammar, and every symbol a fixed vocabulary, so nothing is ever evaluated.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-# Own vocabulary instead of the unit library's: there "mh" is a millihour
+# A vocabulary of engineers, not that of a library of units: there "mh" is a millihour
 # and "Nm" is a metre per tex.
 _PREFIXES = {
     "": "",
@@ -26,7 +26,7 @@ _PREFIXES = {
 }
 
 
-# symbol: (name in the unit library, prefixes that engineers write in front of it)
+# symbol: (name in full, prefixes that engineers write in front of it)
 _BASES = {
     "Ohm": ("ohm", "nuµμmkM"),
     "Ω": ("ohm", "nuµμmkM"),
@@ -141,15 +141,7 @@ COMPOUNDS: dict[str, tuple[str, str]] = {
 }
 
 
-# Units that the library lacks, or has in another sense, in its own language.
-DEFINITIONS = (
-    "krpm = 1000 * revolutions_per_minute",
-    "rps = 60 * revolutions_per_minute",
-)
-
-
-# Names whose presence tells an angular speed from a frequency, which the unit
-# library holds to be the same.
+# Names whose presence tells an angular speed from a frequency, which have one dimension.
 TURNS = frozenset({"turn", "revolutions_per_minute", "krpm", "rps"})
 
 
@@ -199,7 +191,7 @@ class Dimension:
     unit:
         Unit of the numbers inside the program, in the spelling of this package.
     base:
-        The same unit for the unit library.
+        The same unit by the names in full.
     example:
         What a user might write.
     forbidden:
@@ -210,8 +202,8 @@ class Dimension:
     cycles:
         Whether a value in hertz counts cycles: 2 pi goes with each.
     angle:
-        Power of the plane angle in the unit, 1 for a speed and -1 for a constant per speed. The
-        unit library takes an angle for a number, so that the program counts them itself.
+        Power of the plane angle in the unit, 1 for a speed and -1 for a constant per speed. An
+        angle has no dimension, so that angles are counted by their names.
     unnamed:
         What a unit counts that names no angle although `angle` is not 0: 1/min of a speed are
         revolutions, N m s of a friction is per radian.

@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
-from dqforge.machines.design.settings import ControlSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.loop_proofs import LoopProofs, prove_loops
-from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed, measured_speed
-from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
-from dqforge.optimizer.control_design.turning_proof import turning_proof
 from dqforge.optimizer.dynamic_references.solve import DynamicReferences, dynamic_references
 from dqforge.optimizer.estimators.solve import TunedTracker, solve_tracker
-from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops, firmware_loops
 from dqforge.optimizer.loops.gains import speed_delay, tune_current_loop, tune_speed_loop
 from dqforge.optimizer.loops.inductances import inductance_range
 from dqforge.optimizer.loops.integer_gains import PerUnitGains, per_unit_gains
-from dqforge.optimizer.loops.loop_batch import PlantBatch
-from dqforge.optimizer.loops.loop_gains import LoopGains, LoopName
 from dqforge.optimizer.loops.responses import LoopResponse, loop_responses
 from dqforge.optimizer.loops.robustness import (
     RobustSet,
@@ -30,18 +23,23 @@ from dqforge.optimizer.loops.robustness import (
     turning_robustness,
     zero_robustness,
 )
-from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule, schedule_gains
 from dqforge.optimizer.loops.tolerance_box import Axis, DriveBox, drive_box
 from dqforge.optimizer.loops.vendor_methods import vendor_inductance
-from dqforge.optimizer.observed_drive.tuning_rule import speed_lag
-from dqforge.optimizer.observers.reduced_order import (
-    ReducedOrderObserver,
-    SpeedErrorSlopes,
-    speed_error_slopes,
-)
 from dqforge.optimizer.observers.solve import solve_observer
-from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.optimizer.phase_control.design import PhaseLoops, judged, phase_control
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.machines.design.settings import ControlSettings
+    from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
+    from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed
+    from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
+    from dqforge.optimizer.loops.loop_batch import PlantBatch
+    from dqforge.optimizer.loops.loop_gains import LoopGains, LoopName
+    from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
+    from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver, SpeedErrorSlopes
+    from dqforge.optimizer.observers.tuning import PositionObserver
+    from dqforge.optimizer.phase_control.design import PhaseLoops
+
 
 AXES: tuple[Axis, Axis] = ("i_d", "i_q")
 
@@ -188,7 +186,7 @@ def solve_gains(design: Design, *, proofs: bool = True) -> GainSet:
     if control.speed_loop is not None:
         lag = _observer_lag(design, i_q, position, tracker)
         speed = tune_speed_loop(machine, i_q, control, speed_corners(), lag)
-    phases = None if design.phase_machine is None else phase_control(design, i_d, i_q)
+    phases = _phases(design, i_d, i_q)
     robust = None
     zero = None if phases is None else phases.zero
     if named:
@@ -199,16 +197,17 @@ def solve_gains(design: Design, *, proofs: bool = True) -> GainSet:
             turning_robustness(box, i_d, i_q) if phases is None else None,
             box.named_limits(),
             None if zero is None else zero_robustness(box, zero),
-            turning_proof(box, i_d, i_q) if phases is None and proofs else None,
+            _turning(box, i_d, i_q) if phases is None and proofs else None,
         )
-    phases = None if phases is None else judged(design, box, phases)
-    wanted = control.current_loop.schedule
-    schedule = schedule_gains(design, box if named else None, i_d, i_q) if wanted else None
+    phases = _judged(design, box, phases)
+    schedule = _schedule(design, box if named else None, i_d, i_q)
     if speed is not None and any(each is not None for each in (observer, position, tracker)):
+        from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
+
         loops = (i_d, i_q, speed)
         speed = judge_observed(design, loops, observer, position, tracker, thorough=proofs)
         robust = None if robust is None else replace(robust, speed=None)
-    measured = measured_speed(design, i_q, speed)
+    measured = _measured(design, i_q, speed)
     if measured is not None:  # corners and proofs know nothing of its delay
         robust = None if robust is None else replace(robust, speed=None)
     exact = speed if measured is None else None
@@ -218,28 +217,86 @@ def solve_gains(design: Design, *, proofs: bool = True) -> GainSet:
     if measured is not None and named:
         proven = replace(proven, measured=True)
     scaled = _per_unit(control, (i_d, i_q, zero, speed))
-    slopes = (
-        None if observer is None else speed_error_slopes(machine, observer, control.bases.speed)
-    )
     references = dynamic_references(design, box, (i_d, i_q), speed)
-    firmware = firmware_loops(design, box, (i_d, i_q, speed))
     return GainSet(
         i_d,
         i_q,
         speed,
         scaled,
         observer,
-        slopes,
+        _slopes(design, observer),
         robust,
         schedule,
         position,
         phases,
         proven,
         references,
-        firmware,
+        _firmware(design, box, (i_d, i_q, speed)),
         tracker,
         measured,
     )
+
+
+# What not every design asks for is loaded where one does.
+
+
+def _phases(design: Design, i_d: LoopGains, i_q: LoopGains) -> PhaseLoops | None:
+    if design.phase_machine is None:
+        return None
+    from dqforge.optimizer.phase_control.design import phase_control
+
+    return phase_control(design, i_d, i_q)
+
+
+def _judged(design: Design, box: DriveBox, phases: PhaseLoops | None) -> PhaseLoops | None:
+    if phases is None:
+        return None
+    from dqforge.optimizer.phase_control.design import judged
+
+    return judged(design, box, phases)
+
+
+def _turning(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> CurrentLoopProof | None:
+    from dqforge.optimizer.control_design.turning_proof import turning_proof
+
+    return turning_proof(box, i_d, i_q)
+
+
+def _schedule(
+    design: Design, box: DriveBox | None, i_d: LoopGains, i_q: LoopGains
+) -> GainSchedule | None:
+    if not design.control.current_loop.schedule:
+        return None
+    from dqforge.optimizer.loops.schedule.gain_schedule import schedule_gains
+
+    return schedule_gains(design, box, i_d, i_q)
+
+
+def _measured(design: Design, i_q: LoopGains, speed: LoopGains | None) -> MeasuredSpeed | None:
+    settings = design.control.speed_loop
+    if settings is None or settings.measurement is None:
+        return None
+    from dqforge.optimizer.control_design.measured_speed_loop import measured_speed
+
+    return measured_speed(design, i_q, speed)
+
+
+def _slopes(design: Design, observer: ReducedOrderObserver | None) -> SpeedErrorSlopes | None:
+    if observer is None:
+        return None
+    from dqforge.optimizer.observers.reduced_order import speed_error_slopes
+
+    return speed_error_slopes(design.machine, observer, design.control.bases.speed)
+
+
+def _firmware(
+    design: Design, box: DriveBox, loops: tuple[LoopGains, LoopGains, LoopGains | None]
+) -> FirmwareLoops | None:
+    if design.control.firmware is None:
+        return None
+    from dqforge.optimizer.firmware.firmware_loops import firmware_loops
+
+    return firmware_loops(design, box, loops)
 
 
 def _observer_lag(
@@ -257,6 +314,8 @@ def _observer_lag(
     if position is None:
         return 0.0
     delays = speed_delay(i_q, design.control.t_s, settings)
+    from dqforge.optimizer.observed_drive.tuning_rule import speed_lag
+
     return speed_lag(position, delays, settings.spread)
 
 

@@ -6,15 +6,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
+from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.axis_margins.margin_proof import ProvenMargins, prove_margins
-from dqforge.optimizer.changing_loops.current_range import ChangingAxis, prove_changing_currents
-from dqforge.optimizer.loops.loop_gains import LoopGains, LoopName
-from dqforge.optimizer.loops.robustness import RobustSet
-from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
-from dqforge.optimizer.loops.tolerance_box import DriveBox
-from dqforge.optimizer.speed_box.speed_proof import SpeedProof, prove_speed_loop
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.axis_margins.margin_proof import ProvenMargins
+    from dqforge.optimizer.changing_loops.current_range import ChangingAxis
+    from dqforge.optimizer.loops.loop_gains import LoopGains, LoopName
+    from dqforge.optimizer.loops.robustness import RobustSet
+    from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
+    from dqforge.optimizer.loops.tolerance_box import DriveBox
+    from dqforge.optimizer.speed_box.speed_proof import SpeedProof
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +66,8 @@ def prove_margins_of(
     for loop in loops:
         worst = None if loop is None else found[loop.loop]
         if loop is not None and worst is not None:
+            from dqforge.optimizer.axis_margins.margin_proof import prove_margins
+
             proven[loop.loop] = prove_margins(box, loop, worst)
     return proven
 
@@ -95,13 +101,18 @@ def prove_loops(
     """
     i_d, i_q, _ = currents
     robust, schedule = found
-    plain = box.design.phase_machine is None
-    changing = prove_changing_currents(box, largest, (i_d, i_q), schedule) if plain else ()
+    changing: tuple[ChangingAxis, ...] = ()
+    if box.design.phase_machine is None and not isinstance(box.design.machine, LinearMachine):
+        from dqforge.optimizer.changing_loops.current_range import prove_changing_currents
+
+        changing = prove_changing_currents(box, largest, (i_d, i_q), schedule)
     if robust is None:
         return LoopProofs(changing=changing)
     observed = speed is not None and speed.observed is not None
     proof = None
     if speed is not None and not observed:
+        from dqforge.optimizer.speed_box.speed_proof import prove_speed_loop
+
         proof = prove_speed_loop(box, speed, i_q, thorough=box.tolerances.thorough)
         if proof.unstable is not None:
             raise _refusal(proof.unstable)

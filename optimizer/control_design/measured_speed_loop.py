@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.design import Design
-from dqforge.machines.design.settings import SpeedMeasurementSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.control_design.slower_speed_loop import (
@@ -18,11 +16,16 @@ from dqforge.optimizer.control_design.slower_speed_loop import (
 )
 from dqforge.optimizer.loops.analysis import inertia_of, speed_model
 from dqforge.optimizer.loops.gains import speed_delay
-from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.pi_methods import largest_factor
 from dqforge.optimizer.loops.plants import PiLoop, SpeedLoop
 from dqforge.optimizer.sampled_systems import ComplexArray, grid_crossings
 from dqforge.optimizer.speed_measurement.edges import Edges
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.machines.design.design import Design
+    from dqforge.machines.design.settings import SpeedMeasurementSettings
+    from dqforge.optimizer.loops.loop_gains import LoopGains
 
 _SHARES = np.array([0.02, 0.05, 0.1, 0.25, 0.5, 1.0])
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loops.observed_margins import ObservedLoop
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.loops.observed_margins import ObservedLoop
 
 _ROUNDING = 1e-6
 

@@ -9,23 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.design import Design
-from dqforge.machines.design.settings import SpeedLoopSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.optimizer.control_design.slower_speed_loop import (
     ROUNDED,
     slower_speed_pi,
     speed_advice,
 )
-from dqforge.optimizer.estimators.solve import TunedTracker
 from dqforge.optimizer.estimators.tracker_columns import TrackerEstimator
 from dqforge.optimizer.loops.analysis import inertia_of
 from dqforge.optimizer.loops.gains import speed_delay
-from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.observed_margins import ObservedLoop
 from dqforge.optimizer.loops.pi_methods import largest_factor
 from dqforge.optimizer.loops.plants import DisturbanceResponse, PiLoop, close_pi
@@ -36,8 +32,6 @@ from dqforge.optimizer.observed_drive.design_drive import (
     top_speed,
 )
 from dqforge.optimizer.observed_drive.drive_cases import DriveCases, drive_cases
-from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
-from dqforge.optimizer.observed_drive.estimator_columns import Estimator
 from dqforge.optimizer.observed_drive.fixed_points import SteadyDrives, steady_drives
 from dqforge.optimizer.observed_drive.limit_cycle import limit_cycle
 from dqforge.optimizer.observed_drive.speed_range import SpeedPi, judge_corners
@@ -47,8 +41,6 @@ from dqforge.optimizer.observed_drive.stability_limits import (
 )
 from dqforge.optimizer.observed_drive.tolerance_corners import corner_box, tracked_box
 from dqforge.optimizer.observed_drive.tuning_rule import speed_lag
-from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
-from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.optimizer.sampled_systems import (
     ComplexArray,
     SampledSystem,
@@ -56,6 +48,17 @@ from dqforge.optimizer.sampled_systems import (
     lift,
     loop_margins,
 )
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.machines.design.design import Design
+    from dqforge.machines.design.settings import SpeedLoopSettings
+    from dqforge.optimizer.estimators.solve import TunedTracker
+    from dqforge.optimizer.loops.loop_gains import LoopGains
+    from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
+    from dqforge.optimizer.observed_drive.estimator_columns import Estimator
+    from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
+    from dqforge.optimizer.observers.tuning import PositionObserver
 
 _SHARES = np.array([0.1, 0.25, 0.5, 1.0])
 

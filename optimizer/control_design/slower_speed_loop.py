@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.settings import SpeedLoopSettings
-from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.pi_methods import calmer, loop_advice, speed_pi
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.settings import SpeedLoopSettings
+    from dqforge.optimizer.loops.loop_gains import LoopGains
 
 ROUNDED = 0.998
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.box_proofs.current_loop_model import (
     BoxDrive,
     CurrentLoopBox,
@@ -19,9 +19,12 @@ from dqforge.optimizer.box_proofs.current_loop_proof import (
     prove_current_loops,
     prove_sensitivity,
 )
-from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.robustness import unstable_together
-from dqforge.optimizer.loops.tolerance_box import DriveBox
+
+if TYPE_CHECKING:
+    from dqforge.machines.errors import NoSolutionError
+    from dqforge.optimizer.loops.loop_gains import LoopGains
+    from dqforge.optimizer.loops.tolerance_box import DriveBox
 
 
 def current_loop_box(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> CurrentLoopBox | None:

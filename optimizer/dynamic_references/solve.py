@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ReferenceSettings
-from dqforge.optimizer.dynamic_references.answered_steps import answered_step
-from dqforge.optimizer.dynamic_references.voltage_feedback import (
-    VoltageFeedback,
-    voltage_feedback,
-)
-from dqforge.optimizer.loops.loop_gains import LoopGains
-from dqforge.optimizer.loops.tolerance_box import DriveBox
-from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.dynamic_references.voltage_feedback import VoltageFeedback
+    from dqforge.optimizer.loops.loop_gains import LoopGains
+    from dqforge.optimizer.loops.tolerance_box import DriveBox
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +58,12 @@ def dynamic_references(
     if not wanted.any:
         return None
     slope, current_slope = wanted.torque_slope, wanted.current_slope
+    from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
+
     most = float(mtpa_locus(design.machine, design.i_max).torque[-1])
+    from dqforge.optimizer.dynamic_references.answered_steps import answered_step
+    from dqforge.optimizer.dynamic_references.voltage_feedback import voltage_feedback
+
     return DynamicReferences(
         settings=wanted,
         torque_step=math.inf if slope is None else slope * t_s,

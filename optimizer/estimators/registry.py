@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from importlib import import_module
-from types import MappingProxyType
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.estimators.tracker import Tracker
+from dqforge.machines.loaded_by_name import LoadedByName
 
-_MODULES: dict[str, str] = {
-    "injection": "saliency.injection",
-    "inform": "saliency.inform",
-    "inductance-mapping": "saliency.inductance_mapping",
-    "third-harmonic": "harmonic_trackers.sum_voltage",
-}
+if TYPE_CHECKING:
+    from dqforge.optimizer.estimators.tracker import Tracker
 
-
-def _record(module: str) -> Tracker:
-    record: Tracker = import_module(f"dqforge.optimizer.{module}").TRACKER
-    return record
-
-
-TRACKERS: Mapping[str, Tracker] = MappingProxyType(
-    {name: _record(module) for name, module in _MODULES.items()}
+TRACKERS: LoadedByName[str, Tracker] = LoadedByName(
+    {
+        "injection": "dqforge.optimizer.saliency.injection:TRACKER",
+        "inform": "dqforge.optimizer.saliency.inform:TRACKER",
+        "inductance-mapping": "dqforge.optimizer.saliency.inductance_mapping:TRACKER",
+        "third-harmonic": "dqforge.optimizer.harmonic_trackers.sum_voltage:TRACKER",
+    }
 )
 
 """The trackers by name."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from dqforge.machines.design.design import Design
-from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import InputError, NoSolutionError
-from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
-from dqforge.optimizer.estimators.registry import TRACKERS
-from dqforge.optimizer.estimators.tracker import Tracker, TrackerLoop
+from dqforge.machines.names import TRACKER_NAMES
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.machines.design.settings import ObserverSettings
+    from dqforge.optimizer.estimators.tracker import Tracker, TrackerLoop
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,9 +45,11 @@ def tune_tracker(design: Design, settings: ObserverSettings) -> TunedTracker:
     NoSolutionError
         Physics forbids it; the message has the number.
     """
+    from dqforge.optimizer.estimators.registry import TRACKERS
+
     tracker = TRACKERS[settings.method]
     for name in design.export.control:
-        if name in FIXED_WIDTHS:
+        if name != "float32":
             raise InputError(
                 f"export.control: {name} has no {tracker.name} in integers; write float32, or "
                 "another control.observer.method"
@@ -70,6 +73,6 @@ def solve_tracker(design: Design) -> TunedTracker | None:
     Errors as `tune_tracker`.
     """
     wanted = design.control.observer
-    if wanted is None or wanted.method not in TRACKERS:
+    if wanted is None or wanted.method not in TRACKER_NAMES:
         return None
     return tune_tracker(design, wanted)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
-from dqforge.optimizer.field_weakening.fit import WeakeningFit, fit_weakening
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.field_weakening.fit import WeakeningFit
 
 
 @on_design("field_weakening")
@@ -18,4 +22,6 @@ def solve_weakening(design: Design) -> WeakeningFit | None:
     """
     if design.weakening is None:
         return None
+    from dqforge.optimizer.field_weakening.fit import fit_weakening
+
     return fit_weakening(design.machine, design.i_max, design.v_max, design.weakening)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
 from dqforge.optimizer.firmware.configuration import DriveValues, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked
-from dqforge.optimizer.loops.loop_gains import LoopGains
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.loops.loop_gains import LoopGains
 
 
 def drive_values(design: Design) -> DriveValues:

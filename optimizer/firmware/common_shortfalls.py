@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.current_prices import CurrentPrice, linear_rule, price_of
 from dqforge.optimizer.firmware.firmware_method import Asked, Price, Shortfall
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import Configuration
 
 NOTICED = 1e-3
 

@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-from dqforge.machines.names import Firmware
+if TYPE_CHECKING:
+    from dqforge.machines.names import Firmware
 
 Number = float | int
 OwnValue = Number | str

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.synchronous import Machine
+
+if TYPE_CHECKING:
+    from dqforge.machines.dq_machines.synchronous import Machine
 
 CurrentRule = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 

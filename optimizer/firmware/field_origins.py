@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.firmware.configuration import Origin
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import Origin
 
 Fields = Mapping[str, tuple[str | tuple[str, ...], str]]
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from dqforge.machines.design.design import Design
-from dqforge.machines.names import Firmware
-from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
-from dqforge.optimizer.firmware.profile import LoopProfile
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.machines.names import Firmware
+    from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
+    from dqforge.optimizer.firmware.profile import LoopProfile
 
 FreeGains = Literal["axes", "one-pair", "bandwidth"]
 

@@ -10,16 +10,10 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.optimizer.firmware.configuration import DriveValues
-from dqforge.optimizer.firmware.profile import (
-    CurrentLoops,
-    LoopProfile,
-    PiController,
-    SpeedEstimate,
-)
 from dqforge.optimizer.firmware.sampled_structure import (
     Mechanics,
     Winding,
@@ -27,12 +21,21 @@ from dqforge.optimizer.firmware.sampled_structure import (
     speed_loop,
 )
 from dqforge.optimizer.firmware.turning_axes import TurningAxes, turning_axes
-from dqforge.optimizer.loops.plants import PiLoop
 from dqforge.optimizer.sampled_systems import (
     ComplexArray,
     SampledSystem,
     loop_margins,
 )
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import DriveValues
+    from dqforge.optimizer.firmware.profile import (
+        CurrentLoops,
+        LoopProfile,
+        PiController,
+        SpeedEstimate,
+    )
+    from dqforge.optimizer.loops.plants import PiLoop
 
 _DEAR, _DEAR_AT_BEST = math.radians(10.0), math.radians(30.0)
 """Phase that a phase-locked loop may cost at the crossover without being remarked upon: where other

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.configuration import OwnValue
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import OwnValue
 
 FLOAT32_DIGITS = 7
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from dqforge.machines.names import Firmware
+if TYPE_CHECKING:
+    from dqforge.machines.names import Firmware
 
 PiRule = Literal["integral-first", "integral-last", "trapezoid"]
 

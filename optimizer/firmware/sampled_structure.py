@@ -21,19 +21,22 @@ K. J. Astroem, B. Wittenmark, "Computer-Controlled Systems", 3rd edition, 1997: 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.firmware.profile import (
-    CurrentLoops,
-    PiController,
-    PiRule,
-    SpeedController,
-    SpeedEstimate,
-)
 from dqforge.optimizer.loops.plants import PiLoop, close_pi
 from dqforge.optimizer.sampled_systems import SampledSystem, delayed_plant, discretise, lift
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.optimizer.firmware.profile import (
+        CurrentLoops,
+        PiController,
+        PiRule,
+        SpeedController,
+        SpeedEstimate,
+    )
 
 _SHARE: dict[PiRule, float] = {"integral-first": 1.0, "trapezoid": 0.5, "integral-last": 0.0}
 

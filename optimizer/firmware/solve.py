@@ -6,21 +6,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware
 from dqforge.machines.places import about
 from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.asked import asked
-from dqforge.optimizer.firmware.configuration import Configuration
-from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
 from dqforge.optimizer.firmware.judge import JudgedFirmware, judge
-from dqforge.optimizer.firmware.profile import LoopProfile
 from dqforge.optimizer.firmware.registry import METHODS
-from dqforge.optimizer.loops.loop_gains import LoopGains
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.firmware.configuration import Configuration
+    from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
+    from dqforge.optimizer.firmware.profile import LoopProfile
+    from dqforge.optimizer.loops.loop_gains import LoopGains
 
 Methods = Mapping[Firmware, FirmwareMethod]
 

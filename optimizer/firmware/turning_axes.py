@@ -14,12 +14,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.firmware.profile import CurrentLoops
 from dqforge.optimizer.firmware.sampled_structure import equivalent_gains, filter_share
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.optimizer.firmware.profile import CurrentLoops
 
 _SPEEDS = 9
 

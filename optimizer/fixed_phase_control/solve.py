@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING, TypeAlias
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
-from dqforge.optimizer.control_design.gain_set import GainSet
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
-from dqforge.optimizer.fixed_control.design import FixedControlFit
-from dqforge.optimizer.fixed_control.solve import solve_fixed
-from dqforge.optimizer.fixed_control.step import FixedReferences
-from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit, fit_phase_control
 
-IntegerFit = FixedControlFit | FixedPhaseFit
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.fixed_control.design import FixedControlFit
+    from dqforge.optimizer.fixed_control.step import FixedReferences
+    from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
+
+IntegerFit: TypeAlias = "FixedControlFit | FixedPhaseFit"
 
 
 @on_design("export.control")
@@ -28,8 +30,14 @@ def solve_integers(
     ``torque_max`` in N m limits the speed loop, ``references`` are current references by the bits
     of their codes. Errors as `fit_control` and `fit_phase_control`.
     """
-    if gains.phases is None:
-        return solve_fixed(design, gains, torque_max, references)
     widths = [FIXED_WIDTHS[name] for name in design.export.control if name in FIXED_WIDTHS]
+    if not widths:
+        return ()
+    if gains.phases is None:
+        from dqforge.optimizer.fixed_control.solve import solve_fixed
+
+        return solve_fixed(design, gains, torque_max, references)
+    from dqforge.optimizer.fixed_phase_control.design import fit_phase_control
+
     speed = None if gains.speed is None else (gains.speed, gains.i_q)
     return tuple(fit_phase_control(design, gains.phases.control, width, speed) for width in widths)

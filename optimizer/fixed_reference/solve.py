@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
-from dqforge.optimizer.current_reference.fit import ReferenceFit
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
-from dqforge.optimizer.field_weakening.fit import WeakeningFit
-from dqforge.optimizer.fixed_control.design import dc_link
-from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit, fit_line, fit_mesh
-from dqforge.optimizer.operating_points.solve import current_choice
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.current_reference.fit import ReferenceFit
+    from dqforge.optimizer.field_weakening.fit import WeakeningFit
+    from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
 
 
 @on_design("export.control")
@@ -43,6 +45,12 @@ def _solve(
     design: Design, fit: ReferenceFit, weakening: WeakeningFit | None, width: int
 ) -> FixedReferenceFit:
     if weakening is not None:
+        from dqforge.optimizer.fixed_control.design import dc_link
+        from dqforge.optimizer.fixed_reference.fit import fit_mesh
+
         return fit_mesh(design, weakening.domain, fit.torque_max, width, dc_link(design, width))
     permitted = fit.errors.torque_relative
+    from dqforge.optimizer.fixed_reference.fit import fit_line
+    from dqforge.optimizer.operating_points.solve import current_choice
+
     return fit_line(design, current_choice(design), fit.torque_max, permitted, width)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.losses.mission import Mission
-from dqforge.optimizer.losses.drive_budget import BudgetOptions
-from dqforge.optimizer.losses.drive_comparison import Alternatives
-from dqforge.optimizer.losses.loss_map import budget_options
-from dqforge.optimizer.losses.mission_budget import MissionComparison, compare_mission
-from dqforge.optimizer.losses.phase_comparison import PhaseDrive
-from dqforge.optimizer.losses.phase_mission import compare_phase_mission
-from dqforge.optimizer.losses.point_comparison import LossComparison, compare_points
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.losses.drive_comparison import Alternatives
+    from dqforge.optimizer.losses.mission_budget import MissionComparison
+    from dqforge.optimizer.losses.point_comparison import LossComparison
 
 
 @on_design("losses")
@@ -25,6 +25,9 @@ def solve_losses(design: Design) -> LossComparison | None:
     losses = design.losses
     if losses is None or not losses.points:
         return None
+    from dqforge.optimizer.losses.drive_budget import BudgetOptions
+    from dqforge.optimizer.losses.point_comparison import compare_points
+
     return compare_points(
         design.machine,
         design.inverter,
@@ -60,6 +63,8 @@ def solve_mission(design: Design) -> MissionComparison | None:
     losses = design.losses
     if losses is None or losses.mission is None:
         return None
+    from dqforge.optimizer.losses.drive_comparison import Alternatives
+
     alternatives = Alternatives(losses.strategies, losses.modulations, (design.inverter.f_sw,))
     return mission_comparison(design, losses.mission, alternatives, design.operation.voltage_margin)
 
@@ -85,8 +90,14 @@ def mission_comparison(
     InputError, NoSolutionError
         As `compare_mission`.
     """
+    from dqforge.optimizer.losses.loss_map import budget_options
+    from dqforge.optimizer.losses.mission_budget import compare_mission
+
     machine, inverter, options = design.machine, design.inverter, budget_options(design)
     if design.phase_machine is not None:
+        from dqforge.optimizer.losses.phase_comparison import PhaseDrive
+        from dqforge.optimizer.losses.phase_mission import compare_phase_mission
+
         drive = PhaseDrive(design.phase_machine, machine, inverter, design.i_max, options, margin)
         return compare_phase_mission(drive, mission, alternatives)
     return compare_mission(

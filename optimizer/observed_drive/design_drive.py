@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import filter_share
 from dqforge.machines.dq_machines.synchronous import linearised
-from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.observed_drive.drive_model import DriveData, ObservedDrive
 from dqforge.optimizer.observed_drive.estimator_columns import (
     Estimator,
     PositionEstimator,
     SpeedEstimator,
 )
-from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
-from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.optimizer.observers.tuning_numbers import LARGEST_TURN
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
-from dqforge.optimizer.sampled_systems import ComplexArray
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.loops.loop_gains import LoopGains
+    from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
+    from dqforge.optimizer.observers.tuning import PositionObserver
+    from dqforge.optimizer.sampled_systems import ComplexArray
 
 _KNOTS = 201
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.machines.dq_machines.synchronous import LinearMachine
 
 RELATIVE = ("r_s", "l_d", "l_q", "psi_pm", "inertia", "v_dc")
 

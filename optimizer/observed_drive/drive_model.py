@@ -20,14 +20,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.drive_motion import ComplexArray, plants, steady_voltage
-from dqforge.optimizer.observed_drive.drive_cases import DriveCases
-from dqforge.optimizer.observed_drive.estimator_columns import Estimator
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.machines.dq_machines.synchronous import LinearMachine
+    from dqforge.optimizer.observed_drive.drive_cases import DriveCases
+    from dqforge.optimizer.observed_drive.estimator_columns import Estimator
 
 OWN = 10
 

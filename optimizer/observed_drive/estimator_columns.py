@@ -7,17 +7,19 @@ rotor, whose turning within a period is taken off at its end.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.drive_motion import ComplexArray, plants
-from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.parts import EXACT, ObserverState, Pair
-from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
 from dqforge.optimizer.observers.steady_states import steady_observer, vector_count
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.machines.dq_machines.synchronous import LinearMachine
+    from dqforge.optimizer.observers.method import ObserverMethod
+    from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
 
 _SETTLING = 2000
 

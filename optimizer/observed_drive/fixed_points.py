@@ -13,14 +13,17 @@ the samples of a speed period and closed by the PI it has the poles of the whole
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.observed_drive.drive_cases import DriveCases, exact_cases
 from dqforge.optimizer.observed_drive.drive_model import OWN, ObservedDrive
 from dqforge.optimizer.sampled_systems import ComplexArray, SampledSystem
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
 
 _STEP = 1e-6
 

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.optimizer.loops.observed_margins import (
     Corner,
     CornerJudgement,
     FailingCorner,
     SpeedRange,
 )
-from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
 from dqforge.optimizer.observed_drive.fixed_points import steady_drives
 from dqforge.optimizer.observed_drive.tolerance_corners import CornerBox, cases_of
+
+if TYPE_CHECKING:
+    from dqforge.machines.dq_machines.synchronous import LinearMachine
+    from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
 
 LEAST_SHARE = 0.02
 

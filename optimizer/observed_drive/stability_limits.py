@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.names import OBSERVER_KEYS
 from dqforge.optimizer.loops.pi_methods import largest_factor
 from dqforge.optimizer.observed_drive.design_drive import position_estimator
-from dqforge.optimizer.observed_drive.drive_cases import DriveCases
-from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
 from dqforge.optimizer.observed_drive.fixed_points import SteadyDrives, steady_drives
-from dqforge.optimizer.observed_drive.speed_range import SpeedPi
 from dqforge.optimizer.observed_drive.tuning_rule import has_loop
 from dqforge.optimizer.observers.pll import FASTEST
 from dqforge.optimizer.observers.tuning import PositionObserver, retuned
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.observed_drive.drive_cases import DriveCases
+    from dqforge.optimizer.observed_drive.drive_model import ObservedDrive
+    from dqforge.optimizer.observed_drive.speed_range import SpeedPi
 
 _TRIALS = 24
 

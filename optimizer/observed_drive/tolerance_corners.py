@@ -6,17 +6,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.optimizer.loops.observed_margins import Corner
 from dqforge.optimizer.observed_drive.drive_cases import RELATIVE, DriveCases, drive_cases
 from dqforge.optimizer.observers.conditions import lost_voltage
 from dqforge.optimizer.observers.tuning_numbers import usual_disturbances
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.machines.design.design import Design
 
 LOAD_SHARE = 0.3
 

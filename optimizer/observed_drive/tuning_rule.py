@@ -9,15 +9,18 @@ such a loop are as late as their own phase is at the crossover 1/(a T) that the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
 from dqforge.machines.plants.drive_motion import plants
 from dqforge.optimizer.observers.pll import PllGains
 from dqforge.optimizer.observers.steady_states import SteadyObserver, steady_observer
-from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.optimizer.sampled_systems import ComplexArray
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.optimizer.observers.tuning import PositionObserver
+    from dqforge.optimizer.sampled_systems import ComplexArray
 
 _SHARE = 0.5  # of the largest speed, at which a lag is found
 

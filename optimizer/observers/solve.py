@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.machines.names import SPEED_OBSERVER, TRACKER_NAMES
-from dqforge.optimizer.observers.conditions import conditions, loads_of, training_box
-from dqforge.optimizer.observers.methods.registry import method_named
-from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver, reduced_order_observer
-from dqforge.optimizer.observers.tuning import PositionObserver, tune_position_observer
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
+    from dqforge.optimizer.observers.tuning import PositionObserver
 
 
 def observed_machine(design: Design) -> LinearMachine:
@@ -28,6 +29,8 @@ def observed_machine(design: Design) -> LinearMachine:
     plain = linearised(design.machine)
     if design.control.start_up is None or plain is design.machine:
         return plain
+    from dqforge.optimizer.observers.conditions import loads_of
+
     load = loads_of(design)[0]
     return replace(plain, l_d=load.l_d, l_q=load.l_q, psi_pm=load.psi_pm)
 
@@ -41,7 +44,13 @@ def solve_observer(design: Design) -> tuple[ReducedOrderObserver | None, Positio
     if wanted is None or wanted.method in TRACKER_NAMES:
         return None, None
     if wanted.method == SPEED_OBSERVER and wanted.pole is not None:
+        from dqforge.optimizer.observers.reduced_order import reduced_order_observer
+
         return reduced_order_observer(machine, wanted.pole, control.t_s), None
+    from dqforge.optimizer.observers.conditions import conditions, training_box
+    from dqforge.optimizer.observers.methods.registry import method_named
+    from dqforge.optimizer.observers.tuning import tune_position_observer
+
     omega_m = machine.omega_m_max if machine.omega_m_max is not None else control.bases.speed
     omega_max = omega_m * machine.pole_pairs
     known = conditions(design, omega_max)

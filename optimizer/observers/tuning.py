@@ -6,17 +6,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.settings import ObserverSettings
-from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.optimizer.observers.judgement import ObserverJudgement, judge, judge_at
-from dqforge.optimizer.observers.method import ObserverMethod
-from dqforge.optimizer.observers.methods.registry import method_named
 from dqforge.optimizer.observers.pll import FASTEST
 from dqforge.optimizer.observers.training import Training, TrainingBox, usual_training_box
 from dqforge.optimizer.observers.tuning_numbers import (
@@ -26,6 +21,12 @@ from dqforge.optimizer.observers.tuning_numbers import (
     require_magnet,
     usual_disturbances,
 )
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.machines.design.settings import ObserverSettings
+    from dqforge.machines.dq_machines.synchronous import LinearMachine
+    from dqforge.optimizer.observers.method import ObserverMethod
 
 SHOWN = (0.05, 0.1, 0.25, 0.5, 1.0)
 
@@ -184,6 +185,8 @@ def tune_position_observer(
         The machine has no magnet, its speed is too high for the sampling,
         or the tuning is too fast.
     """
+    from dqforge.optimizer.observers.methods.registry import method_named
+
     method = method_named(settings.method)
     require_magnet(machine)
     if omega_max * t_s > LARGEST_TURN:

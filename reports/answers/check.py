@@ -6,21 +6,12 @@ from dataclasses import replace
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.overrides import OPTION
+from dqforge.machines.design.plausibility.figures import MARK
 from dqforge.machines.names import SPEED_OBSERVER, TRACKER_NAMES
-from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.control_design.observed_refusal import require_observed
-from dqforge.optimizer.current_feedback.regulator_numbers import regulator_plan
-from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
-from dqforge.optimizer.dynamic_references.voltage_feedback import require_feedback
-from dqforge.optimizer.fixed_control.design import require_scales
-from dqforge.optimizer.six_step.design import solve_six_step
-from dqforge.optimizer.start_up.solve import solve_start_up
-from dqforge.reports.current_feedback.tables import settings_table
-from dqforge.reports.observers.speed_loop_text import leaving_notes
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
-from dqforge.reports.result import plain_design
-from dqforge.reports.summary import check_tables
+from dqforge.reports.pages.table import Table
+from dqforge.reports.plain_design import plain_design
 
 
 def _speed_on_observer(design: Design) -> bool:
@@ -48,21 +39,13 @@ def answer_check(design: Design) -> Answer:
         six-step drive that holds at no speed, or physics forbids its start.
     """
     stage("checking")
-    require_feedback(design)
-    solve_six_step(design)
-    if set(design.export.control) & set(FIXED_WIDTHS):
-        require_scales(design)
-    leaving: tuple[str, ...] = ()
-    if _speed_on_observer(design):
-        stage("judging the speed loop on its observer")
-        gains = solve_gains(design)
-        require_observed(design, gains)
-        leaving = leaving_notes(gains.speed)
-    stage("judging the start")
-    solve_start_up(design)
-    first, *others = check_tables(design)
+    leaving = _refuse(design)
+    first, others = _values(design), []
     first = replace(first, notes=(*first.notes, *leaving)) if leaving else first
     if design.control.current_loop.switches:
+        from dqforge.optimizer.current_feedback.regulator_numbers import regulator_plan
+        from dqforge.reports.current_feedback.tables import settings_table
+
         others.append(settings_table(regulator_plan(design)))
     options = () if design.places is None else dict.fromkeys(design.places.options.values())
     keys = tuple(option.removeprefix(f"{OPTION} ") for option in options)
@@ -70,3 +53,59 @@ def answer_check(design: Design) -> Answer:
         first = replace(first, notes=(f"set on the command line: {', '.join(keys)}", *first.notes))
     plain = {"input": plain_design(design)} | ({"set": list(keys)} if keys else {})
     return Answer(design.name, [first, *others], plain)
+
+
+def _refuse(design: Design) -> tuple[str, ...]:
+    """Refuse what cannot be; what an observer leaves of the speed loop.
+
+    Each part is loaded where the design asks for it: most designs ask for none.
+    """
+    control = design.control
+    leaving: tuple[str, ...] = ()
+    if control.references.voltage_feedback is not None:
+        from dqforge.optimizer.dynamic_references.voltage_feedback import require_feedback
+
+        require_feedback(design)
+    if control.six_step is not None:
+        from dqforge.optimizer.six_step.design import solve_six_step
+
+        solve_six_step(design)
+    if any(form != "float32" for form in design.export.control):
+        from dqforge.optimizer.fixed_control.design import require_scales
+
+        require_scales(design)
+    if _speed_on_observer(design):
+        from dqforge.optimizer.control_design.gain_set import solve_gains
+        from dqforge.optimizer.control_design.observed_refusal import require_observed
+        from dqforge.reports.observers.speed_loop_text import leaving_notes
+
+        stage("judging the speed loop on its observer")
+        gains = solve_gains(design)
+        require_observed(design, gains)
+        leaving = leaving_notes(gains.speed)
+    stage("judging the start")
+    if control.start_up is not None:
+        from dqforge.optimizer.start_up.solve import solve_start_up
+
+        solve_start_up(design)
+    return leaving
+
+
+def _values(design: Design) -> Table:
+    """Every value with its origin, and what was assumed."""
+    rows = tuple(
+        (
+            value.path,
+            value.text,
+            f"{value.si:.6g} {value.unit}".strip(),
+            "inferred" if value.inferred else "",
+            value.source,
+        )
+        for value in design.values
+    )
+    columns = ("key", "in the file", "in SI", "", "source")
+    notes = tuple(
+        sentence if sentence.startswith(MARK) else f"assumed: {sentence}"
+        for sentence in design.assumptions
+    )
+    return Table(f"{design.name}: valid", columns, rows, notes)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.control_design.gain_set import solve_gains
@@ -20,12 +20,14 @@ from dqforge.reports.firmware_files.exported import (
     target_named,
 )
 from dqforge.reports.firmware_files.plain import plain_fit
-from dqforge.reports.firmware_files.settled import settling_text, settling_verdicts
 from dqforge.reports.firmware_files.tables import fit_tables
 from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import stage
-from dqforge.reports.pages.table import Table
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.reports.pages.table import Table
+    from dqforge.reports.plain_data import PlainData
 
 
 @on_design("export")
@@ -77,6 +79,8 @@ def answer_export_for(
         tables += fit_tables(fit, read, title)
         plain[fit.name] = plain_fit(fit) | {"files": list(made)}
     if verify:
+        from dqforge.reports.firmware_files.settled import settling_text, settling_verdicts
+
         verdicts = settling_verdicts(wanted, fits, _running)
         notes = [settling_text(verdict) for verdict in verdicts]
     written = Files(files, "", design)

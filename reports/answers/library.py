@@ -7,24 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from dqforge.machines.data_sheet.judged import checked_text
-from dqforge.machines.data_sheet.sheet_values import BY_KEY
-from dqforge.machines.design import catalogue
-from dqforge.machines.design.loader import load_text
-from dqforge.machines.design.schema import json_schema
 from dqforge.machines.errors import InputError
-from dqforge.machines.exploration import catalogue as studies
-from dqforge.machines.exploration.study_schema import study_json_schema
 from dqforge.machines.files.library_files import (
     DESIGN_SCHEMA,
     STUDY_SCHEMA,
     schema_bytes,
     with_modeline,
 )
-from dqforge.reports.answers.check import answer_check
 from dqforge.reports.command_line.designs import NEW_DESIGN, NEW_STUDY, new_file
-from dqforge.reports.firmware_files.design_made import design_from_files
-from dqforge.reports.firmware_files.plain import plain_configuration
 from dqforge.reports.pages.answer import Answer, Files
 
 
@@ -75,12 +65,16 @@ def answer_new(folder: Path, asked: NewRequest) -> Answer:
     path = new_file(folder, NEW_DESIGN)
     if asked.sheet:
         return _answer_new_of(asked.sheet, path)
+    from dqforge.machines.design import catalogue
+
     files = design_files(catalogue.template(asked.machine))
     return _written(asked.machine or "", path, f"dqforge check {path}", files)
 
 
 def _answer_new_study(folder: Path, name: str) -> Answer:
     path, schema = new_file(folder, NEW_STUDY), STUDY_SCHEMA
+    from dqforge.machines.exploration import catalogue as studies
+
     text = with_modeline(studies.read_text(name), schema)
     files = Files({path.name: text, schema: schema_bytes(schema)}, "", named=False)
     return _written(name, path, f"dqforge explore {path} --dry-run", files)
@@ -92,6 +86,8 @@ def _written(name: str, path: Path, following: str, files: Files) -> Answer:
 
 
 def _refuse_two_ways(asked: NewRequest) -> None:
+    from dqforge.machines.data_sheet.sheet_values import BY_KEY
+
     given = [BY_KEY[key].flag for key in asked.sheet or ()]
     ways = {
         "--from": asked.files,
@@ -108,6 +104,10 @@ def _refuse_two_ways(asked: NewRequest) -> None:
 
 def _answer_new_of(sheet: Mapping[str, str], path: Path) -> Answer:
     """The design of a data sheet, and what `dqforge check` says of it."""
+    from dqforge.machines.data_sheet.judged import checked_text
+    from dqforge.machines.design.loader import load_text
+    from dqforge.reports.answers.check import answer_check
+
     files = design_files(checked_text(sheet).encode("utf-8"))
     checked = answer_check(load_text(files.contents[NEW_DESIGN], str(path)))
     following = f"dqforge tune {path}"
@@ -146,6 +146,9 @@ def answer_new_from(
         has a design file already.
     """
     path = new_file(folder, NEW_DESIGN)
+    from dqforge.reports.firmware_files.design_made import design_from_files
+    from dqforge.reports.firmware_files.plain import plain_configuration
+
     made = design_from_files(files, settings or ())
     notes = [f"{path} written, from {', '.join(file.name for file in files)}"]
     notes += [f"contradiction: {sentence}" for sentence in made.configuration.contradictions]
@@ -166,6 +169,9 @@ def answer_new_from(
 
 def answer_schema(*, study: bool = False, out: Path | None = None) -> Answer:
     """The JSON Schema of the design file, or of the study file; printed, or written to ``out``."""
+    from dqforge.machines.design.schema import json_schema
+    from dqforge.machines.exploration.study_schema import study_json_schema
+
     schema = study_json_schema() if study else json_schema()
     text = json.dumps(schema, indent=1)
     if out is None:

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
-from dqforge.reports.answers.export import answer_export_for
-from dqforge.reports.answers.verify import plain_verification
-from dqforge.reports.output.folder import RUN
 from dqforge.reports.pages.answer import Answer, Files
-from dqforge.reports.run import export_design, run_design
-from dqforge.reports.summary import run_tables
+from dqforge.reports.verification.plain import plain_verification
 from dqforge.reports.verification.text import verification_text
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
 
 
 def answer_run(design: Design, *, verify: bool) -> Answer:
     """Do everything that the design asks for; raises as `run_design`."""
+    from dqforge.reports.output.folder import RUN
+    from dqforge.reports.run import run_design
+    from dqforge.reports.summary import run_tables
+
     output = run_design(design, verify=verify)
     tables = run_tables(output.solution, output.verification)
     plain = {"verification": plain_verification(output.verification)}
@@ -36,9 +39,14 @@ def answer_export(
     Raises as `export_design` and `answer_export_for`.
     """
     if firmware:
+        from dqforge.reports.answers.export import answer_export_for
+
         return answer_export_for(design, firmware, into, verify=verify)
     if into is not None:
         raise InputError("--into: say whose file it is; write --for NAME with it")
+    from dqforge.reports.output.folder import RUN
+    from dqforge.reports.run import export_design
+
     output = export_design(design, verify=verify)
     plain = {"verification": plain_verification(output.verification)}
     files = Files(output.files, RUN, design)

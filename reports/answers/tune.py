@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.control_design.observed_refusal import require_observed
-from dqforge.optimizer.estimator_comparison.own_observer import observer_evidence
-from dqforge.optimizer.fixed_phase_control.solve import solve_integers
-from dqforge.optimizer.observers.proof import prove
-from dqforge.optimizer.six_step.design import SixStepDesign, solve_six_step
-from dqforge.optimizer.start_up.solve import solve_start_up
-from dqforge.reports.current_feedback.question import answer_feedback
-from dqforge.reports.dynamic_references.tables import reference_tables
-from dqforge.reports.estimator_comparison.observer_errors import capture_table, warm_table
 from dqforge.reports.loops.tables import gains_tables
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
-from dqforge.reports.phase_control.emitted_integers import integer_tables
 from dqforge.reports.session.control import Tuning
-from dqforge.reports.six_step.tables import block_tables, plain_blocks
-from dqforge.reports.start_up.tables import plain_start, start_tables
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-def _figure(blocks: SixStepDesign) -> Figure:
-    from dqforge.reports.six_step.figures import plot_blocks
-
-    return plot_blocks(blocks)
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.estimator_comparison.own_observer import ObserverEvidence
+    from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
+    from dqforge.optimizer.observers.proof import ObserverProof
+    from dqforge.optimizer.six_step.design import SixStepDesign
+    from dqforge.reports.pages.table import Table
+    from dqforge.reports.plain_data import PlainData
 
 
 def answer_tune(design: Design) -> Answer:
@@ -40,29 +30,89 @@ def answer_tune(design: Design) -> Answer:
     A current loop that switches the bridge itself has no gains: the answer is what it does.
     """
     if design.control.current_loop.switches:
+        from dqforge.reports.current_feedback.question import answer_feedback
+
         return answer_feedback(design)
     stage("tuning")
-    blocks = solve_six_step(design)
-    if blocks is not None:
-        return Answer(
-            design.name,
-            block_tables(blocks),
-            {"six_step": plain_blocks(blocks)},
-            partial(_figure, blocks),
-        )
+    if design.control.six_step is not None:
+        from dqforge.optimizer.six_step.design import solve_six_step
+
+        blocks = solve_six_step(design)
+        if blocks is not None:
+            return _blocks(design, blocks)
     gains = solve_gains(design)
     require_observed(design, gains)
     stage("rounding to fixed point")
-    fixed = solve_integers(design, gains)
+    fixed, rounded = _integers(design, gains)
     stage("proving the observer")
+    proof, evidence, own = _observer(design, gains)
+    starting, start = _start(design)
+    tables = [
+        *gains_tables(design, gains, proof),
+        *own,
+        *starting,
+        *_moving(gains),
+        *rounded,
+    ]
+    found = Tuning(design, gains, fixed, proof, evidence)
+    return Answer(design.name, tables, found.plain() | start, found.figure)
+
+
+# What not every design asks for is loaded where one does.
+
+
+def _blocks(design: Design, blocks: SixStepDesign) -> Answer:
+    from dqforge.reports.six_step.tables import block_tables, plain_blocks
+
+    def figure() -> Figure:
+        from dqforge.reports.six_step.figures import plot_blocks
+
+        return plot_blocks(blocks)
+
+    return Answer(design.name, block_tables(blocks), {"six_step": plain_blocks(blocks)}, figure)
+
+
+def _integers(design: Design, gains: GainSet) -> tuple[tuple[IntegerFit, ...], list[Table]]:
+    if all(form == "float32" for form in design.export.control):
+        return (), []
+    from dqforge.optimizer.fixed_phase_control.solve import solve_integers
+    from dqforge.reports.phase_control.emitted_integers import integer_tables
+
+    fixed = solve_integers(design, gains)
+    return fixed, integer_tables(fixed)
+
+
+def _observer(
+    design: Design, gains: GainSet
+) -> tuple[ObserverProof | None, ObserverEvidence | None, list[Table]]:
+    """Proof and evidence of a position observer, and what is shown of the latter."""
+    if gains.position is None:
+        return None, None, []
+    from dqforge.optimizer.estimator_comparison.own_observer import observer_evidence
+    from dqforge.optimizer.observers.proof import prove
+    from dqforge.reports.estimator_comparison.observer_errors import capture_table, warm_table
+
     proof = prove(gains.position)
     stage("trying starts of the observer")
     evidence = observer_evidence(design, gains.position)
-    own = [] if evidence is None else [warm_table(evidence.warm), capture_table(evidence.capture)]
-    moving = [] if gains.references is None else reference_tables(gains.references)
+    if evidence is None:
+        return proof, None, []
+    return proof, evidence, [warm_table(evidence.warm), capture_table(evidence.capture)]
+
+
+def _moving(gains: GainSet) -> list[Table]:
+    if gains.references is None:
+        return []
+    from dqforge.reports.dynamic_references.tables import reference_tables
+
+    return reference_tables(gains.references)
+
+
+def _start(design: Design) -> tuple[list[Table], PlainData]:
+    if design.control.start_up is None:
+        return [], {}
+    from dqforge.optimizer.start_up.solve import solve_start_up
+    from dqforge.reports.start_up.tables import plain_start, start_tables
+
     start = solve_start_up(design)
-    starting = [] if start is None else start_tables(start)
-    tables = [*gains_tables(design, gains, proof), *own, *starting, *moving, *integer_tables(fixed)]
-    found = Tuning(design, gains, fixed, proof, evidence)
-    plain = found.plain() | ({} if start is None else {"start_up": plain_start(start)})
-    return Answer(design.name, tables, plain, found.figure)
+    return ([], {}) if start is None else (start_tables(start), {"start_up": plain_start(start)})

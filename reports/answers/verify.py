@@ -17,6 +17,7 @@ from dqforge.reports.plain_data import PlainData
 from dqforge.reports.verification.cortex_m import verify_on_target
 from dqforge.reports.verification.cross_tools import target_of
 from dqforge.reports.verification.host import Verification
+from dqforge.reports.verification.plain import plain_verification
 from dqforge.reports.verification.text import target_text, verification_text
 from dqforge.reports.written_headers import WrittenHeaders, read_folder, verify_written
 
@@ -58,21 +59,6 @@ def answer_verify(folder: Path, target: str | None) -> Answer:
         notes.append(target_text(outcome))
         plain["target"] = asdict(outcome)
     return Answer(str(folder), (), plain, notes=tuple(notes))
-
-
-def plain_verification(found: Verification | None) -> PlainData | None:
-    """What was compiled and compared; None where that was skipped."""
-    if found is None:
-        return None
-    checks = [
-        {
-            "standard": check.standard,
-            "compared": check.compared,
-            "missing_package": check.missing or None,
-        }
-        for check in found.checks
-    ]
-    return {"vectors": found.vectors, "sweep": found.sweep, "checks": checks}
 
 
 def _plain_recomputation(found: Recomputation) -> PlainData:

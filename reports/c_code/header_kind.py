@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
-from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_code.harness import Programme
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.solution import Solution
+    from dqforge.reports.c_code.harness import Programme
+    from dqforge.reports.plain_data import PlainData
 
 SWEEP_POINTS = 20_000
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.current_feedback.solve import CurrentFeedback
-from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind
 from dqforge.reports.capability import Capability, Draw, ReportPart, Rows
 from dqforge.reports.current_feedback.header import (
@@ -24,8 +23,12 @@ from dqforge.reports.current_feedback.tables import (
     own_table,
 )
 from dqforge.reports.pages.chapters import CURRENT_FEEDBACK as CHAPTER
-from dqforge.reports.pages.table import Table
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.current_feedback.solve import CurrentFeedback
+    from dqforge.optimizer.solution import Solution
+    from dqforge.reports.pages.table import Table
+    from dqforge.reports.plain_data import PlainData
 
 
 def _summary(_: Solution, found: CurrentFeedback) -> Rows:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from dqforge.optimizer.current_feedback.regulator_runs import RegulatorRun
 from dqforge.reports.pages.figures_style import SERIES, new_figure, style
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.figure import Figure
+
+    from dqforge.optimizer.current_feedback.regulator_runs import RegulatorRun
 
 
 def plot_regulators(runs: Sequence[RegulatorRun]) -> Figure:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import SampledRuleName
 from dqforge.machines.plants.current_regulators.sampled_rules import (
@@ -23,8 +22,6 @@ from dqforge.machines.plants.current_regulators.state_table import (
     switching_table,
     unit_vectors,
 )
-from dqforge.optimizer.current_feedback.patterns import DesignPattern
-from dqforge.optimizer.current_feedback.solve import CurrentFeedback
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.numbers import float_literal
@@ -33,6 +30,11 @@ from dqforge.reports.c_code.title import title
 from dqforge.reports.current_feedback.regulator_words import emitted_lines
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.current_feedback.patterns import DesignPattern
+    from dqforge.optimizer.current_feedback.solve import CurrentFeedback
 
 _FAULT = InputError("current_feedback_header is not what dqforge writes; run the design again")
 

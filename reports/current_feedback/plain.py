@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqforge.optimizer.current_feedback.regulator_numbers import RegulatorPlan
-from dqforge.optimizer.current_feedback.regulator_runs import RegulatorRun
-from dqforge.optimizer.current_feedback.solve import CurrentFeedback, LoadRuns
 from dqforge.optimizer.losses.drive_budget import PARTS
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.current_feedback.regulator_numbers import RegulatorPlan
+    from dqforge.optimizer.current_feedback.regulator_runs import RegulatorRun
+    from dqforge.optimizer.current_feedback.solve import CurrentFeedback, LoadRuns
+    from dqforge.reports.plain_data import PlainData
 
 
 def plain_plan(plan: RegulatorPlan) -> PlainData:

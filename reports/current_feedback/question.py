@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.current_feedback.regulator_numbers import regulator_plan
@@ -33,6 +32,8 @@ from dqforge.reports.pages.console import stage
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from dqforge.machines.design.design import Design
 
 
 @on_design("control.current_loop")

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.design import Design
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.current_feedback.regulator_numbers import RegulatorPlan
-from dqforge.optimizer.current_feedback.regulator_runs import RegulatorRun
-from dqforge.optimizer.current_feedback.solve import CurrentFeedback
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.current_feedback.regulator_numbers import RegulatorPlan
+    from dqforge.optimizer.current_feedback.regulator_runs import RegulatorRun
+    from dqforge.optimizer.current_feedback.solve import CurrentFeedback
 
 ASSUMED = (
     "At constant speed with an ideal bridge: no dead time, no delay of comparators. Sampled "

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.current_feedback.regulator_numbers import RegulatorPlan
-from dqforge.optimizer.current_feedback.regulator_runs import RegulatorRun
-from dqforge.optimizer.current_feedback.solve import CurrentFeedback, LoadRuns
-from dqforge.optimizer.losses.drive_budget import DriveBudget
 from dqforge.reports.current_feedback.regulator_words import (
     ASSUMED,
     BESIDE,
@@ -19,6 +16,12 @@ from dqforge.reports.current_feedback.regulator_words import (
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.html_text import symbols
 from dqforge.reports.pages.table import Table
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.current_feedback.regulator_numbers import RegulatorPlan
+    from dqforge.optimizer.current_feedback.regulator_runs import RegulatorRun
+    from dqforge.optimizer.current_feedback.solve import CurrentFeedback, LoadRuns
+    from dqforge.optimizer.losses.drive_budget import DriveBudget
 
 _RPM = 30.0 / math.pi
 

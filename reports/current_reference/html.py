@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from dqforge.machines.names import Core
 from dqforge.optimizer.current_reference.alternatives import Alternative
@@ -31,12 +30,6 @@ from dqforge.reports.pages.labels import (
     core_name,
 )
 from dqforge.reports.plain_data import PlainData
-
-if TYPE_CHECKING:
-    pass
-if TYPE_CHECKING:
-    pass
-
 
 _FORM_TEXT = {
     "proportional": "i_d is zero and i_q is proportional to the torque; this is exact.",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dqforge.optimizer.dynamic_references.solve import DynamicReferences
-from dqforge.optimizer.solution import Solution
+from typing import TYPE_CHECKING
+
 from dqforge.reports.capability import Capability, Outcome, ReportPart
 from dqforge.reports.dynamic_references.tables import (
     plain_references,
@@ -12,6 +12,10 @@ from dqforge.reports.dynamic_references.tables import (
     reference_tables,
 )
 from dqforge.reports.pages.chapters import LOOPS
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.dynamic_references.solve import DynamicReferences
+    from dqforge.optimizer.solution import Solution
 
 
 def _of(outcome: Outcome) -> DynamicReferences | None:

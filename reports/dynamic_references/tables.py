@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.dynamic_references.solve import DynamicReferences
-from dqforge.optimizer.dynamic_references.voltage_feedback import OffMap, VoltageFeedback
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.html_text import symbols
 from dqforge.reports.pages.table import Table
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.dynamic_references.solve import DynamicReferences
+    from dqforge.optimizer.dynamic_references.voltage_feedback import OffMap, VoltageFeedback
+    from dqforge.reports.plain_data import PlainData
 
 TITLE = "Dynamic references"
 

@@ -7,21 +7,24 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.estimator_comparison.candidate import EstimatorFigures, Question
-from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator
-from dqforge.optimizer.estimator_comparison.solve import EstimatorComparison
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.tracker_header import tracker_files
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.measured_cost import CallCost, cost_of_calls
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.estimator_comparison.candidate import EstimatorFigures, Question
+    from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator
+    from dqforge.optimizer.estimator_comparison.solve import EstimatorComparison
 
 _SAMPLES = 32
 

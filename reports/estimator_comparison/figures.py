@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dqforge.optimizer.estimator_comparison.capture_range import HALF_TURN, LOCKED, CaptureMap
-from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator
 from dqforge.optimizer.estimator_comparison.solve import NOBODY, EstimatorComparison
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT
 from dqforge.reports.pages.figures_style import FAINT, MAP_INK, MUTED, SERIES, new_figure, style
@@ -19,6 +18,8 @@ from dqforge.reports.pages.map_drawing import OTHERS, WINNERS, draw_cells
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator
 
 _TURN = 2.0 * math.pi
 

@@ -6,13 +6,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.optimizer.estimator_comparison.capture_range import LOCKED, CaptureMap
-from dqforge.optimizer.estimator_comparison.warm_machine import WarmErrors, WarmState
 from dqforge.reports.pages.table import Table
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.estimator_comparison.warm_machine import WarmErrors, WarmState
+    from dqforge.reports.plain_data import PlainData
 
 _TURN = 2.0 * math.pi
 

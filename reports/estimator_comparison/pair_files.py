@@ -5,16 +5,19 @@ that it calls.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.estimator_comparison.solve import EstimatorComparison
 from dqforge.optimizer.estimator_comparison.start_candidates import started_design
 from dqforge.optimizer.solution import solve
 from dqforge.reports.observers.position_header import observer_files
 from dqforge.reports.observers.tracker_header import tracker_files
 from dqforge.reports.simulation.design_run import controller_files, in_float32
 from dqforge.reports.start_up.header import start_up_files
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.estimator_comparison.solve import EstimatorComparison
 
 
 def pair_files(design: Design, found: EstimatorComparison) -> dict[str, bytes]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.estimator_comparison.candidate import Question
-from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator
 from dqforge.optimizer.estimator_comparison.flashed_pair import BY_SALIENCY, FlashedPair
 from dqforge.optimizer.estimator_comparison.solve import NOBODY, EstimatorComparison
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.estimator_comparison.candidate import Question
+    from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator
 
 _TURN = 2.0 * math.pi
 

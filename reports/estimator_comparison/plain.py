@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator, ComparedStart
-from dqforge.optimizer.estimator_comparison.sensitivity import Slopes
 from dqforge.optimizer.estimator_comparison.solve import (
     NOBODY,
     UNREACHED,
@@ -13,7 +12,11 @@ from dqforge.optimizer.estimator_comparison.solve import (
 )
 from dqforge.reports.estimator_comparison.observer_errors import plain_capture
 from dqforge.reports.estimator_comparison.pair_words import pair_lines
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator, ComparedStart
+    from dqforge.optimizer.estimator_comparison.sensitivity import Slopes
+    from dqforge.reports.plain_data import PlainData
 
 _NO_NAME = {NOBODY: None, UNREACHED: "unreached"}
 

@@ -4,7 +4,8 @@ out on this computer.
 
 from __future__ import annotations
 
-from dqforge.machines.design.design import Design
+from typing import TYPE_CHECKING
+
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.estimator_comparison.solve import (
     EstimatorComparison,
@@ -15,6 +16,9 @@ from dqforge.optimizer.estimator_comparison.solve import (
 from dqforge.reports.estimator_comparison.counted_cost import with_cost
 from dqforge.reports.estimator_comparison.tried_starts import tried_starts
 from dqforge.reports.pages.console import stage
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
 
 MOST_STARTS = 1000
 

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.design import Design
-from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator, ComparedStart
-from dqforge.optimizer.estimator_comparison.sensitivity import Slopes
-from dqforge.optimizer.estimator_comparison.solve import EstimatorComparison
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, SPEED_LIMIT
 from dqforge.reports.estimator_comparison.pair_words import (
     cell_name,
@@ -22,6 +18,13 @@ from dqforge.reports.estimator_comparison.pair_words import (
 )
 from dqforge.reports.observers.position_header import dead_time_text, error_text
 from dqforge.reports.pages.table import Table
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator, ComparedStart
+    from dqforge.optimizer.estimator_comparison.sensitivity import Slopes
+    from dqforge.optimizer.estimator_comparison.solve import EstimatorComparison
 
 _AT = (0.1, 0.5, 1.0)  # speeds of the first table over the largest one
 

@@ -6,13 +6,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError, NoSolutionError, VerificationError
 from dqforge.optimizer.estimator_comparison.candidate import TriedStarts
-from dqforge.optimizer.estimator_comparison.compared import ComparedStart
-from dqforge.optimizer.estimator_comparison.solve import EstimatorComparison
-from dqforge.optimizer.start_up.start_judgement import StartRate
 from dqforge.reports.start_up_bench.start_success import start_success
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.estimator_comparison.compared import ComparedStart
+    from dqforge.optimizer.estimator_comparison.solve import EstimatorComparison
+    from dqforge.optimizer.start_up.start_judgement import StartRate
 
 LOADS = (0.0, 0.3)
 

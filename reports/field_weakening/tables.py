@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from dqforge.optimizer.field_weakening.fit import SurfaceTrial, WeakeningFit
 from dqforge.reports.field_weakening.text import (
     domain_text,
@@ -19,10 +17,6 @@ from dqforge.reports.pages.html_text import (
 )
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData
-
-if TYPE_CHECKING:
-    pass
-
 
 _COLUMNS = (
     "degree in torque",

@@ -5,16 +5,13 @@ that it names.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
-from dqforge.machines.plants.scenario import Scenario
-from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.firmware.loop_run import firmware_drive, simulate_profile
 from dqforge.reports.operating_system.host_compiler import require_compiler
-from dqforge.reports.simulation.compiled_plant import Progress, Simulator
 from dqforge.reports.simulation.design_run import (
     DriveSimulation,
     evaluate,
@@ -25,6 +22,12 @@ from dqforge.reports.simulation.design_run import (
 )
 from dqforge.reports.simulation.plant_input import Drive, fits_carrier
 from dqforge.reports.six_step.drive_run import simulate_six_step
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.machines.plants.scenario import Scenario
+    from dqforge.optimizer.firmware.firmware_loops import FirmwareLoops
+    from dqforge.reports.simulation.compiled_plant import Progress, Simulator
 
 
 @on_design("simulation")

@@ -10,12 +10,10 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
-from dqforge.machines.names import ModulationName
-from dqforge.optimizer.firmware.configuration import DriveValues
 from dqforge.optimizer.firmware.profile import (
     AntiWindup,
     LimitOrder,
@@ -32,6 +30,10 @@ from dqforge.optimizer.firmware.sampled_structure import (
 )
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.pages.templating import render
+
+if TYPE_CHECKING:
+    from dqforge.machines.names import ModulationName
+    from dqforge.optimizer.firmware.configuration import DriveValues
 
 PREFIX = "firmware"
 

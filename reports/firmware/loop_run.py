@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
-from dqforge.machines.plants.scenario import Scenario
-from dqforge.optimizer.firmware.configuration import DriveValues
-from dqforge.optimizer.firmware.profile import LoopProfile
 from dqforge.reports.firmware.loop_code import (
     PREFIX,
     loop_bytes,
@@ -20,7 +17,13 @@ from dqforge.reports.firmware.loop_code import (
 )
 from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
 from dqforge.reports.simulation.plant_input import LONGEST_DELAY, Drive
-from dqforge.reports.simulation.recorded_run import Simulation
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.machines.plants.scenario import Scenario
+    from dqforge.optimizer.firmware.configuration import DriveValues
+    from dqforge.optimizer.firmware.profile import LoopProfile
+    from dqforge.reports.simulation.recorded_run import Simulation
 
 
 def firmware_drive(profile: LoopProfile, design: Design) -> Drive:

@@ -5,16 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.design import Design
-from dqforge.machines.dq_machines.synchronous import Machine
-from dqforge.machines.names import Firmware
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.firmware.configuration import DriveValues
-from dqforge.optimizer.firmware.profile import LoopProfile
 from dqforge.reports.firmware.loop_run import (
     firmware_drive,
     firmware_simulator,
@@ -22,8 +17,16 @@ from dqforge.reports.firmware.loop_run import (
 )
 from dqforge.reports.firmware.standard_steps import StandardStep, standard_steps
 from dqforge.reports.firmware.step_answer import StepAnswer, step_answer
-from dqforge.reports.simulation.compiled_plant import Simulator
-from dqforge.reports.simulation.recorded_run import Simulation
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.machines.design.design import Design
+    from dqforge.machines.dq_machines.synchronous import Machine
+    from dqforge.machines.names import Firmware
+    from dqforge.optimizer.firmware.configuration import DriveValues
+    from dqforge.optimizer.firmware.profile import LoopProfile
+    from dqforge.reports.simulation.compiled_plant import Simulator
+    from dqforge.reports.simulation.recorded_run import Simulation
 
 _MOST_ROWS = 40_000
 

@@ -6,13 +6,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.plants.scenario import ControlMode, Profile, Scenario
-from dqforge.optimizer.firmware.configuration import DriveValues
-from dqforge.optimizer.firmware.profile import LoopProfile, PiController
+
+if TYPE_CHECKING:
+    from dqforge.machines.dq_machines.synchronous import Machine
+    from dqforge.optimizer.firmware.configuration import DriveValues
+    from dqforge.optimizer.firmware.profile import LoopProfile, PiController
 
 CURRENT_SHARE = 0.5
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
 
 Outcome = Literal["settles", "limit cycle", "divergence", "steady error", "never reaches"]
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.firmware.configuration import Configuration
-from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import Configuration
+    from dqforge.optimizer.firmware.firmware_method import FirmwareMethod
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,13 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
-from dqforge.optimizer.firmware.configuration import OwnValue
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import OwnValue
 
 MOST_BYTES = 8_000_000
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
 from dqforge.reports.firmware.settling import Verdict, settles
-from dqforge.reports.simulation.compiled_plant import Simulator
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.reports.simulation.compiled_plant import Simulator
 
 _BANDWIDTHS = (50.0, 20.0, 10.0, 5.0, 2.0)
 """In Hz; those that are tried, fastest first."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from dqforge.optimizer.firmware.solve import FirmwareFit
-from dqforge.optimizer.solution import Solution
 from dqforge.reports.capability import Capability, Outcome, ReportPart, Rows
 from dqforge.reports.firmware_files.exported import firmware_files, read_files, target_named
 from dqforge.reports.firmware_files.plain import plain_fit
@@ -14,8 +14,11 @@ from dqforge.reports.firmware_files.tables import fit_tables
 from dqforge.reports.pages.chapters import Chapter
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.html_text import symbols
-from dqforge.reports.pages.table import Table
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.solution import Solution
+    from dqforge.reports.pages.table import Table
+    from dqforge.reports.plain_data import PlainData
 
 Fits = tuple[FirmwareFit, ...]
 

@@ -6,16 +6,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import PurePath
+from typing import TYPE_CHECKING
 
 from dqforge import __version__
-from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
-from dqforge.optimizer.firmware.solve import FirmwareFit
 from dqforge.reports.firmware.registry import TARGETS
 from dqforge.reports.firmware.target import FileTitle, Target
 from dqforge.reports.firmware.text_file import TextFile, decoded_file
 from dqforge.reports.firmware_files.recognised import Targets, read_file, together
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.firmware.solve import FirmwareFit
 
 
 def file_title(design: Design, fit: FirmwareFit) -> FileTitle:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.solution import Solution
 from dqforge.reports.firmware_files.exported import firmware_files, read_back, target_named
 from dqforge.reports.pages.files import read_output
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.solution import Solution
 
 _WRITTEN = "the folder that 'dqforge run' or 'dqforge export' wrote"
 

@@ -6,14 +6,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
-from dqforge.optimizer.firmware.explained import Explained
-from dqforge.optimizer.firmware.firmware_method import Shortfall
-from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop
-from dqforge.optimizer.firmware.profile import LoopProfile
-from dqforge.optimizer.firmware.solve import FirmwareFit
-from dqforge.reports.plain_data import PlainData
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
+    from dqforge.optimizer.firmware.explained import Explained
+    from dqforge.optimizer.firmware.firmware_method import Shortfall
+    from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop
+    from dqforge.optimizer.firmware.profile import LoopProfile
+    from dqforge.optimizer.firmware.solve import FirmwareFit
+    from dqforge.reports.plain_data import PlainData
 
 DRIVE_KEYS = {
     "pole_pairs": "pole_pairs",

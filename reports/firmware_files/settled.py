@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.errors import NoSolutionError
-from dqforge.optimizer.firmware.solve import FirmwareFit
 from dqforge.reports.firmware.loop_code import modulation_of
 from dqforge.reports.firmware.loop_run import firmware_simulator
 from dqforge.reports.firmware.settling import Verdict, settles
 from dqforge.reports.firmware_files.calmer_loop import calmer_bandwidth
-from dqforge.reports.simulation.compiled_plant import Simulator
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.firmware.solve import FirmwareFit
+    from dqforge.reports.simulation.compiled_plant import Simulator
 
 
 def settling_verdicts(

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.firmware.configuration import (
-    Configuration,
-    DriveValues,
-    Origin,
-    PiGains,
-)
-from dqforge.optimizer.firmware.explained import Explained, OwnGains
-from dqforge.optimizer.firmware.firmware_method import Shortfall
-from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop
-from dqforge.optimizer.firmware.profile import LoopProfile
-from dqforge.optimizer.firmware.solve import FirmwareFit
 from dqforge.reports.loops.firmware_text import pole_text
 from dqforge.reports.pages.table import Table
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import (
+        Configuration,
+        DriveValues,
+        Origin,
+        PiGains,
+    )
+    from dqforge.optimizer.firmware.explained import Explained, OwnGains
+    from dqforge.optimizer.firmware.firmware_method import Shortfall
+    from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop
+    from dqforge.optimizer.firmware.profile import LoopProfile
+    from dqforge.optimizer.firmware.solve import FirmwareFit
 
 FIELDS = (
     ("pole_pairs", "pole pairs", ""),

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
     FixedObserverFit,
     FixedPositionObserver,
 )
-from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind, integer_kinds
 from dqforge.reports.capability import Capability
 from dqforge.reports.fixed_observers.fixed_observer_header import (
@@ -17,6 +18,9 @@ from dqforge.reports.fixed_observers.fixed_observer_header import (
     plain_observer_evidence,
 )
 from dqforge.reports.fixed_observers.fixed_observer_reading import fixed_observer_from
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.solution import Solution
 
 Fits = tuple[FixedObserverFit, ...]
 

@@ -5,14 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from textwrap import wrap
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.design.design import Design
-from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
-    FixedObserverFit,
-    FixedPositionObserver,
-)
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
@@ -25,7 +21,14 @@ from dqforge.reports.fixed_observers.fixed_observer_model import (
     row_results,
 )
 from dqforge.reports.pages.templating import render
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.fixed_observers.fixed_observer_fit import (
+        FixedObserverFit,
+        FixedPositionObserver,
+    )
+    from dqforge.reports.plain_data import PlainData
 
 _SEED = 20_261_122
 

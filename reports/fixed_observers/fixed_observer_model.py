@@ -4,15 +4,17 @@ what must come out.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dqforge.machines.transforms import Pair
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_observers.fixed_method import TrackedState, shown, widened
-from dqforge.optimizer.fixed_observers.fixed_observer_fit import FixedPositionObserver
 from dqforge.optimizer.fixed_observers.kit import TOP, WIDTH
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.fixed_observers.fixed_observer_fit import FixedPositionObserver
 
 _LENGTH = 50
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
-from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
-from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind, integer_kinds
 from dqforge.reports.capability import Capability, ReportPart, Rows
 from dqforge.reports.fixed_reference.header import plain_mesh, reference_files, reference_programme
@@ -14,7 +13,11 @@ from dqforge.reports.fixed_reference.mesh_reading import mesh_from
 from dqforge.reports.fixed_reference.tables import reference_html, reference_tables
 from dqforge.reports.fixed_reference.text import error_words, size_words
 from dqforge.reports.pages.chapters import REFERENCE
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
+    from dqforge.optimizer.solution import Solution
+    from dqforge.reports.plain_data import PlainData
 
 Fits = tuple[FixedReferenceFit, ...]
 

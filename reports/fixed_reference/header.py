@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.design.design import Design
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
-from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
-from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.title import title
 from dqforge.reports.fixed_reference.text import meaning_lines, preamble_lines
 from dqforge.reports.pages.templating import render
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
+    from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
+    from dqforge.reports.plain_data import PlainData
 
 _SEED = 20_261_122
 

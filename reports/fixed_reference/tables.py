@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.fixed_reference.text import percent
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.html_text import symbols
 from dqforge.reports.pages.table import Table
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
 
 _TITLE = "Current references in fixed point"
 

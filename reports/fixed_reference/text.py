@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dqforge.machines.design.design import Design
+from typing import TYPE_CHECKING
+
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE
-from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
 from dqforge.reports.c_code.numbers import rounded_up
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.fixed_reference.fit import FixedReferenceFit
 
 
 def percent(share: float) -> str:

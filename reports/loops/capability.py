@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
-from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loops.loop_gains import LoopGains
-from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
-from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind
 from dqforge.reports.capability import Capability, Draw, Outcome, Quantity, ReportPart, Rows, Tile
 from dqforge.reports.loops.firmware_text import firmware_name, firmware_words
@@ -33,7 +29,14 @@ from dqforge.reports.loops.tables import gains_tables
 from dqforge.reports.observers.speed_loop_text import corner_words, left_words, loop_words
 from dqforge.reports.pages.chapters import LOOPS as CHAPTER
 from dqforge.reports.pages.html_text import degrees, symbols
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.loops.loop_gains import LoopGains
+    from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
+    from dqforge.optimizer.solution import Solution
+    from dqforge.reports.plain_data import PlainData
 
 
 def _summary(_: Solution, gains: GainSet) -> Rows:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 import textwrap
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.loops.integer_gains import PerUnitGains
-from dqforge.optimizer.loops.loop_gains import LoopGains
-from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_constant import Constant, ConstantGroup
 from dqforge.reports.loops.robustness_text import robust_lines
 from dqforge.reports.observers.speed_loop_text import observed_notes
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.loops.integer_gains import PerUnitGains
+    from dqforge.optimizer.loops.loop_gains import LoopGains
+    from dqforge.optimizer.solution import Solution
 
 _COMMENT_WIDTH = 110
 

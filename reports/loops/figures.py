@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loops.responses import LoopResponse
 from dqforge.reports.pages.figures_style import (
     INK,
     LOOP_COLOURS,
@@ -25,6 +23,9 @@ from dqforge.reports.pages.figures_style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.loops.responses import LoopResponse
 
 
 _DASHES: dict[str, Any] = {"i_d": "-", "i_q": (0, (4.0, 1.6)), "i_0": ":", "speed": "-"}

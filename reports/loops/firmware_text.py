@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.firmware.configuration import PiGains
-from dqforge.optimizer.firmware.firmware_loops import FirmwareLoop, FirmwareLoops
-from dqforge.optimizer.firmware.firmware_method import Price, Shortfall
-from dqforge.optimizer.firmware.judge import JudgedLoop
-from dqforge.optimizer.firmware.turning_axes import TurningAxes
-from dqforge.optimizer.loops.robustness import LoopRobustness
 from dqforge.reports.loops.robustness_text import plain_loop_robustness
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.firmware.configuration import PiGains
+    from dqforge.optimizer.firmware.firmware_loops import FirmwareLoop, FirmwareLoops
+    from dqforge.optimizer.firmware.firmware_method import Price, Shortfall
+    from dqforge.optimizer.firmware.judge import JudgedLoop
+    from dqforge.optimizer.firmware.turning_axes import TurningAxes
+    from dqforge.optimizer.loops.robustness import LoopRobustness
+    from dqforge.reports.plain_data import PlainData
 
 FIRMWARE_COLUMNS = (
     "loop",

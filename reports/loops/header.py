@@ -5,15 +5,11 @@ as plain data and as text.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
 from dqforge.optimizer.loops.schedule.schedule_fit import GAIN_NAMES, GainEvaluator
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
@@ -23,6 +19,12 @@ from dqforge.reports.loops.proven_text import changing_lines
 from dqforge.reports.loops.schedule_text import schedule_lines
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.curves.single_precision import SingleArray
+    from dqforge.optimizer.loops.schedule.gain_schedule import GainSchedule
 
 _SEED = 20_261_121
 

@@ -6,9 +6,6 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loops.integer_gains import PerUnitGains
-from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.reports.loops.firmware_text import (
     FIRMWARE_COLUMNS,
     firmware_notes,
@@ -37,7 +34,9 @@ from dqforge.reports.pages.html_text import (
 )
 
 if TYPE_CHECKING:
-    pass
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.loops.integer_gains import PerUnitGains
+    from dqforge.optimizer.loops.loop_gains import LoopGains
 
 
 LOOP_TEXT = {"i_d": "i_d", "i_q": "i_q", "i_0": "i_0", "speed": "speed"}

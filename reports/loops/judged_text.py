@@ -7,10 +7,12 @@ from __future__ import annotations
 import math
 import textwrap
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.phase_control.design import PhaseLoops
-from dqforge.optimizer.phase_control.judged_box import JudgedLoops, JudgedSpeed
-from dqforge.reports.plain_data import PlainData
+if TYPE_CHECKING:
+    from dqforge.optimizer.phase_control.design import PhaseLoops
+    from dqforge.optimizer.phase_control.judged_box import JudgedLoops, JudgedSpeed
+    from dqforge.reports.plain_data import PlainData
 
 JUDGED_TITLE = "Currents over a period of the back-EMF"
 

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
-from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loops.integer_gains import PerUnitGains
-from dqforge.optimizer.loops.loop_gains import LoopGains
-from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
 from dqforge.reports.loops.firmware_text import plain_firmware
 from dqforge.reports.loops.judged_text import plain_judged
 from dqforge.reports.loops.proven_text import plain_box_proofs, plain_changing
@@ -16,9 +12,23 @@ from dqforge.reports.loops.robustness_text import plain_robustness
 from dqforge.reports.loops.schedule_text import plain_schedule
 from dqforge.reports.observers.plain import plain_observer_errors
 from dqforge.reports.observers.speed_loop_text import plain_observed
-from dqforge.reports.observers.text import plain_position
 from dqforge.reports.observers.tracker_text import plain_tracker
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.loops.integer_gains import PerUnitGains
+    from dqforge.optimizer.loops.loop_gains import LoopGains
+    from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad
+    from dqforge.reports.plain_data import PlainData
+
+
+def _plain_position(gains: GainSet) -> PlainData | None:
+    if gains.position is None:
+        return None
+    from dqforge.reports.observers.text import plain_position
+
+    return plain_position(gains.position)
 
 
 def _plain_loop(gains: LoopGains, scaled: PerUnitGains) -> PlainData:
@@ -79,7 +89,7 @@ def plain_gains(
         "speed": None if gains.speed is None else _plain_loop(gains.speed, gains.per_unit["speed"]),
         "observer": None if gains.observer is None else asdict(gains.observer),
         **plain_observer_errors(gains.observer_slopes, observer_errors),
-        "position": None if gains.position is None else plain_position(gains.position),
+        "position": _plain_position(gains),
         **({} if gains.tracker is None else {"tracker": plain_tracker(gains.tracker)}),
         "bases": asdict(design.control.bases),
         **_plain_tolerances(gains),

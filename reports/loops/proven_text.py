@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import math
 import textwrap
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.axis_margins.margin_proof import ProvenMargins
-from dqforge.optimizer.changing_loops.current_range import ChangingAxis
-from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.speed_box.speed_proof import SpeedProof
-from dqforge.reports.plain_data import PlainData
+if TYPE_CHECKING:
+    from dqforge.optimizer.axis_margins.margin_proof import ProvenMargins
+    from dqforge.optimizer.changing_loops.current_range import ChangingAxis
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.speed_box.speed_proof import SpeedProof
+    from dqforge.reports.plain_data import PlainData
 
 _WIDTH = 100
 

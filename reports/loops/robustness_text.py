@@ -6,11 +6,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loops.robustness import LoopRobustness, RobustSet
 from dqforge.reports.loops.stability_text import plain_stability
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.loops.robustness import LoopRobustness, RobustSet
+    from dqforge.reports.plain_data import PlainData
 
 FORM_COLUMNS = (
     "loop",

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.optimizer.loops.schedule.gain_schedule import AxisSchedule, GainSchedule
 from dqforge.reports.c_code.numbers import rounded_up
 from dqforge.reports.loops.robustness_text import plain_loop_robustness, robust_text
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.loops.schedule.gain_schedule import AxisSchedule, GainSchedule
+    from dqforge.reports.plain_data import PlainData
 
 SCHEDULE_COLUMNS = (
     "loop",

@@ -6,17 +6,18 @@ import json
 import math
 import textwrap
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from dqforge.optimizer.box_proofs.current_loop_model import BoxDrive
-from dqforge.optimizer.box_proofs.current_loop_proof import (
-    CurrentLoopProof,
-    DriveRange,
-    ProvenSensitivity,
-)
-from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loops.robustness import RobustSet
-from dqforge.reports.plain_data import PlainData
+if TYPE_CHECKING:
+    from dqforge.optimizer.box_proofs.current_loop_model import BoxDrive
+    from dqforge.optimizer.box_proofs.current_loop_proof import (
+        CurrentLoopProof,
+        DriveRange,
+        ProvenSensitivity,
+    )
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.loops.robustness import RobustSet
+    from dqforge.reports.plain_data import PlainData
 
 _PARAMETERS = ("b_d", "b_q", "s_Ohm", "x")
 

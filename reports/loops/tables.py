@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
-from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.loops.integer_gains import PerUnitGains
-from dqforge.optimizer.loops.loop_gains import LoopGains
-from dqforge.optimizer.observers.proof import ObserverProof
 from dqforge.reports.loops.firmware_text import (
     FIRMWARE_COLUMNS,
     firmware_notes,
@@ -32,14 +28,17 @@ from dqforge.reports.loops.robustness_text import (
 from dqforge.reports.loops.schedule_text import SCHEDULE_COLUMNS, schedule_notes, schedule_rows
 from dqforge.reports.loops.stability_text import stability_notes
 from dqforge.reports.observers.speed_loop_text import leaving_notes, margin_words, observed_notes
-from dqforge.reports.observers.tables import observer_table
-from dqforge.reports.observers.text import position_parts
-from dqforge.reports.observers.tracker_text import tracker_part
 from dqforge.reports.pages.labels import (
     significant,
 )
 from dqforge.reports.pages.table import Table
-from dqforge.reports.speed_measurement.tables import measured_tables
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.loops.integer_gains import PerUnitGains
+    from dqforge.optimizer.loops.loop_gains import LoopGains
+    from dqforge.optimizer.observers.proof import ObserverProof
 
 
 def _loop_row(gains: LoopGains, unit: str, scaled: PerUnitGains) -> tuple[str, ...]:
@@ -118,11 +117,19 @@ def gains_tables(design: Design, gains: GainSet, proof: ObserverProof | None = N
             Table("Scheduled gains along the current reference", SCHEDULE_COLUMNS, rows_, notes)
         )
     if gains.observer is not None and gains.observer_slopes is not None:
+        from dqforge.reports.observers.tables import observer_table
+
         tables.append(observer_table(gains.observer, gains.observer_slopes))
     if gains.measured_speed is not None:
+        from dqforge.reports.speed_measurement.tables import measured_tables
+
         tables += measured_tables(gains.measured_speed)
     if gains.position is not None:
+        from dqforge.reports.observers.text import position_parts
+
         tables += [Table(*part) for part in position_parts(gains.position, proof)]
     if gains.tracker is not None:
+        from dqforge.reports.observers.tracker_text import tracker_part
+
         tables.append(Table(*tracker_part(gains.tracker)))
     return tables

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
 from dqforge.optimizer.losses.drive_budget import PARTS
@@ -32,12 +31,6 @@ from dqforge.reports.pages.labels import (
     watts,
 )
 from dqforge.reports.plain_data import PlainData
-
-if TYPE_CHECKING:
-    pass
-if TYPE_CHECKING:
-    pass
-
 
 _WATT_HOUR = 3600.0
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dqforge.optimizer.estimators.solve import TunedTracker
-from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
-from dqforge.optimizer.observers.tuning import PositionObserver
+from typing import TYPE_CHECKING
+
 from dqforge.reports.c_code.header_kind import HeaderKind
 from dqforge.reports.capability import Capability, Outcome, ReportPart
 from dqforge.reports.observers.estimator_header import (
@@ -21,7 +20,12 @@ from dqforge.reports.observers.speed_float32_model import (
 )
 from dqforge.reports.observers.speed_header import speed_observer_files, speed_observer_programme
 from dqforge.reports.pages.chapters import LOOPS
-from dqforge.reports.pages.html_table import HtmlTable
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.estimators.solve import TunedTracker
+    from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
+    from dqforge.optimizer.observers.tuning import PositionObserver
+    from dqforge.reports.pages.html_table import HtmlTable
 
 
 def _part(tables: list[HtmlTable]) -> list[ReportPart]:

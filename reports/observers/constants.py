@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from dqforge.optimizer.solution import Solution
+from typing import TYPE_CHECKING
+
 from dqforge.reports.c_code.header_constant import Constant, ConstantGroup
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.solution import Solution
 
 
 def observer_constants(solution: Solution) -> list[ConstantGroup]:

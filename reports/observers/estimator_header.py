@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from dqforge.machines.design.design import Design
 from dqforge.optimizer.estimators.registry import TRACKERS
 from dqforge.optimizer.estimators.solve import TunedTracker
-from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.observers.position_header import (
     EmittedObserver,
     observer_files,
@@ -24,7 +21,12 @@ from dqforge.reports.observers.tracker_header import (
     tracker_from,
     tracker_programme,
 )
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.observers.tuning import PositionObserver
+    from dqforge.reports.c_code.harness import Programme
+    from dqforge.reports.plain_data import PlainData
 
 
 def emitted_estimator(

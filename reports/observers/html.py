@@ -5,12 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from dqforge.optimizer.estimators.solve import TunedTracker
-from dqforge.optimizer.observers.reduced_order import (
-    ErrorsAtLoad,
-    ObserverError,
-    ReducedOrderObserver,
-)
 from dqforge.optimizer.observers.tuning import PositionObserver
 from dqforge.reports.observers.text import position_parts
 from dqforge.reports.observers.tracker_text import tracker_part
@@ -27,7 +21,12 @@ from dqforge.reports.pages.labels import (
 )
 
 if TYPE_CHECKING:
-    pass
+    from dqforge.optimizer.estimators.solve import TunedTracker
+    from dqforge.optimizer.observers.reduced_order import (
+        ErrorsAtLoad,
+        ObserverError,
+        ReducedOrderObserver,
+    )
 
 
 def speed_tables(observer: ReducedOrderObserver, errors: Sequence[ErrorsAtLoad]) -> list[HtmlTable]:

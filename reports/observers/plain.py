@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
-from dqforge.optimizer.observers.reduced_order import ErrorsAtLoad, ObserverError, SpeedErrorSlopes
-from dqforge.reports.plain_data import PlainData
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.observers.reduced_order import (
+        ErrorsAtLoad,
+        ObserverError,
+        SpeedErrorSlopes,
+    )
+    from dqforge.reports.plain_data import PlainData
 
 
 def plain_observer_errors(

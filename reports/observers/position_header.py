@@ -8,15 +8,10 @@ import struct
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from textwrap import wrap
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, SPEED_LIMIT
-from dqforge.optimizer.observers.method import ObserverMethod
-from dqforge.optimizer.observers.methods.registry import METHODS
-from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.optimizer.observers.tuning_numbers import Disturbances
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.title import title
@@ -28,7 +23,13 @@ from dqforge.reports.observers.float32_model import (
 )
 from dqforge.reports.observers.training_text import bound_text, silence_text
 from dqforge.reports.pages.templating import render
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.observers.method import ObserverMethod
+    from dqforge.optimizer.observers.tuning import PositionObserver
+    from dqforge.optimizer.observers.tuning_numbers import Disturbances
+    from dqforge.reports.plain_data import PlainData
 
 _PARAMETERS = (("R", "r_s"), ("L", "l_q"), ("psi", "psi_pm"))
 
@@ -59,6 +60,8 @@ def observer_from(plain: Mapping[str, Any]) -> EmittedObserver:
     InputError
         The data are not what `plain_observer` makes.
     """
+    from dqforge.optimizer.observers.methods.registry import METHODS
+
     method = METHODS.get(str(plain.get("method")))
     if method is None or not isinstance(plain.get("gains"), dict):
         raise InputError("observer_header is not what dqforge writes; run the design again")

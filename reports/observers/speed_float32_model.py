@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
 from dqforge.machines.transforms import park
-from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.observers.parts import cast
-from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
 from dqforge.reports.c_code.float32_functions import SINGLE, rotation, wrap
 from dqforge.reports.observers.float32_model import gains_from, plain_gains_of
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.machines.dq_machines.synchronous import Machine
+    from dqforge.optimizer.curves.single_precision import SingleArray
+    from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
+    from dqforge.reports.plain_data import PlainData
 
 _LENGTH = 100
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
-from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.title import title
@@ -16,7 +15,11 @@ from dqforge.reports.observers.speed_float32_model import (
     speed_observer_outputs,
 )
 from dqforge.reports.pages.templating import render
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver
+    from dqforge.reports.plain_data import PlainData
 
 REDUCED_ORDER = "reduced_order"
 

@@ -5,10 +5,12 @@ the header and JSON.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.loops.loop_gains import LoopGains
-from dqforge.optimizer.loops.observed_margins import ObservedLoop, SpeedRange
-from dqforge.reports.plain_data import PlainData
+if TYPE_CHECKING:
+    from dqforge.optimizer.loops.loop_gains import LoopGains
+    from dqforge.optimizer.loops.observed_margins import ObservedLoop, SpeedRange
+    from dqforge.reports.plain_data import PlainData
 
 
 def _hertz(omega: float) -> str:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver, SpeedErrorSlopes
 from dqforge.reports.pages.table import Table
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.observers.reduced_order import ReducedOrderObserver, SpeedErrorSlopes
 
 
 def observer_table(observer: ReducedOrderObserver, slopes: SpeedErrorSlopes) -> Table:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 from dqforge.optimizer.observers.judgement import (
     ANGLE_LIMIT,
@@ -14,9 +15,6 @@ from dqforge.optimizer.observers.judgement import (
     SPEED_LIMIT,
     ObserverJudgement,
 )
-from dqforge.optimizer.observers.proof import ObserverProof
-from dqforge.optimizer.observers.tuning import PositionObserver
-from dqforge.optimizer.observers.tuning_numbers import Disturbances
 from dqforge.reports.observers.position_header import (
     error_text,
     included_text,
@@ -24,7 +22,12 @@ from dqforge.reports.observers.position_header import (
     tuning_text,
 )
 from dqforge.reports.observers.training_text import plain_training, training_part
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.observers.proof import ObserverProof
+    from dqforge.optimizer.observers.tuning import PositionObserver
+    from dqforge.optimizer.observers.tuning_numbers import Disturbances
+    from dqforge.reports.plain_data import PlainData
 
 TextTable = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], tuple[str, ...]]
 

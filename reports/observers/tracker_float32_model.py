@@ -5,14 +5,16 @@ numbers of the C code.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.estimators.tracker import Tracker
 from dqforge.optimizer.observers.parts import cast
 from dqforge.reports.c_code.float32_functions import SINGLE, wrap
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.curves.single_precision import SingleArray
+    from dqforge.optimizer.estimators.tracker import Tracker
 
 _LENGTH = 100
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from textwrap import wrap as folded
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.estimators.registry import TRACKERS
-from dqforge.optimizer.estimators.solve import TunedTracker
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.title import title
@@ -27,7 +25,11 @@ from dqforge.reports.observers.tracker_text import (
     tuned_text,
 )
 from dqforge.reports.pages.templating import render
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.estimators.solve import TunedTracker
+    from dqforge.reports.plain_data import PlainData
 
 _FAULT = InputError("observer_header is not what dqforge writes; run the design again")
 

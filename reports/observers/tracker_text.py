@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from dqforge.optimizer.estimators.solve import TunedTracker
-from dqforge.reports.observers.text import TextTable
-from dqforge.reports.plain_data import PlainData
+if TYPE_CHECKING:
+    from dqforge.optimizer.estimators.solve import TunedTracker
+    from dqforge.reports.observers.text import TextTable
+    from dqforge.reports.plain_data import PlainData
 
 _SIGNALS = {
     "sum-voltage": "the mean of v_a + v_b + v_c against the star point over it",

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.optimizer.observers.training import Limits, Training
-from dqforge.reports.plain_data import PlainData
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.optimizer.observers.training import Limits, Training
+    from dqforge.reports.plain_data import PlainData
 
 TrainingTable = tuple[str, tuple[str, ...], tuple[tuple[str, ...], ...], tuple[str, ...]]
 

@@ -51,7 +51,6 @@ PACKAGES = {
     "nlopt": "searches of a few variables",
     "numpy": "arrays",
     "osqp": "a second opinion on phase currents",
-    "pint": "units",
     "piqp": "phase currents of machines with any back-EMF",
     "pyarrow": "parts of a study (dqforge explore)",
     "pydantic": "checks of the design file",

@@ -10,14 +10,11 @@ import numpy as np
 from dqforge.machines.design.settings import LoadPoint
 from dqforge.machines.names import Core, NumberFormat
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.losses.drive_budget import PARTS, DriveBudget
-from dqforge.optimizer.losses.point_comparison import LossComparison
-from dqforge.optimizer.operating_points.current_choice import SpeedPoint
 
 if TYPE_CHECKING:
-    pass
-if TYPE_CHECKING:
-    pass
+    from dqforge.optimizer.losses.drive_budget import DriveBudget
+    from dqforge.optimizer.losses.point_comparison import LossComparison
+    from dqforge.optimizer.operating_points.current_choice import SpeedPoint
 
 
 _SPACE = "\u00a0"  # does not break
@@ -74,6 +71,8 @@ def shown_parts(budget: DriveBudget) -> tuple[str, ...]:
 
     def visible(part: str) -> bool:
         return bool(np.any(np.nan_to_num(getattr(budget, part)) > _VISIBLE * total))
+
+    from dqforge.optimizer.losses.drive_budget import PARTS
 
     return tuple(part for part in PARTS if part in always or visible(part))
 

@@ -19,7 +19,6 @@ from dqforge.reports.c_code.numbers import (
     int32_literal,
     int64_literal,
 )
-from dqforge.reports.pages.figures_style import DARK
 from dqforge.reports.pages.html_text import symbols
 
 if TYPE_CHECKING:
@@ -74,6 +73,8 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
         autoescape=lambda name: name is not None and ".html" in name,
     )
+    from dqforge.reports.pages.figures_style import DARK
+
     environment.globals["figure_colours"] = DARK
     environment.filters.update(
         f32=float_literal,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
-from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind, integer_kinds
 from dqforge.reports.capability import Capability, Outcome, ReportPart
 from dqforge.reports.pages.chapters import LOOPS
@@ -22,6 +23,9 @@ from dqforge.reports.phase_control.emitted_integers import (
     plain_integer_evidence,
     plain_integers,
 )
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.solution import Solution
 
 
 def _float32(outcome: Outcome) -> Solution | None:

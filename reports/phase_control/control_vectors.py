@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from dqforge.machines.topologies.topology import TOPOLOGIES
-from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.curves.single_precision import SingleArray
 
 _DRIVES, _STEPS = 48, 160
 

@@ -5,11 +5,8 @@ that of rotor coordinates.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from dqforge.optimizer.phase_control.phase_controller import PhaseControl
-from dqforge.optimizer.solution import Solution
-from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.control.float32_model import ControlModel
 from dqforge.reports.control.header import (
     control_files,
@@ -21,7 +18,12 @@ from dqforge.reports.phase_control.control_vectors import phase_control_programm
 from dqforge.reports.phase_control.float32_model import PhaseControlModel
 from dqforge.reports.phase_control.header import phase_control_files, plain_solution_control
 from dqforge.reports.phase_control.plain import phase_control_from
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.phase_control.phase_controller import PhaseControl
+    from dqforge.optimizer.solution import Solution
+    from dqforge.reports.c_code.harness import Programme
+    from dqforge.reports.plain_data import PlainData
 
 EmittedModel = ControlModel | PhaseControlModel
 

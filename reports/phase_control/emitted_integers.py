@@ -5,14 +5,11 @@ rotor coordinates.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from dqforge.machines.design.design import Design
 from dqforge.optimizer.fixed_control.step import FixedControl
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
 from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
-from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
-from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.control.fixed_header import (
     control_fixed_files,
     control_fixed_programme,
@@ -22,8 +19,6 @@ from dqforge.reports.control.fixed_header import (
 from dqforge.reports.control.fixed_reading import fixed_control_from
 from dqforge.reports.control.fixed_tables import control_fixed_html, control_fixed_tables
 from dqforge.reports.fixed_reference.mesh_reading import mesh_from
-from dqforge.reports.pages.html_table import HtmlTable
-from dqforge.reports.pages.table import Table
 from dqforge.reports.phase_control.fixed_phase_header import (
     phase_fixed_files,
     phase_fixed_programme,
@@ -32,7 +27,14 @@ from dqforge.reports.phase_control.fixed_phase_header import (
 )
 from dqforge.reports.phase_control.fixed_phase_reading import phase_integers_from
 from dqforge.reports.phase_control.fixed_phase_tables import phase_fixed_html, phase_fixed_tables
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
+    from dqforge.reports.c_code.harness import Programme
+    from dqforge.reports.pages.html_table import HtmlTable
+    from dqforge.reports.pages.table import Table
+    from dqforge.reports.plain_data import PlainData
 
 IntegerModel = FixedControl | FixedPhaseControl
 

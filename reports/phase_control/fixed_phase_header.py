@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.fixed_control.step import IDLE
-from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
-from dqforge.optimizer.fixed_phase_control.integers import (
-    FixedPhaseControl,
-)
-from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_SEED
 from dqforge.reports.c_code.title import title
 from dqforge.reports.control.fixed_basics import fixed_basics
@@ -26,7 +21,15 @@ from dqforge.reports.phase_control.fixed_phase_model import (
     phase_results,
     phase_rows,
 )
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
+    from dqforge.optimizer.fixed_phase_control.integers import (
+        FixedPhaseControl,
+    )
+    from dqforge.reports.c_code.harness import Programme
+    from dqforge.reports.plain_data import PlainData
 
 _SEED = 20_261_122
 

@@ -4,19 +4,23 @@ must come out.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import Pair, Triple
 from dqforge.optimizer.fixed_control.arithmetic import CodeArray, Integers
 from dqforge.optimizer.fixed_control.step import IDLE, SpeedState, speed_loop
-from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
 from dqforge.optimizer.fixed_phase_control.phase_step import (
     PhaseState,
     Sample,
     control_step,
     torque_reference,
 )
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.fixed_phase_control.integers import FixedPhaseControl
 
 _MEASURED = ("i_a", "i_b", "i_c", "theta", "omega", "v_dc", "v_m", "open", "torque", "d", "q")
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.html_text import symbols
 from dqforge.reports.pages.table import Table
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
 
 _COLUMNS = (
     "axis",

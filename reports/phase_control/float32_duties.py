@@ -4,15 +4,17 @@ on numpy arrays of float32: as ``duties.j2``, same operations, same bits.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from dqforge.machines.modulation.registry import MODULATORS
-from dqforge.machines.names import ModulationName, Topology
 from dqforge.machines.transforms import Pair, Triple, clarke_inverse
-from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.reports.c_code.float32_functions import SINGLE
+
+if TYPE_CHECKING:
+    from dqforge.machines.names import ModulationName, Topology
+    from dqforge.optimizer.curves.single_precision import SingleArray
 
 _HALF, _ZERO, _ONE = np.float32(0.5), np.float32(0.0), np.float32(1.0)
 

@@ -6,16 +6,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.reports.c_code.float32_functions import turned
 from dqforge.reports.phase_control.float32_duties import Stationary
-from dqforge.reports.phase_control.float32_parts import Gains, Turn
-from dqforge.reports.phase_control.structure import Structure
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.curves.single_precision import SingleArray
+    from dqforge.reports.phase_control.float32_parts import Gains, Turn
+    from dqforge.reports.phase_control.structure import Structure
 
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 

@@ -6,19 +6,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.transforms import Triple, clarke
-from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.phase_control.phase_controller import LimitedShapes
 from dqforge.reports.c_code.float32_functions import SINGLE
 from dqforge.reports.c_code.read_back import single_from
 from dqforge.reports.phase_control.float32_duties import Stationary
 from dqforge.reports.phase_control.float32_parts import equal_load, mean_of_phases, node_of, rows_of
 from dqforge.reports.plain_data import PlainData, shortest
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.curves.single_precision import SingleArray
+    from dqforge.optimizer.phase_control.phase_controller import LimitedShapes
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 

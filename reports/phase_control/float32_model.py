@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.transforms import Pair, Triple, clarke, park, park_inverse
-from dqforge.optimizer.current_reference.forms import FloatReference
 from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.waveforms.firmware_form import PhaseReference
 from dqforge.reports.c_code.float32_functions import SINGLE, rotation, small_rotation, turned, wrap
 from dqforge.reports.control.float32_model import speed_loop, three_leg_duties
 from dqforge.reports.phase_control.float32_duties import (
@@ -26,7 +24,6 @@ from dqforge.reports.phase_control.float32_duties import (
     voltage_share,
 )
 from dqforge.reports.phase_control.float32_harmonics import Turning
-from dqforge.reports.phase_control.float32_limited import LimitedTable
 from dqforge.reports.phase_control.float32_parts import (
     Turn,
     balanced,
@@ -41,7 +38,12 @@ from dqforge.reports.phase_control.float32_parts import (
     to_frame,
     turns_per_rad,
 )
-from dqforge.reports.phase_control.structure import Structure
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.current_reference.forms import FloatReference
+    from dqforge.optimizer.waveforms.firmware_form import PhaseReference
+    from dqforge.reports.phase_control.float32_limited import LimitedTable
+    from dqforge.reports.phase_control.structure import Structure
 
 Singles = tuple[SingleArray, ...]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,8 +11,6 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
 from dqforge.optimizer.current_reference.integer_form import FixedReference
-from dqforge.optimizer.phase_control.phase_controller import PhaseControl
-from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.c_code.title import title
 from dqforge.reports.control.header import speed_filter
@@ -29,6 +27,10 @@ from dqforge.reports.phase_control.plain import (
     structure_of,
 )
 from dqforge.reports.plain_data import PlainData, shortest
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.phase_control.phase_controller import PhaseControl
+    from dqforge.optimizer.solution import Solution
 
 _FLOAT_BYTES = 4
 

@@ -5,19 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
-from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import CurrentFrame, Feedforward, ModulationName
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.current_reference.integer_form import FixedReference
-from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.optimizer.loops.loop_gains import LoopGains
-from dqforge.optimizer.phase_control.phase_controller import PhaseControl, TorqueLimit
 from dqforge.reports.c_code.read_back import single_from
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.phase_control.float32_limited import limited_from, plain_limited
@@ -25,6 +21,12 @@ from dqforge.reports.phase_control.float32_model import PhaseControlModel
 from dqforge.reports.phase_control.structure import Structure
 from dqforge.reports.plain_data import PlainData, shortest
 from dqforge.reports.waveforms.float32_model import phase_reference_from
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.optimizer.curves.single_precision import SingleArray
+    from dqforge.optimizer.loops.loop_gains import LoopGains
+    from dqforge.optimizer.phase_control.phase_controller import PhaseControl, TorqueLimit
 
 PIS = ("d", "q", "zero", "speed")
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from dqforge.machines.names import CurrentFrame, Feedforward, ModulationName, Topology
 from dqforge.machines.topologies.topology import TOPOLOGIES
+
+if TYPE_CHECKING:
+    from dqforge.machines.names import CurrentFrame, Feedforward, ModulationName, Topology
 
 
 @dataclass(frozen=True, slots=True)

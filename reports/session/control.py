@@ -6,26 +6,21 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.design import Design
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.control_design.observed_refusal import require_observed
-from dqforge.optimizer.estimator_comparison.own_observer import ObserverEvidence, observer_evidence
-from dqforge.optimizer.fixed_phase_control.solve import IntegerFit, solve_integers
-from dqforge.optimizer.observers.proof import ObserverProof, prove
-from dqforge.reports.dynamic_references.tables import plain_references
-from dqforge.reports.estimator_comparison.observer_errors import plain_capture, plain_warm
-from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.loops.plain import plain_gains
-from dqforge.reports.phase_control.emitted_integers import plain_integer_evidence
-from dqforge.reports.plain_data import PlainData
 from dqforge.reports.session.result import DrawnResult, dataset
-from dqforge.reports.simulation.design_run import DriveSimulation, StepFigures
-from dqforge.reports.simulation.tables import plain_simulation
-from dqforge.reports.speed_measurement.tables import plain_measured
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.estimator_comparison.own_observer import ObserverEvidence
+    from dqforge.optimizer.fixed_phase_control.solve import IntegerFit
+    from dqforge.optimizer.observers.proof import ObserverProof
+    from dqforge.reports.plain_data import PlainData
+    from dqforge.reports.simulation.design_run import DriveSimulation, StepFigures
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,27 +41,29 @@ class Tuning(DrawnResult):
 
     def plain(self) -> PlainData:
         """By the keys of ``dqforge tune --json``."""
-        integers = {found.control.format: plain_integer_evidence(found) for found in self.fixed}
-        return {
-            "gains": plain_gains(self.design, self.gains),
-            **(
-                {}
-                if self.gains.references is None
-                else {"dynamic_references": plain_references(self.gains.references)}
-            ),
-            **(
-                {}
-                if self.gains.measured_speed is None
-                else {"speed_measurement": plain_measured(self.gains.measured_speed)}
-            ),
-            **({} if self.proof is None else {"observer_proof": asdict(self.proof)}),
-            **({"control_fixed": integers} if integers else {}),
-            **self._plain_evidence(),
-        }
+        plain: PlainData = {"gains": plain_gains(self.design, self.gains)}
+        if self.gains.references is not None:
+            from dqforge.reports.dynamic_references.tables import plain_references
+
+            plain["dynamic_references"] = plain_references(self.gains.references)
+        if self.gains.measured_speed is not None:
+            from dqforge.reports.speed_measurement.tables import plain_measured
+
+            plain["speed_measurement"] = plain_measured(self.gains.measured_speed)
+        if self.proof is not None:
+            plain["observer_proof"] = asdict(self.proof)
+        if self.fixed:
+            from dqforge.reports.phase_control.emitted_integers import plain_integer_evidence
+
+            integers = {found.control.format: plain_integer_evidence(found) for found in self.fixed}
+            plain["control_fixed"] = integers
+        return plain | self._plain_evidence()
 
     def _plain_evidence(self) -> PlainData:
         if self.evidence is None:
             return {}
+        from dqforge.reports.estimator_comparison.observer_errors import plain_capture, plain_warm
+
         return {
             "observer_warm": plain_warm(self.evidence.warm),
             "observer_capture": plain_capture(self.evidence.capture),
@@ -96,6 +93,10 @@ def tune(design: Design) -> Tuning:
     """
     gains = solve_gains(design)
     require_observed(design, gains)
+    from dqforge.optimizer.estimator_comparison.own_observer import observer_evidence
+    from dqforge.optimizer.fixed_phase_control.solve import solve_integers
+    from dqforge.optimizer.observers.proof import prove
+
     fixed, proof = solve_integers(design, gains), prove(gains.position)
     return Tuning(design, gains, fixed, proof, observer_evidence(design, gains.position))
 
@@ -148,6 +149,8 @@ class SimulatedDrive(DrawnResult):
 
     def plain(self) -> PlainData:
         """By the keys of ``dqforge simulate --json``."""
+        from dqforge.reports.simulation.tables import plain_simulation
+
         return plain_simulation(self.found)
 
     def figure(self) -> Figure:
@@ -190,4 +193,6 @@ def simulate(
     VerificationError
         There is no C compiler.
     """
+    from dqforge.reports.firmware.design_simulation import simulate_with_firmware
+
     return SimulatedDrive(simulate_with_firmware(design, switched=switched, progress=progress))

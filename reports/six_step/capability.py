@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.six_step.design import SixStepDesign
-from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.header_kind import HeaderKind
 from dqforge.reports.capability import Capability, Draw, Outcome, ReportPart
 from dqforge.reports.pages.chapters import Chapter
@@ -23,6 +22,10 @@ from dqforge.reports.six_step.tables import (
     plain_blocks,
     range_words,
 )
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.six_step.design import SixStepDesign
+    from dqforge.optimizer.solution import Solution
 
 CHAPTER = Chapter("six_step", "Six-step drive")
 

@@ -7,15 +7,13 @@ from __future__ import annotations
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.machines.arrays import FloatArray
-from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.plants.scenario import Scenario
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.six_step.control import FAULTS, RUNNING, STAGES
 from dqforge.optimizer.six_step.design import SixStepDesign, solve_six_step
@@ -42,6 +40,11 @@ from dqforge.reports.simulation.plant_input import Drive, run_input
 from dqforge.reports.simulation.plant_layout import COLUMNS
 from dqforge.reports.simulation.recorded_run import BlockFigures, BlockRecord, Simulation
 from dqforge.reports.six_step.header import six_step_files
+
+if TYPE_CHECKING:
+    from dqforge.machines.arrays import FloatArray
+    from dqforge.machines.design.design import Design
+    from dqforge.machines.plants.scenario import Scenario
 
 _BLOCK_COLUMNS = ("stage", "fault", "sector", "i_reference")
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.optimizer.six_step.design import SixStepDesign
 from dqforge.reports.pages.figures_style import (
     BLUE,
     INK,
@@ -20,6 +19,8 @@ from dqforge.reports.pages.figures_style import (
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from dqforge.optimizer.six_step.design import SixStepDesign
 
 
 def plot_blocks(found: SixStepDesign) -> Figure:

@@ -4,9 +4,10 @@ on numpy's single precision, and sequences that lead through all its stages.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.six_step.control import (
     SixStepGains,
     SixStepState,
@@ -15,6 +16,9 @@ from dqforge.optimizer.six_step.control import (
     step,
     torque_control,
 )
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.curves.single_precision import SingleArray
 
 _LENGTH = 250  # rows of a short sequence
 

@@ -6,15 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from textwrap import wrap
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import SIX_STEP_METHODS
 from dqforge.optimizer.six_step.control import FAULTS, STAGES, SixStepGains
-from dqforge.optimizer.six_step.design import SixStepDesign
 from dqforge.optimizer.six_step.estimator import BlockGains
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
@@ -22,6 +20,10 @@ from dqforge.reports.c_code.title import title
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData, shortest
 from dqforge.reports.six_step.float32_model import six_step_inputs, six_step_outputs
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.six_step.design import SixStepDesign
 
 _WHOLE = ("by_integral", "ratio", "align", "settle", "gap")
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.six_step.design import SixStepDesign
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.html_text import symbols
 from dqforge.reports.pages.table import Table
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.six_step.design import SixStepDesign
+    from dqforge.reports.plain_data import PlainData
 
 _ERROR_COLUMNS = ("speed", "offset", "noise, 3 sigma", "grid", "saliency", "together")
 

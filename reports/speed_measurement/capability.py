@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed
-from dqforge.optimizer.solution import Solution
+from typing import TYPE_CHECKING
+
 from dqforge.reports.c_code.header_kind import HeaderKind
 from dqforge.reports.capability import Capability, Outcome, ReportPart
 from dqforge.reports.pages.chapters import LOOPS
@@ -23,6 +23,10 @@ from dqforge.reports.speed_measurement.tables import (
     measured_tables,
     plain_measured,
 )
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed
+    from dqforge.optimizer.solution import Solution
 
 
 def _of(outcome: Outcome) -> MeasuredSpeed | None:

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.names import SpeedMeasurementName
-from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.reports.c_code.read_back import single_from
 from dqforge.reports.plain_data import PlainData, shortest
+
+if TYPE_CHECKING:
+    from dqforge.machines.names import SpeedMeasurementName
+    from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed
 
 METHODS: tuple[SpeedMeasurementName, ...] = ("counts", "capture", "mixed")
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from textwrap import wrap
+from typing import TYPE_CHECKING
 
-from dqforge.machines.design.design import Design
-from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_SEED
 from dqforge.reports.c_code.title import title
 from dqforge.reports.pages.templating import render
-from dqforge.reports.plain_data import PlainData
 from dqforge.reports.speed_measurement.float32_model import (
     EVENTS,
     SAMPLE,
@@ -21,6 +19,11 @@ from dqforge.reports.speed_measurement.float32_model import (
     edge_rows,
 )
 from dqforge.reports.speed_measurement.tables import measured_rows
+
+if TYPE_CHECKING:
+    from dqforge.machines.design.design import Design
+    from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed
+    from dqforge.reports.plain_data import PlainData
 
 
 def numbers_of(design: Design, found: MeasuredSpeed) -> EdgeNumbers:

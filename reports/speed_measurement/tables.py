@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.html_text import symbols
 from dqforge.reports.pages.labels import significant
 from dqforge.reports.pages.table import Table
-from dqforge.reports.plain_data import PlainData
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.control_design.measured_speed_loop import MeasuredSpeed
+    from dqforge.reports.plain_data import PlainData
 
 TITLE = "Speed loop on the measured speed"
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dqforge.optimizer.solution import Solution
-from dqforge.optimizer.start_up.solve import StartUp
+from typing import TYPE_CHECKING
+
 from dqforge.reports.c_code.header_kind import HeaderKind
 from dqforge.reports.capability import Capability, Outcome, ReportPart
 from dqforge.reports.observers.tracker_header import tracker_from
@@ -25,6 +25,10 @@ from dqforge.reports.start_up.tried import (
     start_up_from,
     start_up_programme,
 )
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.solution import Solution
+    from dqforge.optimizer.start_up.solve import StartUp
 
 
 def _of(outcome: Outcome) -> StartUp | None:

@@ -9,17 +9,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.estimators.tracker import Tracker
-from dqforge.optimizer.observers.method import ObserverMethod
-from dqforge.optimizer.observers.parts import ObserverState
 from dqforge.reports.c_code.float32_functions import SINGLE, rotation, wrap
 from dqforge.reports.control.float32_model import ControlModel, ControlState
 from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.observers.method import ObserverMethod
+    from dqforge.optimizer.observers.parts import ObserverState
 
 F = np.float32
 

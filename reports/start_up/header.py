@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from textwrap import wrap
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dqforge.optimizer.control_design.gain_set import GainSet
-from dqforge.optimizer.solution import Solution
-from dqforge.optimizer.start_up.solve import StartUp
 from dqforge.reports.c_code.numbers import float_literal
 from dqforge.reports.c_code.title import title
 from dqforge.reports.observers.tracker_float32_model import EmittedTracker
@@ -21,6 +19,11 @@ from dqforge.reports.pages.templating import render
 from dqforge.reports.phase_control.emitted import phase_control_of
 from dqforge.reports.plain_data import PlainData, shortest
 from dqforge.reports.start_up.members import MEMBERS, settings_of
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.control_design.gain_set import GainSet
+    from dqforge.optimizer.solution import Solution
+    from dqforge.optimizer.start_up.solve import StartUp
 
 LOW_FILE = "start_observer"
 

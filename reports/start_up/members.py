@@ -8,8 +8,10 @@ import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.start_up.plan import StartUpPlan
+if TYPE_CHECKING:
+    from dqforge.optimizer.start_up.plan import StartUpPlan
 
 METHODS = ("i-f", "v-f", "direct", "saliency")
 

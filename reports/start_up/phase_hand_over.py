@@ -5,11 +5,10 @@ and how the control over the angle goes on in the frame of the tracker. As ``pha
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
 from dqforge.reports.start_up.float32_model import (
     Drive,
     F,
@@ -19,6 +18,9 @@ from dqforge.reports.start_up.float32_model import (
     array,
     observer_start,
 )
+
+if TYPE_CHECKING:
+    from dqforge.reports.phase_control.float32_model import PhaseControlModel, PhaseControlState
 
 _ZERO, _ONE, _HALF = F(0.0), F(1.0), F(0.5)
 

@@ -10,14 +10,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.reports.start_up.float32_model import F, StartUpModel, State, scalar
 from dqforge.reports.start_up.members import MEMBERS
 from dqforge.reports.start_up.model_step import StartUpRun
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.curves.single_precision import SingleArray
 
 SEEN = 7
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 from dqforge.machines.units.quantities import format_quantity
-from dqforge.optimizer.start_up.solve import StartUp
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.html_text import symbols
 from dqforge.reports.pages.table import Table
-from dqforge.reports.plain_data import PlainData
 from dqforge.reports.start_up.header import method_words
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.start_up.solve import StartUp
+    from dqforge.reports.plain_data import PlainData
 
 TITLE = "Start without encoder"
 

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.estimators.registry import TRACKERS
-from dqforge.optimizer.estimators.tracker import Tracker
-from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.parts import cast
 from dqforge.reports.c_code.float32_functions import SINGLE
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.read_back import single_from
 from dqforge.reports.observers.position_header import observer_from
-from dqforge.reports.observers.tracker_float32_model import EmittedTracker
 from dqforge.reports.observers.tracker_header import (
     tracker_from,
     tracker_programme,
@@ -25,6 +22,11 @@ from dqforge.reports.start_up.float32_model import StartUpModel
 from dqforge.reports.start_up.header import LOW_FILE
 from dqforge.reports.start_up.members import MEMBERS
 from dqforge.reports.start_up.sequences import HEARING, OUTPUTS, SEEN, recorded
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.estimators.tracker import Tracker
+    from dqforge.optimizer.observers.method import ObserverMethod
+    from dqforge.reports.observers.tracker_float32_model import EmittedTracker
 
 _FAULT = InputError("startup_header is not what dqforge writes; run the design again")
 

@@ -12,17 +12,14 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
-from dqforge.optimizer.curves.single_precision import SingleArray
-from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.cross_tools import TARGETS, build, emulate, target_of
-from dqforge.reports.verification.cycle_model import Span
 from dqforge.reports.verification.host import WARNINGS
 from dqforge.reports.verification.measured_cost import cost_on_target
 from dqforge.reports.verification.target_programmes import (
@@ -31,6 +28,11 @@ from dqforge.reports.verification.target_programmes import (
     reached,
     run_on_target,
 )
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.curves.single_precision import SingleArray
+    from dqforge.reports.c_code.harness import Programme
+    from dqforge.reports.verification.cycle_model import Span
 
 __all__ = ["TARGETS", "TargetVerification", "target_of", "verify_on_target"]
 

@@ -10,10 +10,9 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import VerificationError
-from dqforge.optimizer.current_reference.forms import Emitted
-from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.current_reference.programme import reference_programme
 from dqforge.reports.operating_system.host_compiler import (
     NO_COMPILER,
@@ -22,6 +21,10 @@ from dqforge.reports.operating_system.host_compiler import (
     find_compiler,
 )
 from dqforge.reports.pages.templating import render
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.current_reference.forms import Emitted
+    from dqforge.reports.c_code.harness import Programme
 
 WARNINGS = (
     "-Wall",

@@ -9,12 +9,15 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import VerificationError
-from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.cross_tools import build, emulate
 from dqforge.reports.verification.host import WARNINGS
+
+if TYPE_CHECKING:
+    from dqforge.reports.c_code.harness import Programme
 
 _INCLUDE = re.compile(rb'^#include "([^"]+)"', re.MULTILINE)
 

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 from dqforge.reports.pages.html_text import (
     count,
 )
-from dqforge.reports.verification.cortex_m import TargetVerification
-from dqforge.reports.verification.host import Verification
 
 if TYPE_CHECKING:
-    pass
+    from dqforge.reports.verification.cortex_m import TargetVerification
+    from dqforge.reports.verification.host import Verification
 
 
 def compared(verification: Verification | None) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from dqforge.optimizer.solution import Solution
 from dqforge.optimizer.waveforms.comparison import RuleCurrents, WaveformComparison
@@ -18,10 +17,6 @@ from dqforge.reports.pages.html_text import (
 )
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.waveforms.tables import RULE_TEXT, optimality_note
-
-if TYPE_CHECKING:
-    pass
-
 
 _ROUNDING = 1e-9
 

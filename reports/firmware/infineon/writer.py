@@ -5,8 +5,8 @@ that assigns them already.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
 from dqforge.optimizer.firmware.infineon_format.infineon_keys import (
     KEYS,
     TABLE,
@@ -20,9 +20,12 @@ from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS
 from dqforge.reports.firmware.c_macros import with_values
 from dqforge.reports.firmware.infineon.names import member
 from dqforge.reports.firmware.infineon.reader import assignments
-from dqforge.reports.firmware.target import FileTitle
 from dqforge.reports.firmware.text_file import c_float
 from dqforge.reports.pages.templating import render
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
+    from dqforge.reports.firmware.target import FileTitle
 
 _EXISTING = "existing file"
 

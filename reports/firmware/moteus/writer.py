@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
 from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     GEAR,
     KNOWN,
@@ -12,8 +13,11 @@ from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
 from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS
 from dqforge.reports.firmware.moteus.config_lines import ConfigLine, config_lines
 from dqforge.reports.firmware.moteus.reader import ENDING
-from dqforge.reports.firmware.target import FileTitle
 from dqforge.reports.firmware.text_file import number_text, plain_number
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
+    from dqforge.reports.firmware.target import FileTitle
 
 SAVE = "conf write"
 

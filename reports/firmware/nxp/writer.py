@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
 from dqforge.optimizer.firmware.nxp_mcat.mcat_file import McatFile
 from dqforge.optimizer.firmware.nxp_mcat.mcat_names import FLAGS, INPUTS, MACROS, SPELLINGS
 from dqforge.reports.firmware.c_macros import read_macros, with_values
@@ -15,8 +15,11 @@ from dqforge.reports.firmware.nxp.comments import line_inputs, objects, with_inp
 from dqforge.reports.firmware.nxp.names import motor_of
 from dqforge.reports.firmware.nxp.number_text import constant_text, plain
 from dqforge.reports.firmware.nxp.reader import read_file
-from dqforge.reports.firmware.target import FileTitle
 from dqforge.reports.pages.templating import render
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
+    from dqforge.reports.firmware.target import FileTitle
 
 _EXISTING = "existing file"
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.one_bandwidth.odrive_keys import KINDS
 from dqforge.reports.firmware.json_text import parsed_json, with_json_values
 from dqforge.reports.firmware.odrive.reader import ENDING, chosen_axis, path_of
-from dqforge.reports.firmware.target import FileTitle
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import Configuration
+    from dqforge.reports.firmware.target import FileTitle
 
 _EXISTING = "existing file"
 

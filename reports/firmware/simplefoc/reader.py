@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from pathlib import PurePath
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.firmware.configuration import Configuration, Number
 from dqforge.optimizer.firmware.simplefoc_format.simplefoc_configuration import configuration
 from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import V_DC
 from dqforge.optimizer.firmware.targets.simplefoc import voltage_limit
 from dqforge.reports.firmware.simplefoc import script, sketch
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import Configuration, Number
 
 
 def recognise(name: str, text: str) -> bool:

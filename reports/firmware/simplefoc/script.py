@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.wording import shown
@@ -20,8 +21,10 @@ from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import (
     V_DC,
 )
 from dqforge.reports.firmware.simplefoc.names import COMMANDS
-from dqforge.reports.firmware.target import FileTitle
 from dqforge.reports.firmware.text_file import number_text, plain_number
+
+if TYPE_CHECKING:
+    from dqforge.reports.firmware.target import FileTitle
 
 LETTER = "M"
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
 from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import (
     LOOP_PERIOD,
     MEMBERS,
@@ -16,9 +16,12 @@ from dqforge.reports.firmware.c_macros import with_values
 from dqforge.reports.firmware.simplefoc.names import CONSTRUCTOR, ENUMERATORS, VOLTAGES
 from dqforge.reports.firmware.simplefoc.script import is_script, script
 from dqforge.reports.firmware.simplefoc.sketch import Sketch, sketch_of
-from dqforge.reports.firmware.target import FileTitle
 from dqforge.reports.firmware.text_file import c_float
 from dqforge.reports.pages.templating import render
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
+    from dqforge.reports.firmware.target import FileTitle
 
 _EXISTING = "existing file"
 

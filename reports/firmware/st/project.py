@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.files.positioned_xml import Element
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
 from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.st_format.st_configuration import st_configuration
@@ -26,6 +26,9 @@ from dqforge.reports.firmware.st.names import (
     VARIABLES,
 )
 from dqforge.reports.firmware.text_file import plain_number
+
+if TYPE_CHECKING:
+    from dqforge.machines.files.positioned_xml import Element
 
 _ROOT = "STWorkBench"
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
 from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.st_format.st_keys import (
     COUNTED,
@@ -23,8 +23,11 @@ from dqforge.reports.firmware.c_macros import Macros, with_values
 from dqforge.reports.firmware.json_text import with_json_values
 from dqforge.reports.firmware.st.project import is_project, with_variables
 from dqforge.reports.firmware.st.reader import MILLIHENRIES, parameter_macros
-from dqforge.reports.firmware.target import FileTitle
 from dqforge.reports.pages.templating import render
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
+    from dqforge.reports.firmware.target import FileTitle
 
 _EXISTING = "existing file"
 

@@ -4,7 +4,8 @@ values of the motor that an existing file chooses.
 
 from __future__ import annotations
 
-from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
+from typing import TYPE_CHECKING
+
 from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS
 from dqforge.optimizer.firmware.ti_format.ti_keys import (
     BOARD_PREFIX,
@@ -12,11 +13,14 @@ from dqforge.optimizer.firmware.ti_format.ti_keys import (
     MOTOR_PREFIX,
 )
 from dqforge.reports.firmware.c_macros import Macros, with_values
-from dqforge.reports.firmware.target import FileTitle
 from dqforge.reports.firmware.text_file import c_float
 from dqforge.reports.firmware.ti.names import prefixes_of
 from dqforge.reports.firmware.ti.reader import chosen_motor, found_as
 from dqforge.reports.pages.templating import render
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
+    from dqforge.reports.firmware.target import FileTitle
 
 _EXISTING = "existing file"
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
 from dqforge.optimizer.firmware.vesc_format.vesc_keys import KEYS, SIGNIFICANT
 from dqforge.reports.firmware.c_macros import read_macros, with_values
 from dqforge.reports.firmware.safe_xml import with_texts
-from dqforge.reports.firmware.target import FileTitle
 from dqforge.reports.firmware.text_file import number_text
 from dqforge.reports.firmware.vesc.names import FORMER, define
 from dqforge.reports.firmware.vesc.reader import is_xml, read
 from dqforge.reports.pages.templating import render
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.firmware.configuration import Configuration, OwnValue
+    from dqforge.reports.firmware.target import FileTitle
 
 _EXISTING = "existing file"
 

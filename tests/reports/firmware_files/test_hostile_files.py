@@ -20,7 +20,7 @@ from dqforge.reports.firmware.text_file import decoded_file
 from dqforge.reports.firmware_files.design_text import design_of
 from dqforge.reports.firmware_files.recognised import read_file, recognised
 
-FIRMWARE = tuple(TARGETS)
+FIRMWARE = tuple(name for name, _ in TARGETS.items())  # loaded before the network is refused
 STEPS = 40
 CHANGES = 12
 
