@@ -20,7 +20,7 @@ from dqforge.reports.command_line.exit_codes import exit_code
 from dqforge.reports.command_line.questions import asked_sheet
 from dqforge.reports.command_line.respond import respond
 from dqforge.reports.command_line.sheet_options import Sheet, with_sheet
-from dqforge.reports.operating_system.threads import one_thread
+from dqforge.reports.operating_system.own_process import prepare_process
 
 app = application()
 
@@ -292,7 +292,7 @@ def doctor(json: given.Json = False) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; errors become a line on stderr and an exit code, never a traceback."""
-    one_thread()
+    prepare_process()
     forget()
     command, words = typer.main.get_command(app), None if arguments is None else [*arguments]
     started = partial(command.main, args=words, prog_name="dqforge", standalone_mode=False)
