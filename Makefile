@@ -7,13 +7,24 @@ DEMO_DESIGN ?= paper000-ipmsm-100kw
 # The tests start the package in some hundred processes: its modules are compiled once, not by each of them.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test importers campaign coverage other-tests proof-coverage check lint types contracts format figures sessions docs page-checks wheel sbom schemas site-checks lock clean
+.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign coverage other-tests proof-coverage check lint types contracts format figures sessions docs page-checks wheel sbom schemas site-checks lock clean
 
 demo: $(VENV)/runtime.stamp
 	@mkdir -p out
-	$(BIN)/dqforge dqy paper002-phase-waveforms --plot out/phase-currents.svg >out/phase-currents.txt
-	$(BIN)/dqforge dqy salient-phase-waveforms --plot out/salient-phase-currents.svg >out/salient-phase-currents.txt
+	@echo "a whole run of $(DEMO_DESIGN), and the phase currents of two machines beside it: solving and drawing take some 4 s on a quiet machine"
+	@$(MAKE) --no-print-directory -j demo-run demo-currents demo-salient-currents
+
+# Only the run tells how far it is; the others say something where they fail.
+demo-run:
 	$(BIN)/dqforge run $(DEMO_DESIGN) -o out/demo
+
+demo-currents:
+	$(call currents,paper002-phase-waveforms,phase-currents)
+
+demo-salient-currents:
+	$(call currents,salient-phase-waveforms,salient-phase-currents)
+
+currents = $(BIN)/dqforge dqy $(1) --plot out/$(2).svg >out/$(2).txt 2>&1 || { cat out/$(2).txt; exit 1; }
 
 # One thread per worker: the matrices are small, and threads of the linear algebra get in each other's way.
 test: $(VENV)/dev.stamp
@@ -127,6 +138,7 @@ $(BIN)/pip:
 	    fi; }
 
 $(VENV)/runtime.stamp: requirements.lock pyproject.toml | $(BIN)/pip
+	@echo "installing the locked packages into $(VENV): once, for a minute or two"
 	$(BIN)/pip install -q --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
