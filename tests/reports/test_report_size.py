@@ -33,14 +33,14 @@ FLUX = "control.observer={method: flux}"
 # What is asked for, the drive, and what is set in it.
 CHEAP: dict[str, tuple[str, tuple[str, ...]]] = {
     "field_weakening": (IPM, ("field_weakening={speed: 6000 rpm, flash: 2048 B}",)),
-    "losses": (IPM, ()),
     "waveform": (PHASES, ("waveform.open_phase=a",)),
-    "control.observer": (SERVO, ("control.observer={method: open-loop-flux}",)),
     "control.references": (SERVO, ("control.references={torque_slope: 100 N m/s}",)),
-    "export.control": (SERVO, ("export.control=float32",)),
-    "export.frame_tables": (PHASES, ("export.frame_tables=true",)),
 }
 SLOW: dict[str, tuple[str, tuple[str, ...]]] = {
+    "losses": (IPM, ()),
+    "control.observer": (SERVO, ("control.observer={method: open-loop-flux}",)),
+    "export.control": (SERVO, ("export.control=float32",)),
+    "export.frame_tables": (PHASES, ("export.frame_tables=true",)),
     "operation": (IPM, ("operation.speed=5000 rpm", "fit.max_torque=150 N m")),
     "operation.overmodulation": (
         IPM,
