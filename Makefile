@@ -7,13 +7,24 @@ DEMO_DESIGN ?= paper000-ipmsm-100kw
 # Modules are compiled once, when they are installed and when they change, not by each process.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test importers campaign drawn-campaign coverage costs planted check lint types contracts format figures sessions docs page-checks page-drives wheel sbom schemas site-checks lock clean
+.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign drawn-campaign coverage costs check lint types contracts format figures sessions docs page-checks page-drives wheel sbom schemas site-checks lock clean
 
 demo: $(VENV)/runtime.stamp
 	@mkdir -p out
-	$(BIN)/dqforge dqy paper002-phase-waveforms --plot out/phase-currents.svg >out/phase-currents.txt
-	$(BIN)/dqforge dqy salient-phase-waveforms --plot out/salient-phase-currents.svg >out/salient-phase-currents.txt
+	@echo "a whole run of $(DEMO_DESIGN), and the phase currents of two machines beside it: solving and drawing take some 4 s on a quiet machine"
+	@$(MAKE) --no-print-directory -j demo-run demo-currents demo-salient-currents
+
+# Only the run tells how far it is; the others say something where they fail.
+demo-run:
 	$(BIN)/dqforge run $(DEMO_DESIGN) -o out/demo
+
+demo-currents:
+	$(call currents,paper002-phase-waveforms,phase-currents)
+
+demo-salient-currents:
+	$(call currents,salient-phase-waveforms,salient-phase-currents)
+
+currents = $(BIN)/dqforge dqy $(1) --plot out/$(2).svg >out/$(2).txt 2>&1 || { cat out/$(2).txt; exit 1; }
 
 # One thread per worker: the matrices are small, and threads of the linear algebra get in each other's way.
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
@@ -58,7 +69,7 @@ types: $(VENV)/dev.stamp
 contracts: $(VENV)/dev.stamp
 	$(BIN)/lint-imports
 
-# Small faults planted in formulas, proofs and emitted C, drawn anew for each commit: how many the tests notice.
+# Small faults in formulas, proofs and emitted C, drawn anew for each commit: how many the tests notice.
 PLANTED ?= --number 30 --minutes 3
 planted: $(VENV)/dev.stamp
 	$(BIN)/python tests/planted_changes.py --seed "$$(git rev-parse HEAD)" $(PLANTED)
@@ -137,6 +148,93 @@ $(BIN)/pip:
 	    fi; }
 
 $(VENV)/runtime.stamp: requirements.lock pyproject.toml | $(BIN)/pip
+	@echo "installing the locked packages into $(VENV): once, for a minute or two"
+	$(BIN)/pip install -q --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(BIN)/python -m compileall -q -j 0 __init__.py cli.py machines optimizer reports
+	@touch $@
+
+$(VENV)/dev.stamp: requirements-dev.lock $(VENV)/runtime.stamp
+	$(BIN)/pip install -q --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	@touch $@
+
+$(VENV)/importers.stamp: requirements-importers.lock $(VENV)/dev.stamp
+	$(BIN)/pip install -q --disable-pip-version-check --no-deps --no-build-isolation --require-hashes -r requirements-importers.lock
+	@touch $@format: $(VENV)/dev.stamp
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+figures: $(VENV)/dev.stamp
+	$(BIN)/python docs/drawing/make_figures.py
+
+# What the pages whose sessions are run say that comes, and the figures that they draw; read what it wrote.
+sessions: $(VENV)/dev.stamp
+	$(BIN)/python tests/documented_sessions.py --update docs/tutorials/*.md docs/how-to/*.md
+
+# Generated copies in the package, for editors; a test holds them against the models.
+schemas: $(VENV)/dev.stamp
+	$(BIN)/dqforge schema -o machines/library/schemas/design.schema.json
+	$(BIN)/dqforge schema --study -o machines/library/schemas/study.schema.json
+
+# The site of the documentation, in out/docs; a warning is an error.
+docs: $(VENV)/dev.stamp
+	rm -rf out/docs
+	$(BIN)/sphinx-build -b html -E -W --keep-going -n -q -d out/doctrees docs out/docs
+
+# Links of the site, and the spelling of the site and of a report; needs aspell with British English.
+site-checks: docs
+	$(BIN)/python tests/site_links.py -f docs/linkchecker.ini out/docs/index.html
+	$(BIN)/dqforge run $(DEMO_DESIGN) -o out/demo --no-verify
+	$(BIN)/pyspelling -c docs/spelling.yaml
+
+# Accessibility, HTML, links into folded parts, print and size of the reports of these drives and of a study, and of pages
+# of the site, where there is one (make docs). Needs node, npm, java and chromium; see docs/reference/report.md.
+PAGE_DRIVES := paper000-ipmsm-100kw paper001-pmsm-bench paper002-phase-waveforms salient-phase-waveforms baldor-pmsyrm-5k6 examples/six-step-drive.yaml
+page-drives:
+	@echo $(PAGE_DRIVES)
+
+page-checks: $(VENV)/runtime.stamp .ci/pages/node_modules
+	@PATH="$(CURDIR)/$(BIN):$$PATH" bash .ci/pages/check-pages $(PAGE_DRIVES)
+
+.ci/pages/node_modules: .ci/pages/package-lock.json
+	cd .ci/pages && npm ci --ignore-scripts --no-audit --no-fund
+	@touch $@
+
+# Wheel and source archive, the same bytes from the same files.
+wheel: $(VENV)/dev.stamp
+	$(BIN)/python release/build_distributions.py
+
+# What a locked installation consists of, beside the wheel.
+sbom: $(VENV)/dev.stamp
+	$(BIN)/python release/bill_of_materials.py
+
+# Needs uv; the locks hold the hashes of every file that may be installed.
+lock:
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q \
+	    pyproject.toml --extra build -o requirements.lock
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate -q \
+	    pyproject.toml --extra build --extra test --extra docs --extra cc --extra dev -o requirements-dev.lock
+	uv pip compile --no-deps --generate-hashes --no-header --no-annotate -q \
+	    requirements-importers.in -o requirements-importers.lock
+
+clean:
+	rm -rf $(VENV) build dist out *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+
+# Debian and Ubuntu keep Python's venv module in a package of its own; root gets it installed, others are told its name.
+$(BIN)/pip:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	    { echo "dqforge needs Python 3.11 or newer; if you have one, say e.g.: make PYTHON=python3.12 demo" >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 || { \
+	    rm -rf $(VENV); \
+	    package=$$($(PYTHON) -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])'); \
+	    if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	        apt-get update -q && apt-get install -y -q --no-install-recommends $$package && $(PYTHON) -m venv $(VENV); \
+	    else \
+	        echo "Python's venv module is missing; install it with: sudo apt-get install $$package" >&2; exit 1; \
+	    fi; }
+
+$(VENV)/runtime.stamp: requirements.lock pyproject.toml | $(BIN)/pip
+	@echo "installing the locked packages into $(VENV): once, for a minute or two"
 	$(BIN)/pip install -q --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
 	$(BIN)/python -m compileall -q -j 0 __init__.py cli.py machines optimizer reports

@@ -21,6 +21,7 @@ from dqforge.reports.command_line.exit_codes import exit_code
 from dqforge.reports.command_line.questions import asked_sheet
 from dqforge.reports.command_line.respond import respond
 from dqforge.reports.command_line.sheet_options import Sheet, with_sheet
+from dqforge.reports.operating_system.own_process import prepare_process
 
 app = application()
 
@@ -298,6 +299,7 @@ def _command() -> Any:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; errors become a line on stderr and an exit code, never a traceback."""
+    prepare_process()
     forget()
     command, words = _command(), None if arguments is None else [*arguments]
     started = partial(command.main, args=words, prog_name="dqforge", standalone_mode=False)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ def upper(value: Any) -> float:
     return max(math.nextafter(size, math.inf), _TINY) if math.isfinite(size) else math.inf
 
 
+@lru_cache(maxsize=4096)
 def exactly(value: float) -> arb:
     """A double as a ball without radius."""
     from flint import arb
@@ -46,9 +48,7 @@ def exactly(value: float) -> arb:
 
 def as_ball(value: Any) -> arb:
     """A ball, from a ball or an integer."""
-    from flint import arb
-
-    return value if isinstance(value, arb) else arb(value)
+    return exactly(value) if isinstance(value, int) else value
 
 
 def widened(ball: arb, radius: arb) -> arb:

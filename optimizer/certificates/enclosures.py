@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -86,6 +87,7 @@ def bicubic(table: Any, i_d: Value, i_q: Value) -> list[Value]:
     return [value, by_d, by_q, by_dd, by_dq, by_qq]
 
 
+@lru_cache(maxsize=1024)
 def _cell(flux_map: FluxMap, row: int, column: int) -> JetFunction:
     from flint import arb
 

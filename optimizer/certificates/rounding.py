@@ -12,6 +12,7 @@ its error is covered. In fixed point every shift rounds to nearest: half a unit 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from dqforge.optimizer.certificates.ball import Value
@@ -53,6 +54,7 @@ class Rounded:
         return self.value.abs_upper() + self.error
 
 
+@cache
 def _constants() -> tuple[arb, arb]:
     from flint import arb
 

@@ -13,12 +13,13 @@ the samples of a speed period and closed by the PI it has the poles of the whole
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dqforge.optimizer.observed_drive.drive_cases import DriveCases, exact_cases
+from dqforge.optimizer.observed_drive.drive_cases import DriveCases, drive_cases, exact_cases
 from dqforge.optimizer.observed_drive.drive_model import OWN, ObservedDrive
 from dqforge.optimizer.sampled_systems import ComplexArray, SampledSystem
 
@@ -193,14 +194,24 @@ def steady_drives(drive: ObservedDrive, cases: DriveCases) -> SteadyDrives:
 
 def _begun(drive: ObservedDrive, cases: DriveCases) -> tuple[DriveCases, _Point]:
     """Where Newton starts: speeds and loads with exact data, each once."""
-    machine = drive.data.machine
     pairs = np.stack([cases.omega, cases.load], axis=1)
     _, first, place = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
-    exact = exact_cases(machine, cases)
-    x, size, torque = drive.start(exact.taken(first))
-    torque_size = machine.torque_per_ampere * machine.i_max
-    begun, _ = _solved(drive, exact.taken(first), _Point(x, torque, size, torque_size))
+    begun = _with_exact_data(drive, cases.omega[first].tobytes(), cases.load[first].tobytes())
+    exact = exact_cases(drive.data.machine, cases)
     return exact, begun.taken(np.asarray(place).reshape(-1))
+
+
+@lru_cache(maxsize=32)
+def _with_exact_data(drive: ObservedDrive, omega: bytes, load: bytes) -> _Point:
+    """Steady states at speeds and loads, the bytes of arrays of shape (M,).
+
+    The corners of a box ask for the same ones with and without what a dead time costs.
+    """
+    machine = drive.data.machine
+    exact = drive_cases(machine, np.frombuffer(omega), np.frombuffer(load))
+    x, size, torque = drive.start(exact)
+    torque_size = machine.torque_per_ampere * machine.i_max
+    return _solved(drive, exact, _Point(x, torque, size, torque_size))[0]
 
 
 def _derived(

@@ -9,6 +9,7 @@ such a loop are as late as their own phase is at the crossover 1/(a T) that the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -78,6 +79,7 @@ class SpeedErrors:
         return np.asarray(1.0 + (1.0 - back) * errors, dtype=np.complex128)
 
 
+@lru_cache(maxsize=8)
 def speed_errors(position: PositionObserver) -> SpeedErrors:
     """Those of a position observer without current; a constant acceleration, in which they rest,
     tells g.

@@ -55,30 +55,34 @@ def limited(value: Reals, limit: Any) -> Reals:
     return np.where(value > limit, limit, np.where(value < -limit, -limit, value))
 
 
-def matrix_entries(model: SampledGains, x: Reals) -> list[Reals]:
-    """Entries of the sampled machine at ``x`` = omega_e T_s in rad."""
+def _polynomials(model: SampledGains, x: Reals) -> tuple[Reals, Reals, Reals]:
+    """x^2 and its four coefficients each: shapes (N,) and (4, 10, 1), and the value, (10, N)."""
     s = x * x
-    found = []
-    for n in range(2 * EVEN):
-        c = model.table[4 * n : 4 * n + 4]
-        value = ((c[3] * s + c[2]) * s + c[1]) * s + c[0]
-        found.append(value if n < EVEN else x * value)
+    c = np.array(model.table, dtype=s.dtype).reshape(2 * EVEN, 4).T[..., np.newaxis].copy()
+    return s, c, ((c[3] * s + c[2]) * s + c[1]) * s + c[0]
+
+
+def matrix_entries(model: SampledGains, x: Reals) -> Reals:
+    """Entries of the sampled machine at ``x`` = omega_e T_s in rad, (N,) -> (10, N)."""
+    _, _, found = _polynomials(model, x)
+    found[EVEN:] = x * found[EVEN:]
     return found
 
 
-def matrix_slopes(model: SampledGains, x: Reals) -> list[Reals]:
-    """Derivatives by ``x`` = omega_e T_s in rad of the entries of the sampled machine."""
-    s = x * x
-    found = []
-    for n in range(2 * EVEN):
-        c = model.table[4 * n : 4 * n + 4]
-        value = ((c[3] * s + c[2]) * s + c[1]) * s + c[0]
-        rate = ((3.0 * c[3]) * s + 2.0 * c[2]) * s + c[1]
-        found.append(model.t_s * ((2.0 * x) * rate if n < EVEN else value + (2.0 * s) * rate))
-    return found
+def entries_and_slopes(model: SampledGains, x: Reals) -> tuple[Reals, Reals]:
+    """Those of `matrix_entries`, and their derivatives by ``x`` = omega_e T_s in rad times the
+    period in s, both (10, N).
+    """
+    s, c, found = _polynomials(model, x)
+    rate = ((3.0 * c[3]) * s + 2.0 * c[2]) * s + c[1]
+    slopes = np.empty_like(found)
+    slopes[:EVEN] = (2.0 * x) * rate[:EVEN]
+    slopes[EVEN:] = found[EVEN:] + (2.0 * s) * rate[EVEN:]
+    found[EVEN:] = x * found[EVEN:]
+    return found, model.t_s * slopes
 
 
-def next_currents(e: list[Reals], i: Pair, v: Pair) -> Pair:
+def next_currents(e: Reals, i: Pair, v: Pair) -> Pair:
     """Currents in A one sample after ``i`` in A under the voltage ``v`` in V, with the
     entries ``e``.
     """

@@ -83,20 +83,22 @@ class SampledMachine:
 
     def entries(self, omega: FloatArray) -> FloatArray:
         """The ten entries at electrical speeds in rad/s, shape (...) -> (..., 10)."""
-        x = np.clip(omega, -self.omega_max, self.omega_max)[..., np.newaxis] * self.t_s
-        s = x * x
-        c = self.table.T
-        value = ((c[3] * s + c[2]) * s + c[1]) * s + c[0]
-        return np.asarray(np.where(ODD, x * value, value))
+        return self.entries_and_slopes(omega)[0]
 
     def slopes(self, omega: FloatArray) -> FloatArray:
         """Derivatives of the ten entries by the speed, per rad/s, shape (...) -> (..., 10)."""
-        x = np.clip(omega, -self.omega_max, self.omega_max)[..., np.newaxis] * self.t_s
+        return self.entries_and_slopes(omega)[1]
+
+    def entries_and_slopes(self, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The ten entries with their derivatives, both shapes as of `entries`."""
+        limit = self.omega_max
+        x = np.minimum(np.maximum(omega, -limit), limit)[..., np.newaxis] * self.t_s
         s = x * x
-        c = self.table.T
+        c = np.ascontiguousarray(self.table.T)
         value = ((c[3] * s + c[2]) * s + c[1]) * s + c[0]
-        slope = (3.0 * c[3] * s + 2.0 * c[2]) * s + c[1]
-        return np.asarray(np.where(ODD, value + 2.0 * s * slope, 2.0 * x * slope) * self.t_s)
+        rate = (3.0 * c[3] * s + 2.0 * c[2]) * s + c[1]
+        entries = np.where(ODD, x * value, value)
+        return entries, np.where(ODD, value + 2.0 * s * rate, 2.0 * x * rate) * self.t_s
 
     def predict(self, omega: FloatArray, i: FloatArray, v: FloatArray) -> FloatArray:
         """Currents at the end of the period in A, shape (..., 2), from those and the
@@ -107,23 +109,19 @@ class SampledMachine:
 
 def applied(entries: FloatArray, i: FloatArray, v: FloatArray) -> FloatArray:
     """Phi i + Gamma v + h of ten entries, shape (..., 10), for dq vectors of shape (..., 2)."""
-    e = np.moveaxis(entries, -1, 0)
-    i_d, i_q, v_d, v_q = i[..., 0], i[..., 1], v[..., 0], v[..., 1]
-    return np.stack(
-        [
-            e[0] * i_d + e[1] * i_q + e[4] * v_d + e[5] * v_q + e[8],
-            e[2] * i_d + e[3] * i_q + e[6] * v_d + e[7] * v_q + e[9],
-        ],
-        axis=-1,
-    )
+    i_d, i_q, v_d, v_q = i[..., :1], i[..., 1:], v[..., :1], v[..., 1:]
+    by_current = entries[..., 0:4:2] * i_d + entries[..., 1:4:2] * i_q
+    by_voltage = by_current + entries[..., 4:8:2] * v_d + entries[..., 5:8:2] * v_q
+    return np.asarray(by_voltage + entries[..., 8:])
 
 
 def turned(vector: FloatArray, angle: FloatArray) -> FloatArray:
     """A vector, shape (..., 2), in a frame that is ahead by ``angle`` in rad, shape (...)."""
     c, s = np.cos(angle), np.sin(angle)
-    return np.stack(
-        [c * vector[..., 0] + s * vector[..., 1], c * vector[..., 1] - s * vector[..., 0]], axis=-1
-    )
+    d, q = c * vector[..., 0] + s * vector[..., 1], c * vector[..., 1] - s * vector[..., 0]
+    found = np.empty((*np.shape(d), 2))
+    found[..., 0], found[..., 1] = d, q
+    return found
 
 
 def wrapped(angle: FloatArray) -> FloatArray:

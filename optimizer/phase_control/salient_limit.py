@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -50,6 +51,7 @@ def dq_currents(machine: SalientPhaseMachine, choice: CurrentChoice) -> Ladder:
     return Ladder(torques, currents)
 
 
+@lru_cache(maxsize=8)
 def table_currents(machine: SalientPhaseMachine, limits: WaveformLimits) -> Ladder:
     """Currents of constant torque at least copper loss, of both signs up to the current limit.
 

@@ -81,16 +81,26 @@ def torque_forms(
 
 def _own_currents(
     made: PointwiseTorque, multiplier: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Independent currents (K, M, r), their torque and its slope by the multiplier, both (K, M)."""
-    left = 1.0 - multiplier[..., np.newaxis] * made.curvature
+) -> tuple[list[FloatArray], FloatArray]:
+    """Independent currents, r of them, and their torque, each of shape (K, M)."""
+    own, parts = [], []
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        own = np.where(
-            made.linear == 0.0, 0.0, multiplier[..., np.newaxis] * made.linear / (2.0 * left)
-        )
-        torque = np.sum(made.linear * own + made.curvature * own**2, axis=-1)
-        slope = 0.5 * np.sum(np.where(made.linear == 0.0, 0.0, made.linear**2 / left**3), axis=-1)
-    return own, torque, slope
+        for linear, curvature in zip(made.linear.T, made.curvature.T, strict=True):
+            left = 1.0 - multiplier * curvature
+            current = np.where(linear == 0.0, 0.0, multiplier * linear / (2.0 * left))
+            parts.append(linear * current + curvature * current**2)
+            own.append(current)
+    return own, sum(parts[1:], parts[0])
+
+
+def _slope(made: PointwiseTorque, multiplier: FloatArray) -> FloatArray:
+    """Of the torque by the multiplier, shape (K, M)."""
+    parts = []
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for linear, curvature in zip(made.linear.T, made.curvature.T, strict=True):
+            left = 1.0 - multiplier * curvature
+            parts.append(np.where(linear == 0.0, 0.0, linear**2 / left**3))
+    return 0.5 * sum(parts[1:], parts[0])
 
 
 def _interval(made: PointwiseTorque, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -124,7 +134,7 @@ def least_currents(made: PointwiseTorque, torque: FloatArray) -> FloatArray:
         2.0 * wanted / np.maximum(np.sum(made.linear**2, axis=1), np.finfo(float).tiny), low, high
     )
     for _ in range(_STEPS):
-        _, found, slope = _own_currents(made, at)
+        found, slope = _own_currents(made, at)[1], _slope(made, at)
         low, high = np.where(found <= wanted, at, low), np.where(found >= wanted, at, high)
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = at - (found - wanted) / slope
@@ -133,10 +143,10 @@ def least_currents(made: PointwiseTorque, torque: FloatArray) -> FloatArray:
         if np.all(np.abs(following - at) <= 2e-16 * np.abs(at)):
             break
         at = following
-    own, found, _ = _own_currents(made, at)
+    own, found = _own_currents(made, at)
     scale = np.maximum(np.max(np.abs(wanted)), np.finfo(float).tiny)
     missed = ~(np.abs(found - wanted) <= _EXACT * scale)
-    return made.phases(np.where(missed[..., np.newaxis], np.nan, own))
+    return made.phases(np.where(missed[..., np.newaxis], np.nan, np.stack(own, axis=-1)))
 
 
 def pointwise_currents(

@@ -9,6 +9,7 @@ a sine weight polynomial in x.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -63,6 +64,7 @@ _SCAN = 64
 _HALVINGS = 60
 
 
+@lru_cache(maxsize=8)
 def largest_torque(machine: SalientPhaseMachine, limits: WaveformLimits) -> float:
     """Largest torque in N m that is made constant with both signs within the current limit."""
     from scipy.optimize import brentq

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     from dqforge.reports.study_engine.study_outcome import StudyOutcome
 
 _NEEDED = ("distributed", "pyarrow")
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +146,6 @@ def answer_explore(request: StudyRequest) -> Answer:
     if request.plot and (request.dry_run or request.looked.at_rows or request.looked.export):
         raise InputError("--plot draws all rows: leave out --dry-run, --table, --csv and --export")
     _require_extra()
-    _one_thread()
     settings = request.where.settings()
     if Path(request.study).is_dir():
         return _seen(Path(request.study), request.looked) or _answer_folder(Path(request.study))
@@ -225,14 +222,6 @@ def _require_extra() -> None:
         raise DqforgeError(
             f"explore: {' and '.join(missing)} {verb} missing; pip install 'dqforge[explore]'"
         )
-
-
-def _one_thread() -> None:
-    """One thread of linear algebra per process, as on workers: sums by several threads are other
-    sums. It counts where numpy is not loaded yet.
-    """
-    for name in _ONE_THREAD:
-        os.environ.setdefault(name, "1")
 
 
 def _computed(

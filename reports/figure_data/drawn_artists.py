@@ -348,7 +348,7 @@ class PanelReader:
                 yield self._grid(middle[0, :, 0], middle[:, 0, 1], values.reshape(shape), name)
 
     def _grid(self, x: FloatArray, y: FloatArray, z: FloatArray, name: Quantity) -> Drawn:
-        across, up = np.meshgrid(x, y)
+        across, up = (x, y) if x.ndim == 2 else np.meshgrid(x, y)
         columns = (
             self._argument(across.ravel(), ""),
             self._argument(up.ravel(), "", self.y),

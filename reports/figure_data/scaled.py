@@ -23,7 +23,7 @@ class DrawnGrid:
     Attributes
     ----------
     x, y:
-        Shape (X,) and (Y,) in the units of the axes.
+        In the units of the axes, shape (X,) and (Y,), or both (Y, X) where the grid is bent.
     z:
         Shape (Y, X); NaN where there is none.
     name:

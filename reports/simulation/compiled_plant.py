@@ -43,9 +43,9 @@ from dqforge.reports.simulation.recorded_run import (
     Summary,
 )
 
-PLANT_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
+PLANT_FLAGS = ("-std=c99", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
 
-"""Of every program with a plant in it."""
+"""Of every program with a plant in it, which more optimisation makes no faster."""
 
 
 _HEARD = {

@@ -17,9 +17,8 @@ from dqforge.optimizer.observers.models.kalman_model import Ekf
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,
+    entries_and_slopes,
     limited,
-    matrix_entries,
-    matrix_slopes,
     model_scale,
     next_currents,
     sampled_gains,
@@ -93,11 +92,18 @@ _UPPER = tuple((n, m) for n in range(4) for m in range(n, 4))
 """Places of the covariance that are kept: behind i_d and i_q the upper triangle, row by row."""
 
 
-def _full(upper: tuple[Reals, ...]) -> list[list[Reals]]:
-    rows = [[upper[0]] * 4 for _ in range(4)]
-    for (n, m), value in zip(_UPPER, upper, strict=True):
-        rows[n][m] = rows[m][n] = value
-    return rows
+_ROWS, _COLUMNS = (np.array(places) for places in zip(*_UPPER, strict=True))
+
+
+_FULL = np.array([[_UPPER.index((min(n, m), max(n, m))) for m in range(4)] for n in range(4)])
+"""Where each entry of a covariance stands among those that are kept."""
+
+
+_DIAGONAL = _FULL.diagonal()
+
+
+_LOW_ROWS, _LOW_COLUMNS = [0, 0, 1], [0, 1, 1]
+"""Places of the covariance of the currents alone."""
 
 
 def ekf_gains(filter_: Ekf) -> EkfGains:
@@ -133,7 +139,7 @@ def ekf_sizes(scalars: FloatArray, _: FloatArray) -> FloatArray:
     size = np.empty_like(scalars)
     norm = np.hypot(scalars[:, 0], scalars[:, 1])
     size[:, 0] = size[:, 1] = np.where(norm > 1e-6, norm, 1.0)
-    root = np.sqrt(np.abs(scalars[:, [2 + _UPPER.index((n, n)) for n in range(4)]]))
+    root = np.sqrt(np.abs(scalars[:, 2 + _DIAGONAL]))
     for k, (n, m) in enumerate(_UPPER):
         size[:, 2 + k] = np.maximum(root[:, n] * root[:, m], 1e-30)
     return size
@@ -141,39 +147,32 @@ def ekf_sizes(scalars: FloatArray, _: FloatArray) -> FloatArray:
 
 def _ekf_predicted(
     gains: EkfGains, state: ObserverState, v: Pair, maths: Arithmetic
-) -> tuple[Pair, list[list[Reals]], Reals]:
-    model, p, i = gains.model, _full(state.scalars[2:]), (state.scalars[0], state.scalars[1])
+) -> tuple[Pair, Reals, Reals]:
+    """Currents, covariance of shape (4, 4, N) and angle, foretold."""
+    model, i = gains.model, (state.scalars[0], state.scalars[1])
+    p = np.array(state.scalars[2:])[_FULL]
     u = park(maths, v, maths.rotation(state.theta_e))
     x = limited(model.t_s * state.omega_e, model.x_max)
-    e = matrix_entries(model, x)
-    slope = next_currents(matrix_slopes(model, x), i, u)
-    f = (
-        (e[0], e[5], slope[0], e[2] * u[1] - e[7] * u[0]),
-        (e[6], e[1], slope[1], e[8] * u[1] - e[3] * u[0]),
-    )
-    a = [
-        [
-            ((f[n][0] * p[0][m] + f[n][1] * p[1][m]) + f[n][2] * p[2][m]) + f[n][3] * p[3][m]
-            for m in range(4)
-        ]
-        for n in (0, 1)
-    ]
-    a.append([p[2][m] for m in range(4)])
-    a.append([p[3][m] + model.t_s * p[2][m] for m in range(4)])
-    zero = np.zeros_like(x)
-    new = [[zero] * 4 for _ in range(4)]
-    for n in range(2):
-        for m in range(n + 1):
-            total = ((a[m][0] * f[n][0] + a[m][1] * f[n][1]) + a[m][2] * f[n][2]) + a[m][3] * f[n][
-                3
-            ]
-            new[m][n] = new[n][m] = total + gains.q_i if m == n else total
-    for m in range(2):
-        new[m][2] = new[2][m] = a[m][2]
-        new[m][3] = new[3][m] = a[m][3] + model.t_s * a[m][2]
-    new[2][2] = a[2][2] + gains.q_22
-    new[2][3] = new[3][2] = (a[2][3] + model.t_s * a[2][2]) + gains.q_23
-    new[3][3] = (a[3][3] + model.t_s * a[3][2]) + gains.q_33
+    e, slopes = entries_and_slopes(model, x)
+    f = np.empty((2, *p.shape[1:]), dtype=p.dtype)
+    f[0, 0], f[0, 1], f[1, 0], f[1, 1] = e[0], e[5], e[6], e[1]
+    f[0, 2], f[1, 2] = next_currents(slopes, i, u)
+    f[0, 3], f[1, 3] = e[2] * u[1] - e[7] * u[0], e[8] * u[1] - e[3] * u[0]
+    a = np.empty_like(p)
+    by = f[:, :, np.newaxis]
+    a[:2] = ((by[:, 0] * p[0] + by[:, 1] * p[1]) + by[:, 2] * p[2]) + by[:, 3] * p[3]
+    a[2] = p[2]
+    a[3] = p[3] + model.t_s * p[2]
+    new = np.empty_like(p)
+    parts = a[_LOW_ROWS] * f[_LOW_COLUMNS]
+    total = ((parts[:, 0] + parts[:, 1]) + parts[:, 2]) + parts[:, 3]
+    new[0, 0], new[1, 1] = total[0] + gains.q_i, total[2] + gains.q_i
+    new[0, 1] = new[1, 0] = total[1]
+    new[:2, 2] = new[2, :2] = a[:2, 2]
+    new[:2, 3] = new[3, :2] = a[:2, 3] + model.t_s * a[:2, 2]
+    new[2, 2] = a[2, 2] + gains.q_22
+    new[2, 3] = new[3, 2] = (a[2, 3] + model.t_s * a[2, 2]) + gains.q_23
+    new[3, 3] = (a[3, 3] + model.t_s * a[3, 2]) + gains.q_33
     return next_currents(e, i, u), new, maths.wrap(state.theta_e + model.t_s * state.omega_e)
 
 
@@ -188,23 +187,17 @@ def _ekf_begun(
     return ObserverState((), theta, omega, True, (*first, *rows))
 
 
-def _ekf_sound(
-    gains: EkfGains, i: Pair, speed: Reals, p: list[list[Reals]], det: Reals, turn: Reals
-) -> Any:
+def _ekf_sound(gains: EkfGains, i: Pair, speed: Reals, p: Reals, det: Reals, turn: Reals) -> Any:
     """Whether all is within the range of a filter that works, shape (N,): false for not-a-number.
 
-    ``det`` is the determinant of the innovation's covariance, ``turn`` the
-    correction of the angle in rad.
+    ``p`` are the variances, shape (4, N), ``det`` is the determinant of the innovation's
+    covariance, ``turn`` the correction of the angle in rad.
     """
     good = (det > 0.0) & (turn >= -_TURN) & (turn <= _TURN)
     good &= (speed >= -gains.omega_max) & (speed <= gains.omega_max)
     good &= (i[0] * i[0] + i[1] * i[1]) < _I_SQUARE
-    good &= (p[0][0] > 0.0) & (p[1][1] > 0.0) & (p[2][2] > 0.0) & (p[3][3] > 0.0)
-    return (
-        good
-        & (p[2][2] <= gains.omega_max * gains.omega_max + gains.p_omega)
-        & (p[3][3] <= _P_THETA)
-    )
+    good &= np.all(p > 0.0, axis=0)
+    return good & (p[2] <= gains.omega_max * gains.omega_max + gains.p_omega) & (p[3] <= _P_THETA)
 
 
 def ekf_step(
@@ -221,24 +214,20 @@ def ekf_step(
     (i_d, i_q), p, theta = _ekf_predicted(gains, state, v, maths)
     seen = park(maths, i, maths.rotation(theta))
     nu_d, nu_q = seen[0] - i_d, seen[1] - i_q
-    b_d, b_q = -i_q, i_d
-    h = [(p[n][0] + b_d * p[n][3], p[n][1] + b_q * p[n][3]) for n in range(4)]
-    s_dd = (h[0][0] + b_d * h[3][0]) + gains.r
-    s_dq = h[0][1] + b_d * h[3][1]
-    s_qq = (h[1][1] + b_q * h[3][1]) + gains.r
+    b = np.array([-i_q, i_d])
+    h = p[:, :2] + b * p[:, 3:]
+    s_dd = (h[0, 0] + b[0] * h[3, 0]) + gains.r
+    s_dq = h[0, 1] + b[0] * h[3, 1]
+    s_qq = (h[1, 1] + b[1] * h[3, 1]) + gains.r
     det = s_dd * s_qq - s_dq * s_dq
     inverse = 1.0 / det
-    k = [
-        ((h[n][0] * s_qq - h[n][1] * s_dq) * inverse, (h[n][1] * s_dd - h[n][0] * s_dq) * inverse)
-        for n in range(4)
-    ]
-    x = [k[n][0] * nu_d + k[n][1] * nu_q for n in range(4)]
-    for n in range(4):
-        for m in range(n + 1):
-            p[m][n] = p[n][m] = p[m][n] - (k[m][0] * h[n][0] + k[m][1] * h[n][1])
+    k = (h * np.array([s_qq, s_dd]) - h[:, ::-1] * s_dq) * inverse
+    x = k[:, 0] * nu_d + k[:, 1] * nu_q
+    taken = k[_ROWS] * h[_COLUMNS]
+    upper = p[_ROWS, _COLUMNS] - (taken[:, 0] + taken[:, 1])
     speed, current = limited(state.omega_e + x[2], gains.omega_max), (i_d + x[0], i_q + x[1])
-    sound = _ekf_sound(gains, current, speed, p, det, x[3])
-    values = (maths.wrap(theta + x[3]), speed, *current, *(p[n][m] for n, m in _UPPER))
+    sound = _ekf_sound(gains, current, speed, upper[_DIAGONAL], det, x[3])
+    values = (maths.wrap(theta + x[3]), speed, *current, *upper)
     if not np.all(sound):
         anew = _ekf_begun(gains, theta, state.omega_e, i, maths)
         parts = zip(values, (anew.theta_e, anew.omega_e, *anew.scalars), strict=True)

@@ -74,7 +74,7 @@ class ShownGap:
 
     theta: Reals
     now: Pair
-    entries: list[Reals]
+    entries: Reals
     cosine: Reals
     half: Reals
     gap: Pair

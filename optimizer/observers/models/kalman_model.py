@@ -56,6 +56,9 @@ from dqforge.optimizer.observers.trials import Trial
 _PSI_LEAST = 1e-9
 
 
+_BOTH = np.eye(2)
+
+
 @dataclass(frozen=True, slots=True)
 class Ekf:
     """An extended Kalman filter.
@@ -174,14 +177,14 @@ def transition(
     """
     i, omega, theta = x[..., :2], x[..., 2], x[..., 3]
     v_dq = turned(v, theta)
-    entries = model.entries(omega)
+    entries, slopes = model.entries_and_slopes(omega)
     following = np.empty_like(x)
     following[..., :2] = applied(entries, i, v_dq)
     following[..., 2] = omega
     following[..., 3] = theta + model.t_s * omega
     f = np.zeros((*x.shape, 4))
     f[..., :2, :2] = entries[..., :4].reshape(*omega.shape, 2, 2)
-    f[..., :2, 2] = applied(model.slopes(omega), i, v_dq)
+    f[..., :2, 2] = applied(slopes, i, v_dq)
     f[..., 0, 3] = entries[..., 4] * v_dq[..., 1] - entries[..., 5] * v_dq[..., 0]
     f[..., 1, 3] = entries[..., 6] * v_dq[..., 1] - entries[..., 7] * v_dq[..., 0]
     f[..., 2, 2] = f[..., 3, 3] = 1.0
@@ -196,14 +199,11 @@ def correct(
     innovation and its covariance.
     """
     innovation = turned(i, x[..., 3]) - x[..., :2]
-    b_d, b_q = -x[..., 1, np.newaxis], x[..., 0, np.newaxis]
-    ph = np.stack(
-        [p[..., 0] + b_d * p[..., 3], p[..., 1] + b_q * p[..., 3]], axis=-1
-    )  # P H', (..., 4, 2)
-    s = np.stack(
-        [ph[..., 0, :] + b_d * ph[..., 3, :], ph[..., 1, :] + b_q * ph[..., 3, :]], axis=-2
-    )
-    s = 0.5 * (s + np.swapaxes(s, -1, -2)) + r * np.eye(2)
+    b = np.empty_like(innovation)
+    b[..., 0], b[..., 1] = -x[..., 1], x[..., 0]
+    ph = p[..., :2] + b[..., np.newaxis, :] * p[..., 3:]  # P H', (..., 4, 2)
+    s = ph[..., :2, :] + b[..., np.newaxis] * ph[..., 3:, :]
+    s = 0.5 * (s + np.swapaxes(s, -1, -2)) + r * _BOTH
     gain = np.swapaxes(np.linalg.solve(s, np.swapaxes(ph, -1, -2)), -1, -2)
     corrected = x + (gain @ innovation[..., np.newaxis])[..., 0]
     left = p - gain @ np.swapaxes(ph, -1, -2)

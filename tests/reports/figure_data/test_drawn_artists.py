@@ -199,6 +199,20 @@ def test_filled_contours_give_their_grid_as_it_was_before_it_was_clipped() -> No
     assert table["Efficiency [%]"] == ["1", "2", "3", "", "5", "60"]
 
 
+def test_a_bent_grid_gives_each_of_its_points_once() -> None:
+    """Torques up to another largest one for each time."""
+    across, up = np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([[0.0, 2.0], [0.0, 3.0]])
+
+    def draw(axes: Axes) -> None:
+        draw_filled(axes, DrawnGrid(across, up, across + up, "Efficiency in %"), across + up)
+
+    assert read(draw) == {
+        "Time [s]": ["0", "0", "1", "1"],
+        "Torque [N m]": ["0", "2", "0", "3"],
+        "Efficiency [%]": ["0", "2", "1", "4"],
+    }
+
+
 def test_filled_contours_without_their_grid_are_refused() -> None:
     figure, axes = panel()
     axes.contourf(np.ones((3, 3)).cumsum(axis=0))
