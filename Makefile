@@ -69,11 +69,6 @@ types: $(VENV)/dev.stamp
 contracts: $(VENV)/dev.stamp
 	$(BIN)/lint-imports
 
-# Small faults in formulas, proofs and emitted C, drawn anew for each commit: how many the tests notice.
-PLANTED ?= --number 30 --minutes 3
-planted: $(VENV)/dev.stamp
-	$(BIN)/python tests/planted_changes.py --seed "$$(git rev-parse HEAD)" $(PLANTED)
-
 format: $(VENV)/dev.stamp
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .

@@ -12,7 +12,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import click
 import pytest
 import typer
 import yaml
@@ -85,7 +84,6 @@ def _fault(words: list[str], *, whole: bool) -> str:
     a command.
     """
     group = _group()
-    assert isinstance(group, click.Group | typer.core.TyperGroup)
     if not words or words[0].startswith("-"):
         return "" if words and words[0] in {"-h", "--help", "--version"} else "no command"
     name, *arguments = words

@@ -118,7 +118,8 @@ def modules() -> dict[str, Path]:
 
 
 def test_modules_that_print_import_results_and_no_functions() -> None:
-    calling, needless = {}, []
+    calling: dict[str, list[str]] = {}
+    needless = []
     for name, path in modules().items():
         if name.split(".", maxsplit=1)[0] in ROOMS_THAT_ASK or reads_firmware(name):
             continue
