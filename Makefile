@@ -142,15 +142,16 @@ $(BIN)/pip:
 	        echo "Python's venv module is missing; install it with: sudo apt-get install $$package" >&2; exit 1; \
 	    fi; }
 
+# The locks are whole: nothing is to be resolved, and a newer release of a package can't turn an extra of it into one without a hash.
 $(VENV)/runtime.stamp: requirements.lock pyproject.toml | $(BIN)/pip
 	@echo "installing the locked packages into $(VENV): once, for a minute or two"
-	$(BIN)/pip install -q --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/pip install -q --disable-pip-version-check --no-deps --require-hashes -r requirements.lock
 	$(BIN)/pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
 	$(BIN)/python -m compileall -q -j 0 __init__.py cli.py machines optimizer reports
 	@touch $@
 
 $(VENV)/dev.stamp: requirements-dev.lock $(VENV)/runtime.stamp
-	$(BIN)/pip install -q --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	$(BIN)/pip install -q --disable-pip-version-check --no-deps --require-hashes -r requirements-dev.lock
 	@touch $@
 
 $(VENV)/importers.stamp: requirements-importers.lock $(VENV)/dev.stamp
