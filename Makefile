@@ -30,8 +30,8 @@ currents = $(BIN)/dqforge dqy $(1) --plot out/$(2).svg >out/$(2).txt 2>&1 || { c
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 DEFAULT := -m "not slow and not benchmark"
 
-# The cheap ones, and of the costly ones what fills this many seconds, drawn anew for each commit.
-DRAWN_TESTS ?= 60
+# The cheap files, and of the costly ones what fills this many seconds: those near a change, then drawn for each commit.
+DRAWN_TESTS ?= 100
 test: $(VENV)/dev.stamp
 	$(PYTEST) $(DEFAULT) --drawn $(DRAWN_TESTS)
 
@@ -53,7 +53,7 @@ coverage: $(VENV)/dev.stamp
 	$(PYTEST) $(DEFAULT) --cov --cov-report=
 	$(BIN)/coverage report --fail-under=99
 
-# What the costly cases take, for the draw; on a quiet machine.
+# What the costly files of tests take, for the draw; on a quiet machine.
 costs: $(VENV)/dev.stamp
 	$(PYTEST) --keep-costs $(DEFAULT)
 

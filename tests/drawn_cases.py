@@ -1,9 +1,12 @@
-"""Which of the costly cases a run takes: drawn anew for each commit, within a given time.
+"""Which costly tests a run takes: first those near a change, then by turns, within a given time.
 
-`tests/costs.json` keeps the seconds of every case that takes long; what is not listed there is
-cheap, and always runs. ``--drawn 60`` fills 60 s of processor time with costly
-cases in an order that the commit gives, so that every case has its turn; without the option all of
-them run. ``--keep-costs`` writes the file anew from what a run without the option took.
+`tests/costs.json` keeps the seconds of processor time of every file of tests that takes long (its
+cases share what they set up, so that a file costs the same whichever of them run), and of every
+case of the campaign; what is not listed is cheap and always runs. ``--drawn 90`` fills 90 s of
+processor time: first the files beside the modules that the working tree or the last commit
+changes, then others in an order that the commit gives, so that each has its turn; without the
+option all of them run. ``--keep-costs`` writes the file anew from what a run without the option
+took.
 
 As a program, ``python tests/drawn_cases.py 2 NAME...`` prints the two names whose turn it is.
 """
@@ -16,6 +19,7 @@ import os
 import subprocess
 import sys
 from collections import defaultdict
+from collections.abc import Generator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -24,29 +28,45 @@ import pytest
 
 HERE = Path(__file__).parent
 COSTS = HERE / "costs.json"
-COSTLY_S = 0.2
+COSTLY_S = 1.0
 # What a case of the campaign is taken to cost before it was first measured.
 UNKNOWN_S = 3.0
+CLOCK = "processor_s"
+
+
+def _git(*words: str) -> str:
+    found = subprocess.run(
+        ["git", *words], cwd=HERE.parent, capture_output=True, text=True, check=False
+    )
+    return found.stdout
 
 
 @cache
 def seed() -> str:
     """The commit that is tested, or what ``DQFORGE_SEED`` says."""
-    asked = os.environ.get("DQFORGE_SEED")
-    if asked:
-        return asked
-    found = subprocess.run(
-        ["git", "rev-parse", "--short=12", "HEAD"],
-        cwd=HERE,
-        capture_output=True,
-        text=True,
-        check=False,
+    return (
+        os.environ.get("DQFORGE_SEED")
+        or _git("rev-parse", "--short=12", "HEAD").strip()
+        or "no commit"
     )
-    return found.stdout.strip() or "no commit"
+
+
+@cache
+def changed_rooms() -> frozenset[str]:
+    """Folders of the product and of its tests that the working tree or the last commit changes."""
+    names = _git("diff", "--name-only", "HEAD~1").split()
+    names += _git("ls-files", "--others", "--exclude-standard").split()
+    folders = (Path(name).parent.as_posix().removesuffix("/templates") for name in names)
+    return frozenset(folder.removeprefix("tests/") for folder in folders)
+
+
+def near(name: str) -> bool:
+    """Whether a file of tests lies beside what is being changed."""
+    return Path(name).parent.as_posix().removeprefix("tests/") in changed_rooms()
 
 
 def turn(name: str) -> str:
-    """Place of a case in the order of this commit."""
+    """Place of a case or file in the order of this commit."""
     return hashlib.sha256(f"{seed()} {name}".encode()).hexdigest()
 
 
@@ -56,17 +76,24 @@ def function_of(name: str) -> str:
 
 
 def kept_costs() -> dict[str, float]:
-    """Seconds of every case that takes long, by its name."""
+    """Seconds of every file and case of the campaign that takes long, by its name."""
     found: dict[str, float] = json.loads(COSTS.read_text(encoding="utf-8"))
     return found
 
 
+def of_the_campaign(item: pytest.Item) -> bool:
+    """Whether a case is left to the campaign."""
+    return any(item.get_closest_marker(mark) is not None for mark in ("slow", "benchmark"))
+
+
+def unit_of(item: pytest.Item) -> str:
+    """What is drawn as a whole: a case of the campaign by itself, all others with their file."""
+    return item.nodeid if of_the_campaign(item) else item.nodeid.partition("::")[0]
+
+
 def cost_of(item: pytest.Item, costs: dict[str, float]) -> float:
-    """Seconds that a case is expected to take; 0 where it is cheap."""
-    known = costs.get(item.nodeid)
-    if known is not None:
-        return known
-    return UNKNOWN_S if item.get_closest_marker("slow") else 0.0
+    """Seconds that the unit of a case is expected to take; 0 where it is cheap."""
+    return costs.get(unit_of(item), UNKNOWN_S if of_the_campaign(item) else 0.0)
 
 
 def drawn(items: list[pytest.Item], budget: float, costs: dict[str, float]) -> list[pytest.Item]:
@@ -74,27 +101,56 @@ def drawn(items: list[pytest.Item], budget: float, costs: dict[str, float]) -> l
 
     Their order is that of ``items``.
     """
+    units = {unit_of(item): cost_of(item, costs) for item in items}
     left, kept = budget, set()
-    for item in sorted(items, key=lambda item: turn(item.nodeid)):
-        cost = cost_of(item, costs)
-        if cost <= left or cost == 0.0:
-            kept.add(item.nodeid)
-            left -= cost
-    return [item for item in items if item.nodeid in kept]
+    for unit in sorted(units, key=lambda unit: (not near(unit), turn(unit))):
+        if units[unit] <= left or units[unit] == 0.0:
+            kept.add(unit)
+            left -= units[unit]
+    return [item for item in items if unit_of(item) in kept]
+
+
+def _processor_s() -> float:
+    """Processor time of this process and of those that it has waited for, in s."""
+    return sum(os.times()[:4])
+
+
+class Clock:
+    """Notes with each case the processor time that it took, whichever process runs it."""
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self) -> Generator[None, bool, bool]:
+        """Start with the case."""
+        self.start = _processor_s()
+        return (yield)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(
+        self, item: pytest.Item, call: pytest.CallInfo[None]
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        """Note the time with the last report of the case."""
+        report = yield
+        if call.when == "teardown":
+            cost = _processor_s() - self.start
+            report.user_properties.append((CLOCK, json.dumps([unit_of(item), cost])))
+        return report
 
 
 class Costs:
-    """Collects what cases take, and keeps it; one that ran in several parts counts as their sum."""
+    """Collects what files and cases took, and keeps it."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Add one part of a case: its setup, itself, or its end."""
-        self.seconds[report.nodeid] += report.duration
+        """Add a case to its unit."""
+        for name, noted in report.user_properties:
+            if name == CLOCK:
+                unit, cost = json.loads(str(noted))
+                self.seconds[unit] += cost
 
     def pytest_sessionfinish(self) -> None:
-        """Write what the costly cases took; those that did not run keep what they had."""
+        """Write what the costly ones took; those that did not run keep what they had."""
         costs = {name: cost for name, cost in kept_costs().items() if name not in self.seconds}
         costs |= {name: round(cost, 1) for name, cost in self.seconds.items() if cost > COSTLY_S}
         text = json.dumps(dict(sorted(costs.items())), indent=1)
@@ -107,19 +163,21 @@ def add_options(parser: pytest.Parser) -> None:
         "--drawn",
         type=float,
         metavar="SECONDS",
-        help="of the costly cases only so many, drawn anew for each commit",
+        help="of what is costly only so many: what lies near a change, then drawn by the commit",
     )
     parser.addoption("--keep-costs", action="store_true", help="write tests/costs.json anew")
 
 
 def configure(config: pytest.Config) -> None:
-    """Count seconds where they are to be kept: in the process that hears of every case."""
-    if config.getoption("--keep-costs") and not hasattr(config, "workerinput"):
-        config.pluginmanager.register(Costs())
+    """Count seconds where they are to be kept, in the process that hears of every case."""
+    if config.getoption("--keep-costs"):
+        config.pluginmanager.register(Clock())
+        if not hasattr(config, "workerinput"):
+            config.pluginmanager.register(Costs())
 
 
 def leave_out(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Take the costly cases out whose turn it is not."""
+    """Take out what is costly and whose turn it is not."""
     budget: Any = config.getoption("--drawn")
     if budget is None:
         return
@@ -133,7 +191,10 @@ def headline(config: pytest.Config) -> str:
     budget = config.getoption("--drawn")
     if budget is None:
         return "drawn: nothing, every selected case runs"
-    return f"drawn: costly cases for {budget:g} s by the seed {seed()} (DQFORGE_SEED repeats it)"
+    return (
+        f"drawn: costly files for {budget:g} s, near a change first, then by the seed {seed()}"
+        " (DQFORGE_SEED repeats it)"
+    )
 
 
 if __name__ == "__main__":
