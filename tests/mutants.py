@@ -1,0 +1,304 @@
+"""How many planted changes the tests notice: a mutation score over physics, proofs and emitted C.
+
+A change turns a sign, a factor, a comparison or a constant round, swaps two arguments, or drops a
+statement, in a place that a seed draws; the tests nearest to it then run in a copy of the tree, for
+so many seconds of processor time at most. A change that they do not notice is printed.
+
+    python tests/mutants.py 30                 thirty, drawn by the commit
+    python tests/mutants.py 200 --seed a --against OLD_CHECKOUT
+
+``--against`` plants the same changes in another checkout too, where their lines stand there once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import hashlib
+import os
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+
+import drawn_cases
+import house
+
+# What the score is about; words, pages and readers of files are held by other tests.
+KINDS = {
+    "proofs": r"optimizer/(certificates|box_proofs|axis_margins|speed_box|changing_loops)/",
+    "number formats": r"optimizer/fixed_\w+/|optimizer/curves/",
+    "formulas": r"optimizer/|machines/(\w+_machines|losses|modulation|plants|transforms|back_emf)",
+    "emitted code": r"reports/[\w/]+/templates/(?!.*(html|harness|vectors)).*\.j2$",
+}
+BINARY = {"+": "-", "-": "+", "*": "/", "/": "*", "**": "*", "//": "*", "%": "*", "@": "@"}
+COMPARISONS = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
+OF_C = {" + ": " - ", " - ": " + ", " * ": " / ", " < ": " >= ", " > ": " <= ", " <= ": " > "}
+Span = Callable[["ast.expr | ast.stmt"], tuple[int, int]]
+NUMBER_OF_C = re.compile(r"(?<![\w.])\d+\.\d+F\b")
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One planted change: which characters of which file become what."""
+
+    kind: str
+    path: str
+    start: int
+    end: int
+    text: str
+    old: str
+    line: int
+
+    def planted(self, source: str) -> str:
+        """The file with the change in it."""
+        return source[: self.start] + self.text + source[self.end :]
+
+    def elsewhere(self, mine: str, other: str) -> Change | None:
+        """The same change in another version of the file, None where its line is not there once."""
+        begin = mine.rfind("\n", 0, self.start) + 1
+        line = mine[begin : mine.find("\n", self.end) + 1]
+        if other.count(line) != 1:
+            return None
+        shift = other.index(line) - begin
+        return Change(
+            self.kind,
+            self.path,
+            self.start + shift,
+            self.end + shift,
+            self.text,
+            self.old,
+            other.count("\n", 0, self.start + shift) + 1,
+        )
+
+
+def kind_of(path: str) -> str | None:
+    """Which kind of code a file holds; None for what the score is not about."""
+    return next((kind for kind, names in KINDS.items() if re.match(names, path)), None)
+
+
+def _operator(source: str, left: int, right: int, swaps: dict[str, str]) -> tuple[int, int, str]:
+    """Place and opposite of the operator that stands between two operands."""
+    found = re.search(r"\*\*|//|[<>=!]=|[-+*/%@<>]", source[left:right])
+    if found is None:
+        raise KeyError(source[left:right])
+    return left + found.start(), left + found.end(), swaps[found.group()]
+
+
+def _of_node(node: ast.AST, where: Span, source: str) -> Iterator[tuple[int, int, str]]:
+    """Changes of one node: characters from, to, and what they become."""
+    match node:
+        case ast.BinOp(left=left, right=right):
+            yield _operator(source, where(left)[1], where(right)[0], BINARY)
+        case ast.Compare(left=left, comparators=[right], ops=[op]) if not isinstance(
+            op, (ast.In, ast.NotIn, ast.Is, ast.IsNot)
+        ):
+            yield _operator(source, where(left)[1], where(right)[0], COMPARISONS)
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            yield where(node)[0], where(operand)[0], ""
+        case ast.Constant(value=float() as value):
+            yield *where(node), repr(1.25 * value if value else 1.0)
+        case ast.Call(args=[first, second]) if not isinstance(second, ast.Starred):
+            a, b = where(first), where(second)
+            yield a[0], b[1], source[slice(*b)] + source[a[1] : b[0]] + source[slice(*a)]
+        case ast.AugAssign():
+            yield *where(node), "pass"
+        case ast.Expr(value=ast.Call()):
+            yield *where(node), "pass"
+
+
+def _in_python(source: str) -> Iterator[tuple[int, int, str]]:
+    """Every change of a module; docstrings, annotations and imports stay."""
+    starts = [0]
+    for line in source.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line.encode()))
+    data = source.encode()
+
+    def span(node: ast.expr | ast.stmt) -> tuple[int, int]:
+        first = starts[node.lineno - 1] + node.col_offset
+        last = starts[(node.end_lineno or 0) - 1] + (node.end_col_offset or 0)
+        return len(data[:first].decode()), len(data[:last].decode())
+
+    for function in ast.walk(ast.parse(source)):
+        if not isinstance(function, ast.FunctionDef):
+            continue
+        for statement in function.body:
+            for node in ast.walk(statement):
+                try:
+                    yield from _of_node(node, span, source)
+                except KeyError:
+                    continue  # brackets stand between operand and operator
+
+
+def _in_template(source: str) -> Iterator[tuple[int, int, str]]:
+    """Every change of emitted C, outside comments, macros and Jinja."""
+    hidden = re.compile(r"/\*.*?\*/|\{[%{#].*?[%}#]\}|^#.*?$", re.DOTALL | re.MULTILINE)
+    code = hidden.sub(lambda found: "\0" * len(found.group()), source)
+    for words, becomes in OF_C.items():
+        for found in re.finditer(re.escape(words), code):
+            yield found.start(), found.end(), becomes
+    for found in NUMBER_OF_C.finditer(code):
+        yield found.start(), found.end(), f"{1.25 * float(found.group()[:-1]) or 1.0}F"
+
+
+def changes(root: Path) -> list[Change]:
+    """Every change that can be planted."""
+    names = subprocess.run(
+        ["git", "ls-files"], cwd=root, capture_output=True, text=True, check=True
+    ).stdout.split()
+    found = []
+    for name in names:
+        kind = kind_of(name)
+        if kind is None or not name.endswith((".py", ".j2")):
+            continue
+        source = (root / name).read_text(encoding="utf-8")
+        places = _in_python(source) if name.endswith(".py") else _in_template(source)
+        for start, end, text in places:
+            line = source.count("\n", 0, start) + 1
+            found.append(Change(kind, name, start, end, text, source[start:end], line))
+    return found
+
+
+def drawn(found: list[Change], number: int, seed: str) -> list[Change]:
+    """So many changes: kinds in turn, files of a kind in turn, by the seed."""
+
+    def place(change: Change) -> str:
+        named = f"{seed} {change.path} {change.line} {change.old} {change.text}"
+        return hashlib.sha256(named.encode()).hexdigest()
+
+    queue = sorted(found, key=place)
+    files: Counter[str] = Counter()
+    turns = []
+    for change in queue:
+        files[change.path] += 1
+        turns.append((files[change.path], change))
+    per_kind: Counter[str] = Counter()
+    order = []
+    for turn, change in sorted(turns, key=lambda entry: entry[0]):
+        per_kind[change.kind] += 1
+        order.append((per_kind[change.kind], turn, place(change), change))
+    return [change for *_, change in sorted(order, key=lambda entry: entry[:3])[:number]]
+
+
+@cache
+def nearest(path: str) -> tuple[str, ...]:
+    """The tests of a file: its own first, then those that import it, then those of its room."""
+    module = path.removesuffix(".py").replace("/", ".")
+    room = path.split("/")[1]
+    own = house.own_test(module)
+    loading = sorted(test for test, loaded in house.tests().items() if module in loaded)
+    beside = (test for test in house.tests() if test.split("/")[2:-1][:1] == [room])
+    cost = drawn_cases.kept_costs()
+    ordered = sorted(beside, key=lambda test: (cost.get(test, 0.0), test))
+    by_distance = [own, *sorted(loading, key=lambda test: cost.get(test, 0.0)), *ordered]
+    return tuple(dict.fromkeys(test for test in by_distance if test in house.tests()))
+
+
+def _limit(seconds: int) -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (2 * seconds, 2 * seconds + 5))
+
+
+def noticed(tree: Path, change: Change, seconds: int) -> bool | None:
+    """Whether the nearest tests fail with the change; None where time ran out before they end."""
+    path = tree / change.path
+    source = path.read_text(encoding="utf-8")
+    path.write_text(change.planted(source), encoding="utf-8")
+    tests = [test for test in nearest(change.path) if (tree / test).is_file()]
+    words = ["-x", "-q", "-p", "no:cacheprovider", "-m", "not slow and not benchmark", *tests]
+    running = subprocess.Popen(
+        [sys.executable, "-m", "pytest", *words],
+        cwd=tree,
+        env=os.environ | {"PYTHONPATH": str(tree.parent), "OPENBLAS_NUM_THREADS": "1"},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        preexec_fn=partial(_limit, seconds),  # noqa: PLW1509 - one thread, POSIX alone
+        start_new_session=True,
+    )
+    with suppress(subprocess.TimeoutExpired):
+        running.wait(timeout=4 * seconds)
+    if running.poll() is None:
+        os.killpg(running.pid, signal.SIGKILL)
+    code = running.wait()
+    path.write_text(source, encoding="utf-8")
+    return None if code in {-signal.SIGXCPU, -signal.SIGKILL} else code not in {0, 5}
+
+
+def copied(root: Path, place: Path) -> Path:
+    """A copy of what git knows of a checkout, in a folder named as the package."""
+    tree = place / "dqforge"
+    tree.mkdir(parents=True)
+    names = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=root, capture_output=True, text=True, check=True
+    ).stdout.split("\0")
+    for name in filter(None, names):
+        (tree / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(root / name, tree / name, follow_symlinks=False)
+    shared = root.parent / "shared"
+    if shared.is_dir():
+        (place / "shared").symlink_to(shared)
+    return tree
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
+
+
+def score(title: str, tree: Path, planted: list[Change], seconds: int) -> None:
+    """Plant changes one by one and print the survivors, then the share that was noticed."""
+    killed: Counter[str] = Counter()
+    for change in planted:
+        found = noticed(tree, change, seconds)
+        killed[change.kind] += found is True
+        if found is not True:
+            end = "not noticed" if found is False else "time ran out"
+            what = f"{change.old.strip()!r} -> {change.text.strip()!r}"
+            _say(f"{title}: {end}: {change.path}:{change.line}: {what}")
+    whole = Counter(change.kind for change in planted)
+    for kind, number in sorted(whole.items()):
+        _say(f"{title}: {kind}: {killed[kind]} of {number} noticed")
+    _say(f"{title}: {killed.total()} of {whole.total()} noticed")
+
+
+def main() -> None:
+    """Read the options and count."""
+    options = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    options.add_argument("number", type=int)
+    options.add_argument("--seed", default=drawn_cases.seed())
+    options.add_argument("--seconds", type=int, default=60, help="processor time per change")
+    options.add_argument("--against", type=Path, help="another checkout, for the same changes")
+    asked = options.parse_args()
+    found = drawn(changes(house.ROOT), 2 * asked.number, asked.seed)
+    sides = {"here": house.ROOT}
+    planted = {"here": found[: asked.number]}
+    if asked.against:
+        sides["there"] = asked.against.resolve()
+        pairs = [(change, _there(change, sides["there"])) for change in found]
+        both = [(change, other) for change, other in pairs if other is not None][: asked.number]
+        planted = {"here": [pair[0] for pair in both], "there": [pair[1] for pair in both]}
+    with tempfile.TemporaryDirectory() as place:
+        for title, root in sides.items():
+            tree = copied(root, Path(place) / title)
+            score(title, tree, planted[title], asked.seconds)
+
+
+def _there(change: Change, root: Path) -> Change | None:
+    """A change in another checkout."""
+    path = root / change.path
+    if not path.is_file():
+        return None
+    mine = (house.ROOT / change.path).read_text(encoding="utf-8")
+    return change.elsewhere(mine, path.read_text(encoding="utf-8"))
+
+
+if __name__ == "__main__":
+    main()
