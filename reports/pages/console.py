@@ -12,12 +12,16 @@ from dataclasses import dataclass
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Protocol
 
+from dqforge.reports.pages.table import fitted
+
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from dqforge.reports.pages.table import Table
 
 _PIPE_WIDTH = 160
+# Tables are fitted to the terminal before they are drawn; what no table can hold is left whole.
+_NEVER_FULL = 100_000
 _REFRESH_S = 0.1
 QUICK_S = 1.0
 
@@ -27,9 +31,6 @@ QUICK_S = 1.0
 LOADING = "loading what the command needs"
 
 """The stage that every command begins with: the import of its own modules."""
-
-
-_BETWEEN_COLUMNS = 3
 
 
 def show(tables: Sequence[Table]) -> None:
@@ -48,40 +49,24 @@ def show(tables: Sequence[Table]) -> None:
     console = Terminal(
         width=None if sys.stdout.isatty() else _PIPE_WIDTH, highlight=False, soft_wrap=False
     )
+    room, console.width = console.width, _NEVER_FULL
     for table in tables:
-        console.print(Text(table.title, style="bold"))
-        if table.columns:
-            has_header = any(table.columns)
-            grid = RichTable(
-                box=box.SIMPLE_HEAD if has_header else None, show_header=has_header, pad_edge=False
-            )
-            kept = _unbroken(table, console.width)
-            for column, whole in zip(table.columns, kept, strict=True):
-                grid.add_column(Text(column), overflow="fold", no_wrap=whole)
-            for row in table.rows:
-                grid.add_row(*(Text(cell) for cell in row))
-            console.print(grid)
-        for note in table.notes:
-            console.print(Text(note, style="dim"))
+        for part in fitted(table, room):
+            if part.title:
+                console.print(Text(part.title, style="bold"))
+            if part.columns:
+                headed = any(part.columns)
+                grid = RichTable(
+                    box=box.SIMPLE_HEAD if headed else None, show_header=headed, pad_edge=False
+                )
+                for column in part.columns:
+                    grid.add_column(Text(column), no_wrap=True)
+                for row in part.rows:
+                    grid.add_row(*(Text(cell) for cell in row))
+                console.print(grid)
+            for note in part.notes:
+                console.print(Text(note, style="dim"))
         console.print()
-
-
-def _unbroken(table: Table, room: int) -> list[bool]:
-    """Which columns keep their cells in one line: those whose every cell is one word, where the
-    words of the others fit beside them.
-    """
-    cells = [[row[k] for row in table.rows] for k in range(len(table.columns))]
-    single = [all(len(cell.split()) <= 1 for cell in column) for column in cells]
-    least = [
-        max(
-            len(part)
-            for cell in [title, *column]
-            for part in ([cell] if one else [*cell.split(), ""])
-        )
-        for title, column, one in zip(table.columns, cells, single, strict=True)
-    ]
-    fits = sum(least) + _BETWEEN_COLUMNS * (len(least) - 1) <= room
-    return [one and fits for one in single]
 
 
 _moving = Lock()

@@ -81,14 +81,14 @@ def test_an_error_ends_the_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None
     assert "bar" in terminal.getvalue()
 
 
-def test_words_are_not_broken_while_others_can_give_way(capsys: pytest.CaptureFixture[str]) -> None:
-    """A name beside columns of several words keeps its line; nothing is lost where nothing fits."""
+def test_words_are_not_broken(capsys: pytest.CaptureFixture[str]) -> None:
+    """A name beside columns of several words keeps its line, the longest one too."""
     sentence = "one two three four five six " * 4
     for name in ("symmetrical-optimum", "x" * 200):
         rows = tuple((name, sentence, sentence, "1.5") for _ in range(2))
         show([Table("title", ("method", "first words", "second words", "M_s"), rows, ())])
         lines = capsys.readouterr().out.splitlines()
-        assert max(map(len, lines)) <= 160
-        assert ("symmetrical-optimum   one" in "\n".join(lines)) == (name == "symmetrical-optimum")
-        letters = sorted("".join(lines[3:]).replace(" ", "").replace("─", ""))
-        assert letters == sorted(2 * (name + sentence + sentence + "1.5").replace(" ", ""))
+        assert sum(name in line for line in lines) >= len(rows)
+        assert max(len(line) for line in lines if name not in line) <= max(160, len(name) + 24)
+        words = "\n".join(lines).split()
+        assert words.count("six") == 4 * 2 * len(rows)

@@ -1,143 +1,121 @@
-"""The numbers in the terminal's tables: their units, and what is written
-where there is no number.
-"""
+"""Tables on narrow terminals: no number is parted from itself or its unit, nothing gets lost."""
 
 from __future__ import annotations
 
-import math
-import re
-from dataclasses import replace
-
-import numpy as np
 import pytest
-from drives import IPM, MOSFET, make_design
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from dqforge.machines.design.settings import LoadPoint, LossSettings
-from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.losses.solve import solve_losses
-from dqforge.optimizer.operating_points.solve import solve_curves
-from dqforge.optimizer.solution import solve
-from dqforge.reports.loops.tables import gains_tables
-from dqforge.reports.losses.tables import losses_tables
-from dqforge.reports.operating_points.tables import mtpa_tables
-from dqforge.reports.pages.table import Table
-from dqforge.reports.summary import run_tables
+from dqforge.machines.design import catalogue
+from dqforge.machines.errors import DqforgeError
+from dqforge.reports.answers import check, fit, losses, mtpa, tune
+from dqforge.reports.pages import console
+from dqforge.reports.pages.table import Table, fitted
 
-
-def column(table: Table, heading: str) -> list[str]:
-    return [row[table.columns.index(heading)] for row in table.rows]
-
-
-def test_operating_points_in_amperes_and_per_unit() -> None:
-    """Bases psi/(2 dl) = 216.74 A and 3/4 p psi i_base = 68.206 N m.
-
-    The optimum is T = i_q (2 - i_d) per unit.
-    """
-    design = make_design()
-    table = mtpa_tables(design, solve_curves(design, 100.0))[0]
-    i_base = 0.1049 / (2.0 * 242e-6)
-    for torque, i_d, i_q, current in zip(
-        *(column(table, name) for name in ("torque N m", "i_d A", "i_q A", "|i| A")), strict=True
-    ):
-        assert float(current) == pytest.approx(math.hypot(float(i_d), float(i_q)), rel=1e-3)
-        produced = 6.0 * (0.1049 - 242e-6 * float(i_d)) * float(i_q)
-        assert produced == pytest.approx(float(torque), rel=2e-3)
-    for i_d, per_unit in zip(column(table, "i_d A"), column(table, "i_d p.u."), strict=True):
-        assert float(per_unit) == pytest.approx(float(i_d) / i_base, rel=1e-3, abs=1e-9)
-    for torque, i_d, i_q in zip(
-        *(column(table, name) for name in ("torque p.u.", "i_d p.u.", "i_q p.u.")), strict=True
-    ):
-        assert float(torque) == pytest.approx(float(i_q) * (2.0 - float(i_d)), rel=2e-3)
+WIDTHS = (80, 100, 120, 160, 200)
+NUMBERS = st.from_regex(
+    r"-?[0-9]{1,4}\.[0-9]{1,6}(e-0[1-9])?( (V/A|N m s/rad|Hz|deg))?", fullmatch=True
+)
+WORDS = st.text("abcdefghij", min_size=1, max_size=9)
+SENTENCES = st.lists(WORDS | NUMBERS, min_size=5, max_size=20).map(" ".join)
 
 
-def test_gains_and_margins() -> None:
-    """Bandwidth w = 6283 rad/s at 100 kHz with 1.5 samples of delay: 90 deg
-    less 6283 rad/s times 15 us.
+COLUMNS = st.lists(
+    st.tuples(WORDS, st.sampled_from((NUMBERS, NUMBERS, WORDS, SENTENCES))), min_size=1, max_size=9
+)
 
-    The loop is nearly k/(z (z - 1)) with k = w t_s; z^2 - z + k has its roots on
-    the unit circle at k = 1.
-    """
-    design = make_design()
-    table, forms, observer = gains_tables(design, solve_gains(design))
-    assert table.title == "test drive: gains, sampled every 10 us"
-    for heading, expected in (
-        ("crossover Hz", 1000.0),
-        ("phase margin deg", 84.6),
-        ("delay margin us", 235.0),
-    ):
-        for cell in column(table, heading)[:2]:
-            assert float(cell) == pytest.approx(expected, rel=5e-3)
-    assert [float(cell) for cell in column(table, "gain margin dB")[:2]] == pytest.approx(
-        [24.04] * 2, abs=0.1
+
+@st.composite
+def tables(draw: st.DrawFn) -> Table:
+    columns, kinds = zip(*draw(COLUMNS), strict=True)
+    rows = draw(st.lists(st.tuples(*kinds), min_size=1, max_size=6))
+    return Table("title", columns, tuple(rows), (draw(SENTENCES),))
+
+
+def printed(table: Table, width: int, capsys: pytest.CaptureFixture[str]) -> list[str]:
+    """Lines that a pipe of a width gets."""
+    capsys.readouterr()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(console, "_PIPE_WIDTH", width)
+        console.show([table])
+    return capsys.readouterr().out.splitlines()
+
+
+def numbers_of(table: Table) -> list[str]:
+    """Short cells that hold a digit: values with their units."""
+    cells = [cell for row in table.rows for cell in row]
+    return [cell for cell in cells if len(cell) <= 24 and any(map(str.isdigit, cell))]
+
+
+def lost(table: Table, lines: list[str]) -> list[str]:
+    """Values that no line holds whole."""
+    return [cell for cell in numbers_of(table) if not any(cell in line for line in lines)]
+
+
+@settings(max_examples=60)
+@given(tables(), st.sampled_from(WIDTHS))
+def test_generated_tables_keep_their_numbers(table: Table, width: int) -> None:
+    parts = fitted(table, width)
+    for part in parts:
+        columns = [
+            [*part.columns[k : k + 1], *(row[k] for row in part.rows)]
+            for k in range(len(part.columns))
+        ]
+        widths = [
+            max(len(line) for cell in column for line in cell.split("\n")) for column in columns
+        ]
+        assert sum(widths) + 3 * len(widths) - 1 <= width
+    shown = [cell for part in parts for row in (part.columns, *part.rows) for cell in row]
+    lines = [line for cell in shown for line in cell.split("\n")]
+    assert lost(table, lines) == []
+    whole = {"".join(cell.split()) for cell in shown}
+    assert {"".join(cell.split()) for row in table.rows for cell in row} <= whole
+
+
+def test_a_row_becomes_a_column_where_few_rows_are_too_wide() -> None:
+    columns = ("loop", *(f"quantity {k}" for k in range(9)))
+    table = Table("gains", columns, tuple((name, *["0.095493 N m s/rad"] * 9) for name in "dq"))
+    (turned,) = fitted(table, 80)
+    assert turned.columns == ("loop", "d", "q")
+    assert [row[0] for row in turned.rows] == list(columns[1:])
+    assert fitted(table, 300) == [table]
+
+
+def test_many_rows_are_parted_behind_their_first_column() -> None:
+    columns = tuple(f"c{k}" for k in range(12))
+    table = Table(
+        "t", columns, tuple(tuple(f"{r}.{k:07d}" for k in range(12)) for r in range(9)), ("n",)
     )
-    q_axis = solve_gains(design).i_q
-    kp, ki_ts, q0, q1 = (
-        float(column(forms, name)[1])
-        for name in forms.columns[1:6]
-        if not name.startswith("series")
-    )
-    assert (q0, q1) == pytest.approx((kp + ki_ts, -kp), rel=1e-5)
-    assert column(forms, "series: T_i")[1] == f"{1e3 * q_axis.kp / q_axis.ki:.5g} ms"
-    load, resistance = (
-        float(re.findall(r"(?:by|high by) (-?[\d.e-]+) rpm", note)[0])
-        for note in observer.notes[1:]
-    )
-    # T_L/(J g) and -0.3 R g/(g p psi) at g = 500/s, J = 0.05 kg m^2; 30/pi rpm for each rad/s.
-    assert load == pytest.approx(1.0 / (0.05 * 500.0) * 30.0 / math.pi, rel=5e-3)
-    assert resistance == pytest.approx(-0.3 * 2e-3 / (4 * 0.1049) * 30.0 / math.pi, rel=5e-3)
+    parts = fitted(table, 80)
+    assert [part.columns[0] for part in parts] == ["c0"] * len(parts)
+    assert sum((part.columns[1:] for part in parts), ()) == columns[1:]
+    assert [part.notes for part in parts] == [()] * (len(parts) - 1) + [("n",)]
+    assert [part.title for part in parts] == ["t"] + [""] * (len(parts) - 1)
 
 
-def test_losses_add_up_and_the_title_has_the_speed_in_rpm() -> None:
-    design = replace(make_design(), losses=LossSettings((LoadPoint(130.0, 300.0),)))
-    comparison = solve_losses(design)
-    assert comparison is not None
-    table = losses_tables(design, comparison)[0]
-    assert table.title.endswith("losses at 130 N m, 2864.8 rpm")
-    copper, conduction, switching, total, junction, saving = (
-        np.array([float(cell) for cell in column(table, name)])
-        for name in (
-            "copper W",
-            "conduction W",
-            "switching W",
-            "total W",
-            "junction degC",
-            "saving %",
-        )
-    )
-    current = 130.0 / (6.0 * 0.1049)
-    assert copper[0] == pytest.approx(1.5 * 2e-3 * current**2, abs=0.06)
-    assert conduction[0] == pytest.approx(1.5 * 9.5e-3 * current**2, abs=0.06)
-    energy = (0.86e-3 + 0.86e-3) * 500.0 / (206.5 * 500.0)
-    assert switching[0] == pytest.approx(3.0 * 100e3 * energy * 2.0 * current / math.pi, abs=0.06)
-    np.testing.assert_allclose(copper + conduction + switching, total, atol=0.16)
-    np.testing.assert_allclose(64.0 + 0.306 / 6.0 * (conduction + switching), junction, atol=0.06)
-    np.testing.assert_allclose(100.0 * (1.0 - total / total[0]), saving, atol=0.06)
+MTPA = (None, None, None, "svpwm", "0 %", "copper")
+ANSWERS = {
+    "check": check.answer_check,
+    "tune": tune.answer_tune,
+    "fit": fit.answer_fit,
+    "mtpa": lambda design: mtpa.answer_mtpa(design, mtpa.Request(*MTPA)),
+    "losses": lambda design: losses.answer_losses(design, losses.LossRequest(), choice=False),
+}
 
 
-@pytest.mark.slow
-def test_what_is_not_feasible_is_said_and_no_nan_is_printed() -> None:
-    """At 500 rad/s i_d = 0 with SPWM is beyond its range, at 1500 rad/s all are.
-
-    At 200 K/W the junction runs away.
-    """
-    points = (LoadPoint(100.0, 500.0), LoadPoint(130.0, 1500.0))
-    hot = replace(MOSFET, thermal_resistance=200.0, on_resistance_temperature_coefficient=0.01)
-    for device in (MOSFET, hot):
-        design = make_design(replace(IPM, omega_m_max=None))
-        inverter = replace(design.inverter, device=device)
-        solution = solve(replace(design, inverter=inverter, losses=LossSettings(points)))
-        assert solution.losses is not None
-        tables = [*losses_tables(design, solution.losses), *run_tables(solution, None)]
-        cells = [cell for table in tables for row in table.rows for cell in row]
-        assert not [cell for cell in cells if re.search(r"\b(nan|inf)\b", cell)]
-        assert {"voltage beyond the linear range", "junction temperature runs away"} & set(cells)
-        assert "no alternative is feasible" in cells
-        assert "losses at 100 N m, 4775 rpm" in cells
-
-
-@pytest.mark.slow
-def test_segments_are_counted_in_words_that_agree() -> None:
-    single = solve(make_design(fit=replace(make_design().fit, segments=1, degree=2)))
-    assert (
-        run_tables(single, None)[0].rows[0][1].startswith("torque-exact, degree 2, 1 segment, 0 to")
-    )
+@pytest.mark.thinned
+@pytest.mark.parametrize("name", catalogue.names())
+def test_every_drive_reads_well_at_every_width(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    design = catalogue.load(name)
+    for answer in ANSWERS.values():
+        try:
+            shown = answer(design).tables
+        except DqforgeError:
+            continue  # nothing of the kind in this design
+        for table in shown:
+            for width in WIDTHS:
+                lines = printed(table, width, capsys)
+                assert max(map(len, lines)) <= width
+                assert lost(table, lines) == []
