@@ -41,7 +41,10 @@ def new(
     sets: given.SetOfNew = None,
     json: given.Json = False,
 ) -> None:
-    """Write a design file: of a data sheet, asked for in a terminal; a template; of firmware."""
+    """Write a design from a data sheet or firmware.
+
+    Without options it asks on a terminal; --template writes every key to fill in.
+    """
     asking = not (machine or source or template or study or yes or json)
     texts = asked_sheet(folder, sheet, asking=asking)
     asked = answers.library.NewRequest(machine, source, sets, texts, template, study)
@@ -50,7 +53,10 @@ def new(
 
 @app.command()
 def check(design: given.Design, sets: given.Set = None, json: given.Json = False) -> None:
-    """Validate a design, cross-check its data, list every value's origin and what was assumed."""
+    """Validate a design and list what was assumed.
+
+    The data are cross-checked, and every value is listed with its origin.
+    """
     respond("check", lambda: answers.check.answer_check(load(design, sets)), json)
 
 
@@ -62,7 +68,10 @@ def run(
     sets: given.Set = None,
     json: given.Json = False,
 ) -> None:
-    """Do everything the design asks for: header, vectors, verification, report, result.json."""
+    """Solve, export, verify and report a design.
+
+    Everything that it requests: headers, test vectors, verification, report, result.json.
+    """
     ask = partial(answers.run.answer_run, verify=not no_verify)
     respond("run", lambda: ask(load(design, sets)), json, out=out)
 
@@ -77,7 +86,10 @@ def export(
     firmware: given.For = None,
     into: given.Into = None,
 ) -> None:
-    """Write the header and its test vectors, and verify them; or files of other firmware."""
+    """Write and verify headers, or a firmware's file.
+
+    Headers with their test vectors, or with --for the file that another firmware imports.
+    """
     place = out or (_OUT if into is None else into.parent)
     ask = partial(answers.run.answer_export, verify=not no_verify, firmware=firmware, into=into)
     respond("export", lambda: ask(load(design, sets)), json, out=place)
@@ -87,13 +99,19 @@ def export(
 def explain(
     files: given.Explained, machine: given.OnMachine = None, json: given.Json = False
 ) -> None:
-    """Say what a configuration of other firmware amounts to in its loops, in engineering units."""
+    """Show what a firmware configuration means.
+
+    Its loops in engineering units: bandwidths, margins, limits.
+    """
     respond("explain", lambda: answers.explain.answer_explain(files, machine), json)
 
 
 @app.command()
 def verify(folder: given.Written, target: given.Core = None, json: given.Json = False) -> None:
-    """Compute a folder again from its design, compare every value; run its C, compare every bit."""
+    """Check what was written, number by number.
+
+    Every value of a folder is computed again from its design, its C compiled and run.
+    """
     respond("verify", lambda: answers.verify.answer_verify(folder, target), json)
 
 
@@ -101,7 +119,10 @@ def verify(folder: given.Written, target: given.Core = None, json: given.Json = 
 def compare(
     first: given.SideA, second: given.SideB, sets: given.SetOfB = None, json: given.Json = False
 ) -> None:
-    """Compare two designs or results: machine, limits, references, gains, losses, macros."""
+    """Compare two designs, results or headers.
+
+    Machine, limits, references, gains, losses, macros, in engineering units.
+    """
     respond("compare", lambda: answers.compare.answer_compare(first, second, sets), json)
 
 
@@ -118,7 +139,10 @@ def mtpa(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
     margin: given.Margin = "0 %",
     objective: given.Objective = "copper",
 ) -> None:
-    """Show the currents over torque; with a speed, torque or map also within the voltage limit."""
+    """Show the least-loss currents over torque.
+
+    With a speed, a torque or a map also within the voltage limit.
+    """
     asked = answers.mtpa.Request(speed, torque, chart, modulation, margin, objective)
     respond("mtpa", lambda: answers.mtpa.answer_mtpa(load(design, sets), asked), json, plot)
 
@@ -127,7 +151,10 @@ def mtpa(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
 def fit(
     design: given.Design, sets: given.Set = None, json: given.Json = False, plot: given.Plot = None
 ) -> None:
-    """Fit the current references and show their errors beside the alternatives."""
+    """Fit the current references, with their errors.
+
+    The errors stand beside those of the alternatives.
+    """
     respond("fit", lambda: answers.fit.answer_fit(load(design, sets)), json, plot)
 
 
@@ -135,7 +162,7 @@ def fit(
 def tune(
     design: given.Design, sets: given.Set = None, json: given.Json = False, plot: given.Plot = None
 ) -> None:
-    """Tune the controllers and the observer and show their margins."""
+    """Tune loops and observer, with their margins."""
     respond("tune", lambda: answers.tune.answer_tune(load(design, sets)), json, plot)
 
 
@@ -149,7 +176,10 @@ def estimators(
     only: given.Only = None,
     starts: given.Starts = 0,
 ) -> None:
-    """Compare estimators of the position and start-ups over speed and load; say which to flash."""
+    """Compare position estimators and start-ups.
+
+    Over speed and load, and which of them to flash.
+    """
     ask = partial(answers.estimators.answer_estimators, only=only, starts=starts)
     made = out is not None
     respond("estimators", lambda: ask(load(design, sets), write=made), json, plot, out)
@@ -169,7 +199,10 @@ def losses(  # noqa: PLR0913, PLR0917 - every option of the command is a paramet
     margin: given.Margin = "0 %",
     choice: given.Choice = False,
 ) -> None:
-    """Compare the losses of strategies, modulators, frequencies at points, on a map, a mission."""
+    """Compare losses of strategies and modulators.
+
+    At points, over a map or a mission, over switching frequencies.
+    """
     asked = answers.losses.LossRequest(chart, mission, strategies, modulations, frequencies, margin)
     ask = partial(answers.losses.answer_losses, request=asked, choice=choice)
     respond("losses", lambda: ask(load(design, sets)), json, plot)
@@ -187,7 +220,10 @@ def dqy(
     open_phase: given.OpenPhase = None,
     flash: given.Flash = False,
 ) -> None:
-    """Shape the currents of a machine with another back-EMF than a sine: dq, dqx, dqy, limited."""
+    """Shape phase currents for any back-EMF.
+
+    By dq, dqx and dqy, and within voltage, current and ripple limits.
+    """
     asked = answers.dqy.WaveformRequest(torque, speed, ripple, open_phase, flash)
     respond("dqy", lambda: answers.dqy.answer_dqy(load(design, sets), asked), json, plot)
 
@@ -201,7 +237,10 @@ def simulate(
     plot: given.Plot = None,
     switched: given.Switched = False,
 ) -> None:
-    """Simulate the drive in the time domain, its emitted controller compiled and in the loop."""
+    """Simulate the drive with the emitted C.
+
+    In the time domain, with the emitted controller compiled and in the loop.
+    """
     ask = partial(answers.simulate.answer_simulate, out=out, switched=switched)
     respond("simulate", lambda: ask(load(design, sets)), json, plot, out, bar="simulating")
 
@@ -219,7 +258,10 @@ def bemf(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
     harmonics: given.Harmonics = 25,
     interval: given.Interval = None,
 ) -> None:
-    """Say what a capture of the back-EMF holds: harmonics, symmetry, noise, and the magnet flux."""
+    """Show what a capture of the back-EMF holds.
+
+    Harmonics, symmetry, noise, and the flux linkage of the magnets.
+    """
     asked = answers.bemf.CaptureRequest(
         line_to_line, pole_pairs, speed, scale, columns, harmonics, interval
     )
@@ -229,7 +271,10 @@ def bemf(  # noqa: PLR0913, PLR0917 - every option of the command is a parameter
 
 @app.command()
 def reproduce(paper: given.Paper, json: given.Json = False, figures: given.Figures = None) -> None:
-    """Recompute a paper's tables beside the printed values, its transients and its figures."""
+    """Recompute a paper's tables and figures.
+
+    The recomputed values stand beside the printed ones.
+    """
     ask = partial(answers.reproduce.answer_reproduce, paper, figures=figures is not None)
     respond("reproduce", ask, json, out=figures)
 
@@ -259,7 +304,10 @@ def explore(  # noqa: PLR0913, PLR0917 - every option of the command is a parame
     plot: given.Plot = None,
     json: given.Json = False,
 ) -> int:
-    """Compute many variants of a design, in parts that a later run goes on with; look into them."""
+    """Compute many variants of a design.
+
+    In parts that a later run continues; the results can be looked into.
+    """
     tls = (tls_ca_file, tls_cert, tls_key)
     where_run = answers.explore.Where(workers, scheduler, scheduler_file, tls, mixed, time_limit)
     seen = answers.explore.Looked(table, tuple(where or ()), sort, first, csv, export)
@@ -280,14 +328,20 @@ def machines(name: given.Drive = None, json: given.Json = False) -> None:
 def schema(
     study: given.OfStudy = False, out: given.OutOfSchema = None, json: given.Json = False
 ) -> None:
-    """Print the JSON Schema of the design file, or of the study file; or write it into a file."""
+    """Print the JSON Schema of a design or study.
+
+    For editors; it can be written into a file.
+    """
     ask = partial(answers.library.answer_schema, study=study, out=out)
     respond("schema", ask, json, out=None if out is None else out.parent)
 
 
 @app.command()
 def doctor(json: given.Json = False) -> int:
-    """Say what is here: compilers, emulator, packages; what each is for, and how to get it."""
+    """List compilers, emulators and packages found.
+
+    What each is for, and how to install what is missing.
+    """
     return respond("doctor", answers.doctor.answer_doctor, json)
 
 

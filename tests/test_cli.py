@@ -71,7 +71,15 @@ def test_version_and_help(run: Run) -> None:
     outcome = run("--help")
     assert outcome.code == 0
     assert all(re.search(rf"^  {command} ", outcome.out, re.MULTILINE) for command in COMMANDS)
-    assert run().code == 2
+    assert run() == outcome
+
+
+def test_every_command_stands_in_one_group_with_a_whole_summary(run: Run) -> None:
+    shown = run("--help").out.partition("\nDesign:\n")[2]
+    rows = re.findall(r"^  ([a-z]+)  +(\S.*)$", shown, re.MULTILINE)
+    assert sorted(name for name, _ in rows) == COMMANDS
+    assert all(len(summary) <= 50 and summary.endswith(".") for _, summary in rows)
+    assert not any(summary.endswith("...") for _, summary in rows)
 
 
 def test_help_of_each_command_says_what_it_does(run: Run) -> None:

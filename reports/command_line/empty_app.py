@@ -2,15 +2,37 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import typer
 
 from dqforge.reports.command_line import flags as given
 
+GROUPS = {
+    "Design": ("new", "check", "run"),
+    "Analysis": ("mtpa", "fit", "tune", "losses", "dqy", "simulate", "estimators"),
+    "Firmware": ("export", "explain", "verify"),
+    "Data": ("bemf",),
+    "Many": ("explore", "compare"),
+    "Tools": ("machines", "schema", "doctor", "reproduce"),
+}
+
+
+class _Grouped(typer.core.TyperGroup):
+    """Lists the commands by what they are for."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002 - as click calls it
+        for title, names in GROUPS.items():
+            rows = [(name, self.commands[name].get_short_help_str(60)) for name in names]
+            with formatter.section(title):
+                formatter.write_dl(rows)
+
 
 def application() -> typer.Typer:
-    """An application without commands, which shows its help and ends with 2 where none is given."""
+    """An application without commands, which shows its help where none is given."""
     app = typer.Typer(
         name="dqforge",
+        cls=_Grouped,
         help=(
             "Controller coefficients, loss budgets and checked C headers for permanent-magnet "
             "drives."
@@ -27,5 +49,5 @@ def application() -> typer.Typer:
 
 def _root(context: typer.Context, _version: given.Version = False) -> None:
     if context.invoked_subcommand is None:
-        typer.echo(context.get_help(), err=True)
-        raise typer.Exit(2)
+        typer.echo(context.get_help())
+        raise typer.Exit
