@@ -62,6 +62,17 @@ class Tile:
     detail: str | Markup
 
 
+@dataclass(frozen=True, slots=True)
+class Flashed:
+    """Numbers that go into the firmware, as plain text: what they are, the numbers with units, and
+    what they mean for the drive.
+    """
+
+    label: str
+    value: str
+    meaning: str
+
+
 Value = float | str | None
 
 
@@ -95,6 +106,10 @@ def _no_rows(_solution: Solution, _found: Any) -> Rows:
 
 
 def _no_texts(_solution: Solution, _found: Any) -> list[str]:
+    return []
+
+
+def _nothing_flashed(_solution: Solution, _found: Any) -> list[Flashed]:
     return []
 
 
@@ -135,8 +150,12 @@ class Capability(Generic[R]):
     always:
         Whether ``name`` and the keys of its headers stand in ``result.json`` with null where the
         design does not ask for it; else they are left out.
+    flashed:
+        What stands first in terminal and report: the numbers to flash.
+    watched:
+        What to look out for, a sentence each; it stands behind them.
     summary:
-        Rows for the summary of a run on the terminal: label and text.
+        Rows of evidence for the summary of a run on the terminal: label and text.
     tables:
         Tables for the terminal.
     sentences, tiles:
@@ -161,6 +180,8 @@ class Capability(Generic[R]):
     of: Callable[[Outcome], R | None]
     plain: Callable[[Solution, R], Any] | None = None
     always: bool = True
+    flashed: Callable[[Solution, R], list[Flashed]] = _nothing_flashed
+    watched: Callable[[Solution, R], list[str]] = _no_texts
     summary: Callable[[Solution, R], Rows] = _no_rows
     tables: Callable[[Solution, R], list[Table]] = _no_tables
     sentences: Callable[[Solution, R], list[str]] = _no_texts

@@ -26,6 +26,7 @@ from dqforge.reports.pages.html_text import NARROW, count, number, quantity, sym
 from dqforge.reports.pages.page_figure import page_figure
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData
+from dqforge.reports.summary import flashed, watched
 from dqforge.reports.verification.text import compared
 
 if TYPE_CHECKING:
@@ -143,10 +144,13 @@ def _told(key: str | Markup, text: str) -> Markup:
 def _contents(
     design: Design, written: Sequence[WrittenChapter], beside: HtmlTable | None
 ) -> list[tuple[str, str]]:
+    first, *others = [(chapter.id, chapter.title) for chapter in written if chapter.text]
     return [
-        ("summary", "Summary"),
+        ("summary", "What to flash"),
+        first,
+        ("evidence", "Evidence"),
         ("machine", "Machine and assumptions"),
-        *((chapter.id, chapter.title) for chapter in written if chapter.text),
+        *others,
         ("header", f"{design.export.prefix}.h"),
         *([] if beside is None else [("files", "Files")]),
         ("conventions", "Conventions"),
@@ -180,13 +184,18 @@ def report_context(
         "digest": design.digest,
         "scripts": page_scripts(FIGURES, FOLDING),
         "sections": _contents(design, written, beside),
+        "flashed": [
+            (symbols(row.label), symbols(row.value), symbols(row.meaning))
+            for row in flashed(outcome, capabilities)
+        ],
+        "watched": [symbols(text) for text in watched(outcome, capabilities)],
         "summary": summary(outcome, found),
         "tiles": tiles(outcome.solution, found, verification),
         "facts": fact_rows(design),
         "values": values,
         "values_told": values_told(values),
         "assumptions": other_assumptions(design),
-        "chapters": written,
+        "chapters": [chapter for chapter in written if chapter.text],
         "header": header_context(outcome.solution, dialect),
         "signed": isinstance(outcome.solution.reference, SignedReference),
         "files": beside,

@@ -10,7 +10,7 @@ from dqforge.optimizer.current_reference.forms import ReferenceErrors
 from dqforge.optimizer.negative_torques import NegativeHalf
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.c_code.numbers import rounded_up
-from dqforge.reports.capability import Capability, Draw, ReportPart, Rows, Tile
+from dqforge.reports.capability import Capability, Draw, Flashed, ReportPart, Rows, Tile
 from dqforge.reports.current_reference.data_text import data_lines
 from dqforge.reports.current_reference.html import (
     errors_part,
@@ -59,12 +59,32 @@ def _summary(solution: Solution, _: Solution) -> Rows:
     ]
     if solution.certificate is not None:
         rows.append(("  proven bounds", proven_text(solution.certificate)))
-    limits = " ".join(data_lines(solution.data, fit.torque_max))
-    if limits:
-        rows.append(("  end of the data", limits))
-    rows += _negative_rows(solution.negative)
-    if fit.errors.loss_relative > POOR_FIT:
-        rows.append(("  warning", poor_fit_text(solution.design, fit)))
+    return rows + _negative_rows(solution.negative)
+
+
+def _watched(solution: Solution, _: Solution) -> list[str]:
+    fit = solution.fit
+    data = " ".join(data_lines(solution.data, fit.torque_max))
+    return [
+        *([data] if data else []),
+        *([poor_fit_text(solution.design, fit)] if fit.errors.loss_relative > POOR_FIT else []),
+    ]
+
+
+def _flashed(solution: Solution, _: Solution) -> list[Flashed]:
+    design, fit, chosen = solution.design, solution.fit, solution.curves.chosen
+    current = float(np.hypot(chosen.i_d[-1], chosen.i_q[-1]))
+    strategy = STRATEGY_TEXT[design.strategy]
+    rows = [
+        Flashed(
+            "largest torque",
+            f"{fit.torque_max:.4g} N m",
+            f"{strategy} with {current:.4g} of {design.i_max:.4g} A (peak)",
+        )
+    ]
+    top = design.machine.omega_m_max
+    if top is not None:
+        rows.append(Flashed("largest speed", f"{top * 30.0 / np.pi:.5g} rpm", "of the machine"))
     return rows
 
 
@@ -193,6 +213,8 @@ CURRENT_REFERENCE = Capability(
     title="current reference",
     of=lambda outcome: outcome.solution,
     plain=_plain,
+    flashed=_flashed,
+    watched=_watched,
     summary=_summary,
     tables=_tables,
     sentences=_sentences,

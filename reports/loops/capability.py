@@ -7,7 +7,16 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from dqforge.reports.c_code.header_kind import HeaderKind
-from dqforge.reports.capability import Capability, Draw, Outcome, Quantity, ReportPart, Rows, Tile
+from dqforge.reports.capability import (
+    Capability,
+    Draw,
+    Flashed,
+    Outcome,
+    Quantity,
+    ReportPart,
+    Rows,
+    Tile,
+)
 from dqforge.reports.loops.firmware_text import firmware_name, firmware_words
 from dqforge.reports.loops.header import (
     evaluator_from,
@@ -24,6 +33,7 @@ from dqforge.reports.loops.html import (
 )
 from dqforge.reports.loops.judged_text import judged_sentence, judged_words
 from dqforge.reports.loops.plain import plain_gains
+from dqforge.reports.loops.robustness_text import worst_words
 from dqforge.reports.loops.stability_text import CERTIFICATE, certificate_bytes, proof_summary
 from dqforge.reports.loops.tables import gains_tables
 from dqforge.reports.observers.speed_loop_text import corner_words, left_words, loop_words
@@ -40,13 +50,37 @@ if TYPE_CHECKING:
 
 
 def _summary(_: Solution, gains: GainSet) -> Rows:
-    rows = [(f"{loop.loop} loop", loop_words(loop)) for loop in gains.loops]
-    rows += [("  at all corners", words) for words in corner_words(gains.speed)]
+    rows = [("speed loop at all corners", words) for words in corner_words(gains.speed)]
     if gains.phases is not None and gains.phases.judged is not None:
         rows.append(("currents together", judged_words(gains.phases.judged)))
     if gains.firmware is not None:
         rows.append((f"as {gains.firmware.name} runs them", firmware_words(gains.firmware)))
     return rows
+
+
+def _flashed(_: Solution, gains: GainSet) -> list[Flashed]:
+    return [
+        Flashed(
+            f"{loop.loop} loop",
+            ", ".join(
+                f"{name} {value:.5g} {unit}"
+                for name, value, unit in zip(
+                    ("kp", "ki"), (loop.kp, loop.ki), _GAIN_UNITS[loop.loop], strict=True
+                )
+            ),
+            loop_words(loop),
+        )
+        for loop in gains.loops
+    ]
+
+
+def _watched(_: Solution, gains: GainSet) -> list[str]:
+    """Loops that swing, and what the observer leaves of the speed loop."""
+    texts = [f"the {loop.loop} loop is unstable" for loop in gains.loops if not loop.stable]
+    speed = gains.speed
+    if speed is not None and speed.observed is not None and not speed.observed.holds:
+        texts.append(left_words(speed))
+    return texts if gains.robust is None else [*texts, worst_words(gains.robust)]
 
 
 def _margin(loop: LoopGains) -> str:
@@ -159,6 +193,8 @@ LOOPS = Capability(
     title="control loops",
     of=lambda outcome: outcome.solution.loops,
     plain=_plain,
+    flashed=_flashed,
+    watched=_watched,
     summary=_summary,
     tables=lambda solution, gains: gains_tables(solution.design, gains),
     sentences=_sentences,
@@ -210,7 +246,7 @@ NO_LOOPS = Capability(
     of=_left_out,
     plain=lambda _, why: why,
     always=False,
-    summary=lambda _, why: [("no loops", why)],
+    watched=lambda _, why: [f"there are no control loops: {why}"],
     sentences=lambda _, why: [f"There are no control loops: {why}."],
 )
 

@@ -62,6 +62,14 @@ def _loops(robust: RobustSet) -> list[tuple[str, LoopRobustness]]:
     return [(name, loop) for name, loop in named if loop is not None]
 
 
+def worst_words(robust: RobustSet) -> str:
+    """The least phase margin of all loops over the tolerances, with its loop and corner."""
+    name, loop = min(_loops(robust), key=lambda pair: pair[1].phase_margin.value)
+    worst = loop.phase_margin
+    margin = f"{math.degrees(worst.value):.1f} deg"
+    return f"the least phase margin over the tolerances is {margin}: {name} loop at {worst.at}"
+
+
 def robust_rows(robust: RobustSet) -> tuple[tuple[str, ...], ...]:
     """The worst of each margin with its corner, loop by loop."""
     rows: list[tuple[str, ...]] = []

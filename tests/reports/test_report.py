@@ -28,6 +28,7 @@ from dqforge.reports.page_frame.file_list import ListedFile
 from dqforge.reports.pages.figures_style import BLUE, ORANGE, PART_COLOURS, SKY, TEAL
 from dqforge.reports.pages.html_text import count, number, quantity, share, symbols
 from dqforge.reports.report import render_report
+from dqforge.reports.summary import run_tables
 from dqforge.reports.verification.host import Check, Verification
 
 SECTIONS = ("summary", "machine", "reference", "errors", "loops", "losses", "header", "conventions")
@@ -184,8 +185,8 @@ def test_text_of_the_design_file_is_escaped(solution: Solution) -> None:
     assert "<script>alert" not in report
     assert report.count("<script") == 2
     assert (
-        "".join(page.text).count(HOSTILE) == 8
-    )  # title, heading, about, four cells and one assumption
+        "".join(page.text).count(HOSTILE) == 9
+    )  # title, heading, about, what to look out for, four cells and one assumption
 
 
 def test_key_numbers_are_those_of_the_solution(solution: Solution, report: str) -> None:
@@ -330,3 +331,17 @@ def test_a_browser_shows_every_figure_without_complaint(report: str, tmp_path: P
     for name, colour in colours.items():
         wanted = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
         assert np.count_nonzero(np.all(pixels == wanted, axis=-1)) > 100, name
+
+
+def test_what_to_flash_stands_before_its_evidence() -> None:
+    solution = solve(catalogue.load("paper000-ipmsm-100kw"))
+    assert solution.loops is not None
+    page = render_report(solution, None)
+    loop = solution.loops.i_q
+    order = ('id="summary"', f"kp {loop.kp:.5g} V/A", "What to look out for", 'id="evidence"')
+    places = [page.index(words) for words in order]
+    assert places == sorted(places)
+    first, second, last = run_tables(solution, None)
+    assert any(f"kp {loop.kp:.5g} V/A" in row[1] for row in first.rows)
+    assert any("not compiled" in row[1] for row in second.rows)
+    assert last.title == "Evidence"
