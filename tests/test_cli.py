@@ -10,6 +10,7 @@ import io
 import json
 import math
 import re
+import shlex
 import shutil
 import sys
 from collections.abc import Callable
@@ -860,3 +861,15 @@ def test_osqp_is_heard_on_the_terminal_in_the_report_and_in_json(run: Run, tmp_p
         assert f"{entry['residuals_osqp']['largest']:.1e}" in table
         assert f"{entry['residuals']['largest']:.1e}" in table
         assert f"{entry['residuals_osqp']['largest']:.1e}" in report
+
+
+def test_the_three_commands_of_the_readme(run: Run, tmp_path: Path) -> None:
+    """From a data sheet to the file of a firmware, as the README types it."""
+    readme = Path(__file__).resolve().parent.parent / "README.md"
+    text = readme.read_text(encoding="utf-8").replace("\\\n", " ")
+    lines = re.findall(r"^    dqforge ((?:new|tune|export) .*)$", text, re.MULTILINE)
+    assert [line.split()[0] for line in lines] == ["new", "tune", "export"]
+    for line in lines:
+        outcome = run(*shlex.split(line, comments=True))
+        assert outcome.code == 0, outcome.err
+    assert (tmp_path / "hub/vesc/motor_mcconf.xml").is_file()
