@@ -7,7 +7,7 @@ DEMO_DESIGN ?= paper000-ipmsm-100kw
 # Modules are compiled once, when they are installed and when they change, not by each process.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign drawn-campaign coverage costs check lint types contracts format figures sessions docs page-checks page-drives wheel sbom schemas site-checks lock clean
+.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign drawn-campaign coverage costs check lint types contracts format figures mutants sessions docs page-checks page-drives wheel sbom schemas site-checks lock clean
 
 demo: $(VENV)/runtime.stamp
 	@mkdir -p out
@@ -56,6 +56,11 @@ coverage: $(VENV)/dev.stamp
 # What the costly files of tests take, for the draw; on a quiet machine.
 costs: $(VENV)/dev.stamp
 	$(PYTEST) --keep-costs $(DEFAULT)
+
+# How many planted changes the nearest tests notice, drawn by the commit.
+MUTANTS ?= 30
+mutants: $(VENV)/dev.stamp
+	$(BIN)/python tests/mutants.py $(MUTANTS)
 
 check: lint types contracts
 
