@@ -24,7 +24,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
@@ -207,29 +207,39 @@ def _limit(seconds: int) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (2 * seconds, 2 * seconds + 5))
 
 
+def _run(tree: Path, tests: Sequence[str], seconds: int) -> tuple[int, str]:
+    """Exit code of these tests, and the first that failed; -SIGKILL where time ran out."""
+    words = ["-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-m", "not slow and not benchmark"]
+    running = subprocess.Popen(
+        [sys.executable, "-m", "pytest", *words, *tests],
+        cwd=tree,
+        env=os.environ | {"PYTHONPATH": str(tree.parent), "OPENBLAS_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        preexec_fn=partial(_limit, seconds),  # noqa: PLW1509 - one thread, POSIX alone
+        start_new_session=True,
+    )
+    said = ""
+    with suppress(subprocess.TimeoutExpired):
+        said, _ = running.communicate(timeout=4 * seconds)
+    if running.poll() is None:
+        os.killpg(running.pid, signal.SIGKILL)
+    failed = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+    return running.wait(), failed.group(1) if failed else ""
+
+
 def noticed(tree: Path, change: Change, seconds: int) -> bool | None:
-    """Whether the nearest tests fail with the change; None where time ran out before they end."""
+    """Whether a nearest test fails with the change, and not without it; None where time ran out."""
     path = tree / change.path
     source = path.read_text(encoding="utf-8")
     path.write_text(change.planted(source), encoding="utf-8")
     tests = [test for test in nearest(change.path) if (tree / test).is_file()]
-    words = ["-x", "-q", "-p", "no:cacheprovider", "-m", "not slow and not benchmark", *tests]
-    running = subprocess.Popen(
-        [sys.executable, "-m", "pytest", *words],
-        cwd=tree,
-        env=os.environ | {"PYTHONPATH": str(tree.parent), "OPENBLAS_NUM_THREADS": "1"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        preexec_fn=partial(_limit, seconds),  # noqa: PLW1509 - one thread, POSIX alone
-        start_new_session=True,
-    )
-    with suppress(subprocess.TimeoutExpired):
-        running.wait(timeout=4 * seconds)
-    if running.poll() is None:
-        os.killpg(running.pid, signal.SIGKILL)
-    code = running.wait()
+    code, failed = _run(tree, tests, seconds)
     path.write_text(source, encoding="utf-8")
-    return None if code in {-signal.SIGXCPU, -signal.SIGKILL} else code not in {0, 5}
+    if code in {-signal.SIGXCPU, -signal.SIGKILL}:
+        return None
+    return code not in {0, 5} and not (failed and _run(tree, [failed], seconds)[0] not in {0, 5})
 
 
 def copied(root: Path, place: Path) -> Path:
