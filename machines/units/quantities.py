@@ -56,6 +56,10 @@ _DASHES = str.maketrans(
 )
 
 
+# What a person measures: 12.3 V at 500 rpm, 0.42 N m @ 10 A.
+_MEASURED = re.compile(r"(?P<of>.+?)\s*(?:@|\bat\b)\s*(?P<at>[+-]?[.0-9].*)", re.IGNORECASE)
+
+
 @dataclass(frozen=True, slots=True)
 class Reading:
     """A quantity as it was read: `si` in the dimension's unit, and how it came about.
@@ -145,15 +149,18 @@ def kind_said(text: str) -> str:
 def _read_text(text: str, dimension: str, kinds: bool) -> Reading:
     """The same for a text; rows of a study say most of theirs again and again."""
     wanted = DIMENSIONS[dimension]
-    number, length = _number(text, wanted)
-    unit, words = without_kind(text[length:].strip())
+    measured = _MEASURED.fullmatch(text)
+    number, plain, unit, words = (
+        _number_and_unit(text, wanted)
+        if measured is None
+        else _quotient(measured["of"], measured["at"], wanted)
+    )
     if words and not kinds:
-        plain = f"{text[:length]} {unit}".strip()
         raise InputError(
             f"{shown(text)}: {shown(words)} says of which kind the value is, and this one has no "
             f"kind; write {shown(plain)}"
         )
-    plain = f"{text[:length]} {unit}".strip() if words else text
+    plain = plain if words else text
     kind = kind_words(words) if words else None
     if not unit:
         return Reading(number, plain, bare=True, kind=kind)
@@ -166,6 +173,26 @@ def _read_text(text: str, dimension: str, kinds: bool) -> Reading:
         remark=found.remark,
         kind=kind,
     )
+
+
+def _number_and_unit(text: str, wanted: Dimension) -> tuple[float, str, str, str]:
+    """Number, text without the words of kinds, unit, and those words."""
+    number, length = _number(text, wanted)
+    unit, words = without_kind(text[length:].strip())
+    return number, f"{text[:length]} {unit}".strip(), unit, words
+
+
+def _quotient(of: str, at: str, wanted: Dimension) -> tuple[float, str, str, str]:
+    """The same of what was measured at something, as their quotient: 12.3 V at 500 rpm."""
+    number, plain, unit, words = _number_and_unit(of, wanted)
+    divisor, by, per, more = _number_and_unit(at, wanted)
+    if not unit or not per or divisor == 0.0:
+        raise InputError(
+            f"{shown(f'{of} at {at}')}: both numbers need a unit, and the second is not zero; "
+            f"write {wanted.name} such as '{wanted.example}'"
+        )
+    said = " ".join(filter(None, (words, more)))
+    return number / divisor, f"{plain} at {by}", f"{unit}/({per})", said
 
 
 def _finite(number: float, wanted: Dimension) -> float:

@@ -192,3 +192,41 @@ def test_what_is_refused(text: str, dimension: str, phrase: str) -> None:
         parse_quantity(text, dimension)
     assert phrase in caught.value.message
     assert "\n" not in caught.value.message
+
+
+MEASURED = {
+    "12.3 V at 500 rpm": ("back-emf", 12.3 / (500.0 * RPM)),
+    "12.3 V @ 500 rpm": ("back-emf", 12.3 / (500.0 * RPM)),
+    "12.3 V @500 U/min": ("back-emf", 12.3 / (500.0 * RPM)),
+    "8700 mV at 31.4 rad/s": ("back-emf", 8.7 / 31.4),
+    "0.42 N m at 10 A": ("torque-constant", 0.042),
+    "42 oz-in at 2 A": ("torque-constant", 42.0 * OUNCE * G * INCH / 2.0),
+    "1200 rpm at 24 V": ("speed-constant", 50.0),
+}
+
+
+@pytest.mark.parametrize("text", MEASURED)
+def test_what_was_measured_at_something_is_their_quotient(text: str) -> None:
+    dimension, expected = MEASURED[text]
+    assert read_quantity(text, dimension).si == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text", ["12.3 Vrms at 500 rpm line-to-line", "12.3 V at 500 rpm line-to-line rms"]
+)
+def test_kinds_stand_beside_either_number(text: str) -> None:
+    found = read_quantity(text, "back-emf", kinds=True)
+    assert found.text == "12.3 V at 500 rpm"
+    assert found.kind is not None
+    assert {found.kind.place, found.kind.measure} == {"line-to-line", "rms"}
+    assert read_quantity(found.text, "back-emf").si == found.si
+
+
+@pytest.mark.parametrize(
+    "text", ["12.3 V at 500", "12.3 at 500 rpm", "12.3 V at 0 rpm", "12 V at -"]
+)
+def test_half_a_measurement_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match=r"write|expected"):
+        read_quantity(text, "back-emf")
+    with pytest.raises(InputError):
+        read_quantity("12.3 V at 500 rpm", "resistance")
