@@ -135,7 +135,7 @@ SHEET_VALUES = (
         "Torque per ampere of sinusoidal phase current, which servo data sheets count r.m.s.; "
         "it is held against Kv or Ke. A Kt computed as 9.55/Kv is that of direct current "
         "through two phases: leave it out.",
-        use="a second statement on the magnets, held against the first",
+        use="a second value for the magnet flux, checked against the first",
         kinds=_PER_CURRENT,
         need="magnets",
     ),

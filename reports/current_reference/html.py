@@ -67,8 +67,8 @@ def reference_proof_text(solution: Solution) -> str:
         return "both are sampled"
     torque = quantity(ceiling(proof.torque), "N m", 3)
     if proof.loss_relative is None:
-        return f"proven are {torque}"
-    return f"proven are {torque} and {share(ceiling(proof.loss_relative, 2))}"
+        return f"the proven bound is {torque}"
+    return f"the proven bounds are {torque} and {share(ceiling(proof.loss_relative, 2))}"
 
 
 def reference_part(solution: Solution) -> PlainData:
