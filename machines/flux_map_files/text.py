@@ -61,13 +61,13 @@ class TextLayout:
 
 def arrays_of_layout(content: bytes, source: str) -> list[NamedArray] | None:
     """Arrays of a text in one of the special layouts, None for a plain table of columns."""
+    if is_femag(content, source):
+        return femag_arrays(content, source)
     if len(content) > _MOST_BYTES:
         return None
     text = decoded_text(content, source)
     if is_twin_builder(text):
         return twin_builder_arrays(text, source)
-    if is_femag(text):
-        return femag_arrays(text, source)
     lines = text.split("\n")
     head = _cells(lines[:_HEAD])
     for layout in LAYOUTS:

@@ -16,6 +16,12 @@ NOISE_LIMIT = 0.03
 auto`` smooths."""
 
 
+NOTABLE_CURL = 0.05
+
+"""Difference of the two mutual inductances over the others above which it is told, and above
+which ``fit: auto`` smooths points that fill no grid."""
+
+
 MOST_PLACES = 8
 
 """Faulty places that are named; of more, the number is told."""
@@ -39,7 +45,8 @@ class FluxFit:
     not admissible, ``fault_count`` how many there are. ``residual_rms`` and ``residual_largest`` in
     Wb, for psi_d and psi_q, are the distances of the smoothed map from the plain spline through the
     points, ``torque_rms`` and ``torque_largest`` what they make of the torque in N m per pole pair;
-    0 where nothing was smoothed. ``freedom`` is the effective number of parameters.
+    0 where nothing was smoothed. ``freedom`` is the effective number of parameters. ``curl`` is the
+    r.m.s. difference of the mutual inductances of the plain spline over the others, 0 on a grid.
     """
 
     wanted: FluxFitName
@@ -53,6 +60,7 @@ class FluxFit:
     torque_rms: float = 0.0
     torque_largest: float = 0.0
     freedom: float = 0.0
+    curl: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +190,11 @@ def _fit_sentences(evidence: FluxEvidence) -> tuple[str, ...]:
         if fit.fault_count:
             why += f"; the plain spline is not admissible in {fit.fault_count} cells: " + places(
                 fit.faults, fit.fault_count
+            )
+        if fit.curl > NOTABLE_CURL:
+            why += (
+                f"; among the points d psi_d/d i_q and d psi_q/d i_d of the plain spline differ by "
+                f"{100.0 * fit.curl:.2g} % of the inductances"
             )
     elif fit.noise is not None:
         why += f"; {_noise_text(fit)}"

@@ -632,7 +632,7 @@ def test_results_of_femag_over_amplitude_and_angle_in_rms_values() -> None:
 
 
 def test_a_femag_file_without_a_map_is_refused() -> None:
-    with pytest.raises(InputError, match="no table of Psi_d and Psi_q over Id and Iq"):
+    with pytest.raises(InputError, match="no Psid-Psiq or Ld-Lq identification is in this file"):
         read_flux_points((BANNER + "Psi_d of nothing\n").encode(), "cogging.BCH")
 
 
