@@ -117,7 +117,7 @@ def femag_arrays(content: bytes, source: str) -> list[NamedArray]:
 
 def _calculation(text: str) -> str:
     """What FEMAG says that it calculated, in words to follow the file."""
-    found = re.search(r"^\*{3}\s*([^*\n]{1,60}?)\s*\*{3}", text, re.MULTILINE)
+    found = re.search(r"^\*{3,}[ \t]*([^*\n]{1,60}?)[ \t]*\*{3}", text, re.MULTILINE)
     return f" ({found[1]})" if found else ""
 
 

@@ -12,7 +12,13 @@ import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.named_arrays import NamedArray, listed
-from dqforge.machines.flux_map_files.units import UNITS, claimed, is_unit, split_name
+from dqforge.machines.flux_map_files.units import (
+    UNITS,
+    claimed,
+    is_unit,
+    split_name,
+    whole_torque,
+)
 from dqforge.machines.names import FluxTorque
 
 KINDS = {
@@ -132,7 +138,7 @@ _TORQUE_WORD = re.compile(
 
 
 _TORQUE_SIGN = re.compile(
-    r"(?:avg|mean)*(?:tau|τ|tq|trq|t(?=.))(?:e|em|el|m|fe|sim|dq|mech|meas|airgap|ag|shaft|out|welle|avg|mean|ave|l|load){0,2}"
+    r"(?:avg|mean)*(?:tau|τ|tq|trq|t(?=.))(?:e|em|el|m|fe|sim|dq|mech|meas|airgap|ag|shaft|out|welle|act|avg|mean|ave|l|load){0,2}"
     r"(?:map|table|data|vec|mat)?|m(?:i|el|em|mech|welle|avg|mean)"
 )
 
@@ -140,7 +146,7 @@ _TORQUE_SIGN = re.compile(
 
 
 _NO_TORQUE = re.compile(
-    r"rip|^dt|tpp|pktopk|peaktopeak|puls|cogg|frict|loss|rated|nom|constant|const|^kt|limit|max|min|dens|inert|angle"
+    r"rip|^dt|tpp|pktopk|peaktopeak|puls|cogg|frict|loss|rated|nom|constant|const|^kt|limit|max(?!well)|min|dens|inert|angle"
     r"|winkel|sensor|peramp|error"
 )
 
@@ -200,8 +206,9 @@ def _is_torque(array: NamedArray, stem: str, unit: str) -> bool:
     """
     if array.values.size < 2:
         return False
+    unit = whole_torque(unit)
     known = is_unit("torque", unit)
-    name = _plain(stem if known else array.name)
+    name = _plain(whole_torque(stem if known else array.name))
     if _NO_TORQUE.search(name):
         return False
     if known:
@@ -279,28 +286,7 @@ def choose(
         chosen[quantity] = _best(
             quantity, [a for group in candidates for a in group.get(quantity, ())], source
         )
-    voltages = "v_d" in chosen
-    for quantity in ("torque", *THIRD, *(_OF_POINTS if voltages else _OF_LOSSES)):
-        found = [
-            a
-            for group in candidates
-            for a in group.get(quantity, ())
-            if (a.values.size > 1 or (voltages and a.values.size)) and a.numeric
-        ]
-        if quantity in chosen or not found:
-            continue
-        if quantity == "torque":
-            first = min(_torque_rank(array, torque) for array in found)
-            found = [array for array in found if _torque_rank(array, torque) == first]
-            if torque == "ignore":
-                found = found[:1]
-            chosen[quantity] = _best(quantity, found, source)
-        elif quantity in THIRD:
-            chosen[quantity] = _varying(found)
-        elif (total := [a for a in found if "tot" in a.name.casefold()] or found) and all(
-            _equal(total[0], other) for other in total[1:]
-        ):
-            chosen[quantity] = total[0]
+    _choose_beside(chosen, candidates, everywhere, torque, source)
     if unused := [key for key in columns if _no_part(key, chosen)]:
         message = f"columns: {unused[0]} is no part of the map, which is read from"
         raise InputError(
@@ -308,6 +294,39 @@ def choose(
             source=source,
         )
     return chosen
+
+
+def _choose_beside(
+    chosen: dict[str, NamedArray],
+    candidates: Sequence[Mapping[str, Sequence[NamedArray]]],
+    everywhere: Mapping[str, Sequence[NamedArray]],
+    torque: FluxTorque,
+    source: str,
+) -> None:
+    """Add what stands beside the map: torque, third coordinates, losses, what voltages need."""
+    voltages = "v_d" in chosen
+    for quantity in ("torque", *THIRD, *(_OF_POINTS if voltages else _OF_LOSSES)):
+        found = [
+            array
+            for group in candidates
+            for array in group.get(quantity, ())
+            if array.values.size > (0 if voltages else 1) and array.numeric
+        ]
+        if quantity == "torque" and not found:
+            shape = chosen[wanted_of(chosen)[-1]].values.shape
+            found = [array for array in everywhere.get("torque", ()) if array.values.shape == shape]
+        if quantity in chosen or not found:
+            continue
+        if quantity == "torque":
+            first = min(_torque_rank(array, torque) for array in found)
+            found = [array for array in found if _torque_rank(array, torque) == first]
+            chosen[quantity] = found[0] if torque == "ignore" else _best(quantity, found, source)
+        elif quantity in THIRD:
+            chosen[quantity] = _varying(found)
+        elif (total := [a for a in found if "tot" in a.name.casefold()] or found) and all(
+            _equal(total[0], other) for other in total[1:]
+        ):
+            chosen[quantity] = total[0]
 
 
 _OF_POINTS = ("frequency", "resistance", "loss", "copper_loss", "efficiency")

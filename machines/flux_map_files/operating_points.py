@@ -73,6 +73,11 @@ def over_frequency(
         frequency.
     """
     shape = parts["v_d"].shape
+    if parts["v_q"].shape != shape:
+        raise InputError(
+            f"v_d has the shape {shape}, v_q {parts['v_q'].shape}; give both at the same points",
+            source=source,
+        )
     spread = {
         name: _over(part, shape, chosen[name].path, source)
         for name, part in parts.items()

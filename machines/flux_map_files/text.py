@@ -153,7 +153,7 @@ def _case_arrays(rows: _Rows, source: str) -> list[NamedArray]:
         if found and values.size != found[0].values.size:
             message = f"this row has {values.size} cases, the first one {found[0].values.size}"
             raise InputError(f"{message}; complete it", source=source, line=number)
-        found.append(NamedArray(row[0], name, values, unit, np.full(values.size, number)))
+        found.append(NamedArray(name, name, values, unit, np.full(values.size, number)))
     return found
 
 

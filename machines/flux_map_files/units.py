@@ -193,3 +193,8 @@ def per_pole_pair(text: str) -> bool:
 def per_length(text: str) -> bool:
     """Whether a name or unit of a torque says that it is that of a length of armature."""
     return bool(_PER_LENGTH.search(text))
+
+
+def whole_torque(text: str) -> str:
+    """A name or unit of a torque without what it is a part of: a pole pair, a length."""
+    return _PER_LENGTH.sub("", _PER_POLE_PAIR.sub("", text))

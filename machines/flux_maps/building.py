@@ -305,6 +305,8 @@ def _data(
 ) -> FluxData:
     """What a fit needs to know of a plane."""
     values = np.stack([points.psi_d, points.psi_q])
+    # A grid with gaps shows what its points have, scattered ones what the spline makes between.
+    scattered = not np.isin(points.i_d, plane.i_d).all()
     return FluxData(
         plane.i_d,
         plane.i_q,
@@ -314,7 +316,7 @@ def _data(
         values,
         noise,
         is_grid=is_grid,
-        hull=plane.hull,
+        hull=plane.hull if scattered else None,
     )
 
 

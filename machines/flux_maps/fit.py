@@ -39,8 +39,8 @@ class FluxData:
 
     ``i_d``, ``i_q`` are its axes in A, ``psi`` its flux linkages (2, M, N) in Wb. ``at_d``,
     ``at_q`` and ``values`` are the points, shapes (K,), (K,), (2, K), with their ``noise``, None
-    where nothing but a fit shows it. ``is_grid``: the points are the nodes. ``hull`` is where the
-    points lie, None for a whole grid.
+    where nothing but a fit shows it. ``is_grid``: the points are the nodes. ``hull`` is where
+    scattered points lie, None for those of a grid.
     """
 
     i_d: FloatArray
