@@ -130,8 +130,8 @@ _BY_UNIT = {
 
 
 _TORQUE_WORD = re.compile(
-    r"torque|moment(?!um|an|ary|of|ofinertia)|couple(?![dr])|coppia|koppel|tork(?!e)|nyomatek|binario|ροπη|момент"
-    r"|转矩|扭矩|轉矩|トルク|토크|^par(?:motor|mecanico|electromagnetico|medio)?$"
+    r"torque|moment(?!um|an|ary)|couple(?![dr])|coppia|koppel|tork(?!e)|nyomatek|binario|ροπη|момент"
+    r"|转矩|扭矩|轉矩|トルク|토크|^par(?: ?(?:motor|mecanico|electromagnetico|medio))?$"
 )
 
 """What only a torque is called, in the languages of those who measure."""
@@ -146,8 +146,9 @@ _TORQUE_SIGN = re.compile(
 
 
 _NO_TORQUE = re.compile(
-    r"rip|^dt|tpp|pktopk|peaktopeak|puls|cogg|frict|loss|rated|nom|constant|const|^kt|limit|max(?!well)|min|dens|inert|angle"
-    r"|winkel|sensor|peramp|error"
+    r"\brip|ripple|^d ?t|\btpp|\bpp\b|p2p|pk ?to ?pk|peak ?to ?peak|\bpuls|cogg|frict|loss|\brated|\bnom|nenn|\bconst"
+    r"|^k ?t\b|\blimit|\bmax(?!well)|\bmin|(?:torque|moment|\bt)(?:max|min|rip|nom|rated|const|pp)|\bdens|inert|angle"
+    r"|winkel|sensor|per ?amp|error|\brast|\breib|\bkipp|\bhalte|detente"
 )
 
 
@@ -208,16 +209,17 @@ def _is_torque(array: NamedArray, stem: str, unit: str) -> bool:
         return False
     unit = whole_torque(unit)
     known = is_unit("torque", unit)
-    name = _plain(whole_torque(stem if known else array.name))
-    if _NO_TORQUE.search(name):
+    name = whole_torque(stem if known else array.name)
+    words = _words(name)
+    if _NO_TORQUE.search(words):
         return False
     if known:
         return True
     if unit and any(is_unit(kind, unit) for kind in UNITS):
         return False
-    if _TORQUE_WORD.search(name):
+    if _TORQUE_WORD.search(words):
         return True
-    return not unit and (array.name in ("T", "M") or bool(_TORQUE_SIGN.fullmatch(name)))
+    return not unit and (array.name in ("T", "M") or bool(_TORQUE_SIGN.fullmatch(_plain(name))))
 
 
 def _torque_rank(array: NamedArray, torque: FluxTorque) -> tuple[bool, bool, bool]:
@@ -243,10 +245,14 @@ def _plain(name: str) -> str:
     name = re.sub(
         r"[\W_]*(?:peak|pk|rms|eff)$", "", name.split(".")[-1].strip(), flags=re.IGNORECASE
     )
-    parts = unicodedata.normalize("NFKD", name.casefold())
-    plain = "".join(sign for sign in parts if unicodedata.category(sign) != "Mn")
-    plain = re.sub(r"[\W_]", "", unicodedata.normalize("NFC", plain))
-    return re.sub(r"^angular(?=flux|curr)", "", plain)
+    return re.sub(r"^angular(?=flux|curr)", "", _words(name).replace(" ", ""))
+
+
+def _words(name: str) -> str:
+    """A name in small letters without accents, its words parted by single blanks."""
+    parts = unicodedata.normalize("NFKD", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).casefold())
+    bare = "".join(sign for sign in parts if unicodedata.category(sign) != "Mn")
+    return re.sub(r"[\W_]+", " ", unicodedata.normalize("NFC", bare)).strip()
 
 
 def choose(

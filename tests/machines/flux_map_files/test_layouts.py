@@ -666,10 +666,10 @@ def test_a_femag_file_without_an_identification_is_told_so(kind: str) -> None:
         with pytest.raises(InputError) as caught:
             read_flux_points((BANNER + ran).encode() + body, f"cogging.{suffix}")
         assert str(caught.value) == (
-            f"cogging.{suffix}: no Psid-Psiq or Ld-Lq identification is in this file of FEMAG "
-            "(Fast cogging calculation); run one of them and name its file"
+            f"cogging.{suffix}: this file of FEMAG (Fast cogging calculation) holds no table of a "
+            "Psid-Psiq or Ld-Lq identification; run one of them and name its file"
         )
-    with pytest.raises(InputError, match="no Psid-Psiq or Ld-Lq identification"):
+    with pytest.raises(InputError, match="no table of a Psid-Psiq or Ld-Lq"):
         read_flux_points(body, "old.BATCH")  # without the banner, the suffix tells
 
 

@@ -36,6 +36,7 @@ NAMES = " ".join(
         "par par_motor tork dreiemoment ροπή момент 转矩 扭矩 トルク 토크 Electromagnetic_Torque",
         "electromagneticTorque shaft_torque Shaft_Torque torque_maxwell torque_nm",
         "maxwell_torque load_torque tau_L torque_measured T_meas TqAct trq Trq tq",
+        "generated_torque torque_at_terminals Moment_an_der_Welle calibratedTorque",
     )
 ).split()
 """Names of a torque in N m of the whole machine."""
@@ -137,6 +138,11 @@ def test_a_torque_of_an_unknown_unit_or_of_a_length_is_refused(title: str, phras
         "Momentanwert",
         "couplers",
         "torque_ripple",
+        "dTpp [Nm]",
+        "Nenndrehmoment",
+        "ratedTorque",
+        "torque_max",
+        "Rastmoment [Nm]",
         "cogging torque [Nm]",
         "M [H]",
         "torque angle [deg]",
