@@ -83,8 +83,8 @@ def femag_arrays(content: bytes, source: str) -> list[NamedArray]:
     if not whole:
         ran = _calculation(text)
         raise InputError(
-            f"this file of FEMAG{ran} holds no table of a Psid-Psiq or Ld-Lq identification; run one "
-            "of them and name its file",
+            f"this file of FEMAG{ran} holds no table of a Psid-Psiq or Ld-Lq identification; "
+            "run one of them and name its file",
             source=source,
         )
     best = max(whole, key=lambda table: (len(table.lines), "torque" in table.columns))
