@@ -116,6 +116,8 @@ def without_drop(
     Points whose flux linkage is not known are left out, with what stands beside them.
     """
     known = np.isfinite(parts["psi_d"]) & np.isfinite(parts["psi_q"])
+    if not known.any():
+        raise InputError("no operating point is whole; fill in its numbers", source=source)
     parts = {name: part[known] for name, part in parts.items()}
     i_d, i_q, omega = parts["i_d"], parts["i_q"], parts["frequency"]
     resistance, about = _resistance(parts, declared, scaling, source)
@@ -146,7 +148,8 @@ def _resistance(
             out=np.full(squares.shape, np.nan),
             where=large,
         )
-        found, where = np.where(large, found, np.nanmedian(found)), "by the copper loss of the file"
+        usual = np.median(found[np.isfinite(found)]) if np.isfinite(found).any() else np.nan
+        found, where = np.where(large, found, usual), "by the copper loss of the file"
     else:
         raise InputError(
             "the operating points come without a resistance; write flux_map: resistance: 0.12 Ohm "
@@ -240,7 +243,9 @@ def _by_pole_pairs(
     """Factor to rad/s of a speed beside its electrical frequency, by the pole pairs that they
     make.
     """
-    turning = (np.abs(speed) >= _SLOWEST * np.nanmax(np.abs(speed))) & (np.abs(speed) > 0.0)
+    largest = float(np.nanmax(np.abs(speed), initial=0.0))
+    turning = (np.abs(speed) >= _SLOWEST * largest) & (np.abs(speed) > 0.0)
+    turning &= np.isfinite(speed) & np.isfinite(omega)
     if not turning.any():
         raise InputError("no operating point turns", source=source)
     ratio = float(np.median(np.abs(omega[turning] / speed[turning])))

@@ -5,7 +5,7 @@ pole pairs, speeds and losses are held against each other.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -236,3 +236,42 @@ def test_the_loss_of_a_file_is_copper_and_iron(
     assert known.sum() >= 0.8 * known.size
     np.testing.assert_allclose(points.loss.values[known], expected[known], rtol=1e-9)
     assert not any("Total_Loss" in f or "eta" in f for f in points.findings if "not used" in f)
+
+
+def damaged(arrays: Arrays, generator: np.random.Generator) -> Arrays:
+    """Arrays of which up to three are lost, turned, cut, made senseless or of another shape."""
+    changes = (
+        lambda v: v.T,
+        lambda v: 0.0 * v,
+        lambda v: v.ravel()[: max(1, v.size // 2)],
+        lambda v: np.where(np.arange(v.size).reshape(v.shape) % 5 == 0, np.nan, v),
+        lambda v: np.full(v.shape, np.nan),
+        lambda v: np.array(v.flat[0]),
+        lambda v: 1e150 * v,
+        lambda v: v[..., np.newaxis] * np.ones(3),
+    )
+    kept = dict(arrays)
+    for name in generator.choice(list(kept), size=int(generator.integers(1, 4)), replace=False):
+        choice = int(generator.integers(0, len(changes) + 1))
+        if choice == len(changes):
+            del kept[name]
+        else:
+            kept[name] = changes[choice](kept[name])
+    return kept
+
+
+def complaint(content: bytes) -> str:
+    """What is said of a file, '' where it is read."""
+    try:
+        read_flux_points(content, "map.npz", declared=Declared(PAIRS))
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("write", [laboratory, one_speed])
+def test_damaged_tables_are_read_or_refused_in_one_line(write: Callable[[], Arrays]) -> None:
+    generator, arrays = np.random.default_rng(4), write()
+    said = [complaint(npz(damaged(arrays, generator))) for _ in range(60)]
+    assert not any("\n" in each for each in said)
+    assert 15 < sum(map(bool, said)) < 60
