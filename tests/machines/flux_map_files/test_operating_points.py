@@ -263,7 +263,7 @@ def damaged(arrays: Arrays, generator: np.random.Generator) -> Arrays:
 def complaint(content: bytes) -> str:
     """What is said of a file, '' where it is read."""
     try:
-        read_flux_points(content, "map.npz", declared=Declared(PAIRS))
+        read_flux_points(content, "map.npz", declared=KNOWN)
     except InputError as error:
         return str(error)
     return ""
