@@ -189,7 +189,9 @@ def build_flux_map(
         merged.scatter,
         compared,
         (float(np.max(np.abs(torques))), float(np.max(np.hypot(single.i_d, single.i_q)))),
-        points.loss and MeasuredLoss(points.loss.name, points.loss.values, peak.i_d, peak.i_q),
+        None
+        if points.loss is None
+        else MeasuredLoss(points.loss.name, points.loss.values, peak.i_d, peak.i_q),
     )
 
 

@@ -27,6 +27,11 @@ MOST_PLACES = 8
 """Faulty places that are named; of more, the number is told."""
 
 
+_NO_NOISE = 1e-9
+
+"""Noise in Wb that is none: digits of a computation."""
+
+
 _SHOWN_BY = {
     "repeats": "shown by repeated points",
     "symmetry": "shown by the two halves",
@@ -152,6 +157,8 @@ def places(points: tuple[tuple[float, float], ...], count: int) -> str:
 def _noise_text(fit: FluxFit) -> str:
     if fit.noise is None:
         return "nothing shows the noise of the points"
+    if fit.noise.largest < _NO_NOISE:
+        return f"the points have no noise ({_SHOWN_BY[fit.noise.source]})"
     size = (
         f"{format_quantity(fit.noise.d, 'Wb', 2)} in psi_d, "
         f"{format_quantity(fit.noise.q, 'Wb', 2)} in psi_q"
@@ -186,7 +193,9 @@ def _fit_sentences(evidence: FluxEvidence) -> tuple[str, ...]:
             if fit.inductance_noise > NOISE_LIMIT
             else share
         )
-        why = f"{_noise_text(fit)}, {over}"
+        why = _noise_text(fit)
+        if fit.noise is None or fit.noise.largest >= _NO_NOISE:
+            why += f", {over}"
         if fit.fault_count:
             why += f"; the plain spline is not admissible in {fit.fault_count} cells: " + places(
                 fit.faults, fit.fault_count
@@ -219,7 +228,9 @@ def _short_fit(evidence: FluxEvidence) -> tuple[str, ...]:
     if fit.used == "interpolate":
         return ()
     rms, most = (format_quantity(value, "N m", 3) for value in evidence.torque_residual)
-    noise = "" if fit.noise is None else f" of noise {format_quantity(fit.noise.largest, 'Wb', 2)}"
+    noise = ""
+    if fit.noise is not None and fit.noise.largest >= _NO_NOISE:
+        noise = f" of noise {format_quantity(fit.noise.largest, 'Wb', 2)}"
     return (
         f"Flux map: a smooth co-energy through points{noise};",
         f"the torque is {rms} (r.m.s.), at most {most} from that of the plain spline.",

@@ -202,9 +202,10 @@ def _one_map(
         if (si := si_of(getattr(given.at, key))) is not None
     }
     scaling = given.scaling if "scaling" in given.model_fields_set else None
-    of_phase = given.resistance and datasheet.phase_resistance(
-        given.resistance.si, given.resistance.kind or "phase", "star"
-    )
+    of_phase = None
+    if given.resistance is not None:
+        kind = given.resistance.kind or "phase"
+        of_phase = datasheet.phase_resistance(given.resistance.si, kind, "star")
     try:
         points = read_flux_points(
             content,
