@@ -25,13 +25,13 @@ _GIVEN_BY = {"i": "current_unit", "psi": "flux_unit"}
 
 
 def claims(chosen: Mapping[str, NamedArray], source: str) -> Literal["", "peak", "rms"]:
-    """What the names and units say of currents and flux linkages: 'peak', 'rms' or nothing;
-    they must agree.
+    """What the names and units say of currents, flux linkages and voltages: 'peak', 'rms' or
+    nothing; they must agree.
     """
     found = {
         claim: array.path
         for quantity, array in chosen.items()
-        if KINDS[quantity] in ("i", "psi") and (claim := claimed(array.name, array.unit))
+        if KINDS[quantity] in ("i", "psi", "v") and (claim := claimed(array.name, array.unit))
     }
     if len(found) > 1:
         message = f"{found['peak']} is a peak value by its name and {found['rms']} an r.m.s. value"
@@ -68,6 +68,11 @@ def in_si(
     if kind == "temperature" and unit.casefold() in ("k", "kelvin"):
         return plain - _KELVIN
     return plain * scale
+
+
+def unit_of(array: NamedArray, quantity: str, source: str) -> str:
+    """Unit of an array by its name or its file, '' where neither says one."""
+    return _unit(array, KINDS[quantity], "", source)[0]
 
 
 def _unit(array: NamedArray, kind: str, given: str, source: str) -> tuple[str, float]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import PurePath
 
 import numpy as np
 
@@ -20,6 +21,12 @@ from dqforge.machines.files.named_arrays import NamedArray
 _LENGTH = re.compile(
     r"Armature Length\s*\[mm\]\s*:\s*(\d+\.?\d*(?:[eE][+-]?\d{1,2})?)", re.IGNORECASE
 )
+
+
+_PAIRS = re.compile(r"Number of Pole pairs\s*:\s*(\d{1,3})\b", re.IGNORECASE)
+
+
+_HEAD = 4000
 
 
 _TITLES = (
@@ -52,16 +59,20 @@ class _Table:
     rms: bool
 
 
-def is_femag(text: str) -> bool:
-    """Whether a text is such a file."""
-    return "femag" in text[:4000].lower() and ("Psi_d" in text or "Psi_q" in text)
+def is_femag(content: bytes, source: str) -> bool:
+    """Whether a file is one of FEMAG, by its suffix or by its first lines."""
+    suffix = PurePath(source).suffix.lower()
+    head = content[:_HEAD].lower()
+    return suffix in (".bch", ".batch") or (b"femag" in head and b"[***" in head)
 
 
-def femag_arrays(text: str, source: str) -> list[NamedArray]:
-    """Arrays of the map in a file, in A, Vs and N m of the whole armature length.
+def femag_arrays(content: bytes, source: str) -> list[NamedArray]:
+    """Arrays of the map in a file, in A, Vs and N m of the whole armature length, and its pole
+    pairs.
 
     `_rms` in their names where so.
     """
+    text = content.decode("utf-8", "replace").replace("\r\n", "\n")
     tables = _tables(text.split("\n"))
     whole = [
         table
@@ -70,9 +81,10 @@ def femag_arrays(text: str, source: str) -> list[NamedArray]:
         if set(form) <= set(table.columns)
     ]
     if not whole:
+        ran = _calculation(text)
         raise InputError(
-            "no table of Psi_d and Psi_q over Id and Iq; run the Psid-Psiq or the Ld-Lq "
-            "identification",
+            f"this file of FEMAG{ran} holds no table of a Psid-Psiq or Ld-Lq identification; "
+            "run one of them and name its file",
             source=source,
         )
     best = max(whole, key=lambda table: (len(table.lines), "torque" in table.columns))
@@ -98,7 +110,15 @@ def femag_arrays(text: str, source: str) -> list[NamedArray]:
             "_rms" if best.rms and name not in ("beta", "torque") else ""
         )
         arrays.append(NamedArray(shown, shown, values, unit, best.lines.astype(np.intp)))
+    if pairs := _PAIRS.search(text):
+        arrays.append(NamedArray("pole_pairs", "pole_pairs", np.array([float(pairs[1])])))
     return arrays
+
+
+def _calculation(text: str) -> str:
+    """What FEMAG says that it calculated, in words to follow the file."""
+    found = re.search(r"^\*{3,}[ \t]*([^*\n]{1,60}?)[ \t]*\*{3}", text, re.MULTILINE)
+    return f" ({found[1]})" if found else ""
 
 
 def _same_currents(one: _Table, other: _Table) -> bool:

@@ -20,10 +20,19 @@ from dqforge.machines.files.number_table import read_table
 from dqforge.machines.files.plain_numbers import read_numeric_table
 from dqforge.machines.flux_map_files import names
 from dqforge.machines.flux_map_files.coordinates import cartesian, claims, in_si, spread
+from dqforge.machines.flux_map_files.losses import loss_of
+from dqforge.machines.flux_map_files.operating_points import (
+    BLUR,
+    NOTHING,
+    Declared,
+    over_frequency,
+    without_drop,
+)
 from dqforge.machines.flux_map_files.text import arrays_of_layout, oriented
 from dqforge.machines.flux_map_files.third_coordinate import without_third
-from dqforge.machines.flux_map_files.units import EXPECTED, is_unit, per_pole_pair
-from dqforge.machines.flux_maps.flux_points import FileTorque, FluxPoints
+from dqforge.machines.flux_map_files.units import EXPECTED, is_unit, per_length, per_pole_pair
+from dqforge.machines.flux_maps.flux_points import FileLoss, FileTorque, FluxPoints
+from dqforge.machines.names import FluxTorque
 
 _Reader = Callable[[bytes, str], list[NamedArray]]
 
@@ -43,7 +52,7 @@ _TEXTS = (".csv", ".tsv", ".txt", ".dat", ".bch", ".batch")
 _SUFFIXES = ".csv, .txt, .dat, .xlsx, .npz, .mat, .h5, .hdf5, .bch or .batch"
 
 
-_MOST_OTHERS = 8
+_MOST_OTHERS = 12
 
 
 def read_flux_points(
@@ -55,6 +64,8 @@ def read_flux_points(
     columns: Mapping[str, str] | None = None,
     at: Mapping[str, float] | None = None,
     companions: Mapping[str, tuple[bytes, str]] | None = None,
+    torque: FluxTorque = "air-gap",
+    declared: Declared = NOTHING,
 ) -> FluxPoints:
     """Raw points of a flux-map file in its own order, grids row by row; NaN are passed on.
 
@@ -82,6 +93,10 @@ def read_flux_points(
     companions:
         Contents and names of further files of one matrix each: 'psi_q', 'torque';
         the first file is then psi_d.
+    torque:
+        What the torque of the file is; of several it chooses.
+    declared:
+        What the design says; operating points are read with it.
 
     Raises
     ------
@@ -99,14 +114,42 @@ def read_flux_points(
     arrays = _reader(content, source)(content, source)
     if companions:
         arrays = _together(arrays, source, companions)
-    chosen = names.choose(arrays, columns or {}, source)
+    chosen = names.choose(arrays, columns or {}, source, torque)
+    _refuse_torque_of_a_length(chosen, torque, source)
+    used = dict(chosen)
+    if torque == "ignore":
+        chosen.pop("torque", None)
+    claimed = claims(chosen, source)
+    scaling = declared.scaling or claimed or "peak"
+    voltages = "v_d" in chosen
+    if declared.r_s is not None and not voltages:
+        raise InputError(
+            "resistance belongs to operating points with voltages, this file has flux linkages; "
+            "remove the key",
+            source=source,
+        )
+    told: tuple[str, ...] = ()
     with np.errstate(
-        over="ignore", invalid="ignore"
+        over="ignore", invalid="ignore", divide="ignore"
     ):  # infinities are for others to judge, as NaN are
         parts = {quantity: in_si(quantity, chosen, given, source) for quantity in chosen}
+        if voltages:
+            parts, told = over_frequency(parts, chosen, declared, source)
         parts, turned = cartesian(spread(parts, source), source)
         lines = chosen["psi_d"].lines if "psi_d" in chosen else None
+        if voltages:
+            lines = chosen["v_d"].lines
         lines = lines if lines is not None and lines.size == parts["psi_d"].size else None
+        loss = loss_of(parts, chosen, scaling)
+        if loss is not None:
+            parts["loss"] = loss.values
+        if voltages:
+            known = np.isfinite(parts["psi_d"]) & np.isfinite(parts["psi_q"])
+            lines = None if lines is None else lines[known]
+            parts, more = without_drop(parts, declared, scaling, source)
+            told = (*told, *more)
+            if "speed" not in (at or {}):
+                parts.pop("speed", None)
         parts, lines, found = without_third(parts, lines, at or {}, source)
     if "l_d" in chosen:
         turned = (
@@ -114,18 +157,37 @@ def read_flux_points(
             "flux linkages are psi_m + l_d i_d and l_q i_q: the inductances are taken as apparent",
         )
     i_d, i_q, psi_d, psi_q = (np.ascontiguousarray(parts[quantity]) for quantity in names.WANTED)
+    others = _others(arrays, used)
     return FluxPoints(
         source,
         i_d,
         i_q,
         psi_d,
         psi_q,
-        torque=_torque(chosen, parts),
+        torque=_torque(used, parts),
         lines=lines,
-        claimed=claims(chosen, source),
-        findings=(*turned, *found, *_left_out(chosen, parts)),
-        others=_others(arrays, chosen),
+        claimed=claimed,
+        findings=(*told, *turned, *found, *_left_out(chosen, parts), *_unused(others)),
+        others=others,
+        loss=loss and FileLoss(loss.name, parts["loss"]),
+        blur=BLUR if voltages else 0.0,
+        pole_pairs=names.stated_pole_pairs(arrays),
+        ignored=used["torque"].path if torque == "ignore" and "torque" in used else "",
     )
+
+
+def _refuse_torque_of_a_length(
+    chosen: Mapping[str, NamedArray], torque: FluxTorque, source: str
+) -> None:
+    if "torque" not in chosen or torque == "ignore":
+        return
+    array = chosen["torque"]
+    if per_length(f"{array.name} {array.unit}"):
+        raise InputError(
+            f"{array.title} is a torque per length; multiply it by the length of the armature, or "
+            "write torque: ignore",
+            source=source,
+        )
 
 
 def _torque(chosen: Mapping[str, NamedArray], parts: Mapping[str, np.ndarray]) -> FileTorque | None:
@@ -152,11 +214,25 @@ def _left_out(chosen: Mapping[str, NamedArray], parts: Mapping[str, np.ndarray])
 
 
 def _others(arrays: Sequence[NamedArray], chosen: Mapping[str, NamedArray]) -> tuple[str, ...]:
-    """Names of a few further arrays of numbers."""
+    """Further arrays of numbers, without single values, which are settings."""
     taken = {array.path for array in chosen.values()}
-    return tuple(array.path for array in arrays if array.numeric and array.path not in taken)[
-        :_MOST_OTHERS
-    ]
+    return tuple(
+        f"{array.path} [{array.unit}]" if array.unit else array.path
+        for array in arrays
+        if array.numeric and array.values.size > 1 and array.path not in taken
+    )
+
+
+def _unused(others: Sequence[str]) -> tuple[str, ...]:
+    """A sentence on what the file holds beside and nobody used."""
+    if not others:
+        return ()
+    more = len(others) - _MOST_OTHERS
+    return (
+        "not used of the file: "
+        + ", ".join(others[:_MOST_OTHERS])
+        + (f" and {more} more" if more > 0 else ""),
+    )
 
 
 def _signature(content: bytes) -> str:

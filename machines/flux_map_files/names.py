@@ -5,13 +5,21 @@ and the choice among several.
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.named_arrays import NamedArray, listed
-from dqforge.machines.flux_map_files.units import claimed, is_unit, split_name
+from dqforge.machines.flux_map_files.units import (
+    UNITS,
+    claimed,
+    is_unit,
+    split_name,
+    whole_torque,
+)
+from dqforge.machines.names import FluxTorque
 
 KINDS = {
     "i_d": "i",
@@ -27,6 +35,13 @@ KINDS = {
     "angle": "angle",
     "temperature": "temperature",
     "speed": "speed",
+    "v_d": "v",
+    "v_q": "v",
+    "frequency": "frequency",
+    "resistance": "r",
+    "loss": "power",
+    "copper_loss": "power",
+    "efficiency": "share",
 }
 
 """Quantities that an array may stand for, in the order of a message,
@@ -37,6 +52,9 @@ FLUXES = ("psi_d", "psi_q")
 
 
 WANTED = ("i_d", "i_q", *FLUXES)
+
+
+VOLTAGES = ("v_d", "v_q")
 
 
 THIRD = ("angle", "temperature", "speed")
@@ -63,6 +81,10 @@ _PATTERNS = (
     ),
     ("psi", rf"{_FLUX_WORD}(dq|d|q){_TAIL}|(d|q)(?:axis)?flux(?:linkage)?(?:values)?(?:inm?vs)?"),
     ("l", rf"(?:l|ind|inductance|lapp|lapparent)(d|q){_TAIL}|(d|q)(?:axis)?inductance"),
+    (
+        "v",
+        rf"(?:[uv][sm]?|volt(?:age)?|spannung|tension)(dq|d|q){_TAIL}|(d|q)(?:axis)?(?:volt(?:age)?|spannung)",
+    ),
 )
 
 
@@ -83,27 +105,66 @@ _SINGLE = {
     ),
     "speed": r"(?:rotor|shaft|mech(?:anical)?|motor)*(?:speed|rpm|omega|ω|drehzahl)"
     r"(?:vec|axis|m|mech|rpm|grid)?",
+    "frequency": r"(?:el(?:ec(?:trical)?)?|fund(?:amental)?|stator|supply)*(?:frequency|freq|frequenz|fel|fe|f|omegae?l?|ω)"
+    r"(?:el|elec(?:trical)?|e|s|1|hz)?",
+    "resistance": r"(?:stator|phase|winding|armature|copper)*(?:resistance|r|rs|rph|rphase|ra|r1|widerstand)"
+    r"(?:phase|s|ph|stator|dc)?",
+    "loss": r"(?:total|sum|overall|motor|machine|measured|p)*(?:loss(?:es)?|verlust(?:e|leistung)?|pertes|perdite|pv)"
+    r"(?:total|tot|sum|gesamt|ges|motor|machine)?",
+    "copper_loss": r"(?:p|stator|winding)*(?:copper|cu|joule|kupfer|winding|ohmic|i2r)(?:loss(?:es)?|verluste)?(?:total|dc)?"
+    r"|(?:p|losses|loss|verluste)(?:copper|cu|joule|kupfer|winding)",
+    "efficiency": r"(?:motor|machine|total)?(?:efficiency|eff|eta|η|wirkungsgrad|rendement|rendimento)(?:motor|machine|total)?",
 }
 
 
 _ONE = {quantity: re.compile(pattern) for quantity, pattern in _SINGLE.items()}
 
 
-_BY_UNIT = {"temperature": ("t", "tm", "tr", "tw", "ϑ"), "speed": ("n", "nm", "w", "wm", "wr")}
+_BY_UNIT = {
+    "temperature": ("t", "tm", "tr", "tw", "θ"),
+    "speed": ("n", "nm", "w", "wm", "wr"),
+    "frequency": ("we", "ws", "wel"),
+}
 
-"""Short names that only their unit makes a temperature or a speed."""
+"""Short names that only their unit makes a temperature, a speed or the like."""
 
 
-_TORQUE = re.compile(
-    r"(?:angular|electromagnetic|electrom|airgap|em|el|mech|mechanical|shaft|output|measured|machine|motor|total|avg)*"
-    r"(?:torque|drehmoment|moment|couple|coppia|tq|trq|te|tem|tel|tmech|tshaft|mel|mi)"
-    r"(?:em|e|el|fe|sim|shaft|mech|meas|avg|mean|map|table|data|vec|mat|ave|perpolepair|electromagnetic)*"
+_TORQUE_WORD = re.compile(
+    r"torque|moment(?!um|an|ary)|couple(?![dr])|coppia|koppel|tork(?!e)|nyomatek|binario|ροπη|момент"
+    r"|转矩|扭矩|轉矩|トルク|토크|^par(?: ?(?:motor|mecanico|electromagnetico|medio))?$"
 )
+
+"""What only a torque is called, in the languages of those who measure."""
+
+
+_TORQUE_SIGN = re.compile(
+    r"(?:avg|mean)*(?:tau|τ|tq|trq|t(?=.))(?:e|em|el|m|fe|sim|dq|mech|meas|airgap|ag|shaft|out|welle|act|avg|mean|ave|l|load){0,2}"
+    r"(?:map|table|data|vec|mat)?|m(?:i|el|em|mech|welle|avg|mean)"
+)
+
+"""Signs of torques that need no unit; T and M, which may be much else, are looked at by themselves."""
 
 
 _NO_TORQUE = re.compile(
-    r"rip|^dt|tpp|pktopk|peaktopeak|puls|cogg|frict|loss|rated|nom|constant|const|^kt|limit|max|min"
+    r"\brip|ripple|^d ?t|\btpp|\bpp\b|p2p|pk ?to ?pk|peak ?to ?peak|\bpuls|cogg|frict|loss|\brated|\bnom|nenn|\bconst"
+    r"|^k ?t\b|\blimit|\bmax(?!well)|\bmin|(?:torque|moment|\bt)(?:max|min|rip|nom|rated|const|pp)|\bdens|inert|angle"
+    r"|winkel|sensor|per ?amp|error|\brast|\breib|\bkipp|\bhalte|detente"
 )
+
+
+_INNER = re.compile(
+    r"electro|airgap|luftspalt|inner|(?:tau|^t|torque|moment)(?:e|em|el|ag)(?:avg|mean)?$|^m(?:i|el|em)$|^(?:em|el)"
+)
+
+
+_SHAFT = re.compile(r"shaft|welle|output|mech|meas|load|albero|arbre|(?:tau|^t)(?:l|out)$")
+
+
+_NOT_OF_THE_DRIVE = re.compile(
+    r"ref|cmd|command|soll|set|target|demand|request|reluct|(?<!electro)magnet|maxwell"
+)
+
+"""Torques that are wanted, or a part of the torque, or computed in another way beside it."""
 
 
 _MEAN = re.compile(r"(?:avg|mean|ave|average)\s*\((.*)\)\s*", re.IGNORECASE)
@@ -139,33 +200,72 @@ def _single(array: NamedArray, stem: str, unit: str) -> tuple[str, ...]:
 
 
 def _is_torque(array: NamedArray, stem: str, unit: str) -> bool:
-    """Whether an array is a torque: by its unit or its name, but no ripple, friction or rating."""
+    """Whether an array looks like a torque: by its unit or its name, but no ripple, friction or
+    rating.
+
+    A word for torque with a unit that nobody knows is one too, to be refused for it.
+    """
+    if array.values.size < 2:
+        return False
+    unit = whole_torque(unit)
+    known = is_unit("torque", unit)
+    name = whole_torque(stem if known else array.name)
+    words = _words(name)
+    if _NO_TORQUE.search(words):
+        return False
+    if known:
+        return True
+    if unit and any(is_unit(kind, unit) for kind in UNITS):
+        return False
+    if _TORQUE_WORD.search(words):
+        return True
+    return not unit and (array.name in ("T", "M") or bool(_TORQUE_SIGN.fullmatch(_plain(name))))
+
+
+def _torque_rank(array: NamedArray, torque: FluxTorque) -> tuple[bool, bool, bool]:
+    """Order of torques in one file, the one to compare first: by what the design says that it is,
+    else that of the air gap before the one at the shaft.
+    """
+    stem, unit = split_name(array.name)
+    unit = unit or array.unit
     known = is_unit("torque", unit)
     name = _plain(stem if known else array.name)
-    if _NO_TORQUE.search(name) or (unit and not known):
-        return False
-    # A capital T is SyR-e's torque; of a single number, or in small letters, it may be anything.
-    return known or bool(_TORQUE.fullmatch(name)) or (array.name == "T" and array.values.size > 1)
+    inner, shaft = bool(_INNER.search(name)), bool(_SHAFT.search(name))
+    right, wrong = (shaft, inner) if torque == "shaft" else (inner, shaft)
+    other = bool(_NOT_OF_THE_DRIVE.search(name))
+    return other or bool(unit and not known), wrong and not right, not right
 
 
 def _plain(name: str) -> str:
-    """A name in small letters without signs, averages and what it says of peak values."""
+    """A name in small letters without signs and accents, averages and what it says of peak
+    values.
+    """
     if found := _MEAN.match(name):
         name = found[1]
     name = re.sub(
         r"[\W_]*(?:peak|pk|rms|eff)$", "", name.split(".")[-1].strip(), flags=re.IGNORECASE
     )
-    return re.sub(r"^angular(?=flux|curr)", "", re.sub(r"[\W_]", "", name.casefold()))
+    return re.sub(r"^angular(?=flux|curr)", "", _words(name).replace(" ", ""))
+
+
+def _words(name: str) -> str:
+    """A name in small letters without accents, its words parted by single blanks."""
+    parts = unicodedata.normalize("NFKD", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).casefold())
+    bare = "".join(sign for sign in parts if unicodedata.category(sign) != "Mn")
+    return re.sub(r"[\W_]+", " ", unicodedata.normalize("NFC", bare)).strip()
 
 
 def choose(
-    arrays: Sequence[NamedArray], columns: Mapping[str, str], source: str
+    arrays: Sequence[NamedArray],
+    columns: Mapping[str, str],
+    source: str,
+    torque: FluxTorque = "air-gap",
 ) -> dict[str, NamedArray]:
     """The array of each quantity: what the user named, else the names recognised in one group,
     else in the file.
 
     Currents may stand as i_d, i_q or as amplitude and angle, flux linkages as psi_d,
-    psi_q or as inductances.
+    psi_q, as inductances, or as voltages and a speed. ``torque`` is which of several to take.
     """
     if wrong := [key for key in columns if key not in KINDS]:
         raise InputError(
@@ -192,33 +292,92 @@ def choose(
         chosen[quantity] = _best(
             quantity, [a for group in candidates for a in group.get(quantity, ())], source
         )
-    for quantity in ("torque", *THIRD):
-        found = [
-            a
-            for group in candidates
-            for a in group.get(quantity, ())
-            if a.values.size > 1 and a.numeric
-        ]
-        if quantity not in chosen and found:
-            chosen[quantity] = (
-                _varying(found) if quantity in THIRD else _best(quantity, found, source)
-            )
+    _choose_beside(chosen, candidates, everywhere, torque, source)
+    if unused := [key for key in columns if _no_part(key, chosen)]:
+        message = f"columns: {unused[0]} is no part of the map, which is read from"
+        raise InputError(
+            f"{message} {', '.join(wanted_of(chosen))}; remove the key, or name what goes with it",
+            source=source,
+        )
     return chosen
 
 
+def _choose_beside(
+    chosen: dict[str, NamedArray],
+    candidates: Sequence[Mapping[str, Sequence[NamedArray]]],
+    everywhere: Mapping[str, Sequence[NamedArray]],
+    torque: FluxTorque,
+    source: str,
+) -> None:
+    """Add what stands beside the map: torque, third coordinates, losses, what voltages need."""
+    voltages = "v_d" in chosen
+    for quantity in ("torque", *THIRD, *(_OF_POINTS if voltages else _OF_LOSSES)):
+        found = [
+            array
+            for group in candidates
+            for array in group.get(quantity, ())
+            if array.values.size > (0 if voltages else 1) and array.numeric
+        ]
+        if quantity == "torque" and not found:
+            shape = chosen[wanted_of(chosen)[-1]].values.shape
+            found = [array for array in everywhere.get("torque", ()) if array.values.shape == shape]
+        if quantity in chosen or not found:
+            continue
+        if quantity == "torque":
+            first = min(_torque_rank(array, torque) for array in found)
+            found = [array for array in found if _torque_rank(array, torque) == first]
+            chosen[quantity] = found[0] if torque == "ignore" else _best(quantity, found, source)
+        elif quantity in THIRD:
+            chosen[quantity] = _varying(found)
+        elif (total := [a for a in found if "tot" in a.name.casefold()] or found) and all(
+            _equal(total[0], other) for other in total[1:]
+        ):
+            chosen[quantity] = total[0]
+
+
+_OF_POINTS = ("frequency", "resistance", "loss", "copper_loss", "efficiency")
+
+
+_OF_LOSSES = ("loss", "efficiency")
+
+
+def wanted_of(chosen: Mapping[str, NamedArray]) -> tuple[str, ...]:
+    """Quantities among the chosen ones that make the map."""
+    currents = ("i_d", "i_q") if {"i_d", "i_q"} <= set(chosen) else ("i", "beta")
+    return (*currents, *next((f for f in _FLUX_FORMS if set(f) <= set(chosen)), FLUXES))
+
+
+def _no_part(key: str, chosen: Mapping[str, NamedArray]) -> bool:
+    """Whether what the user named is of another form of the map than the one that is read."""
+    forms = ("i", "beta", "i_d", "i_q", *FLUXES, "l_d", "l_q", "psi_m", *VOLTAGES)
+    return (key in forms and key not in wanted_of(chosen)) or (
+        key in ("frequency", "resistance", "copper_loss") and "v_d" not in wanted_of(chosen)
+    )
+
+
 def _form(chosen: Mapping[str, NamedArray], found: Iterable[str]) -> tuple[str, ...]:
-    """Quantities that make the map: Cartesian or polar currents, flux linkages or inductances."""
-    known = {*chosen, *found}
-    polar = not {"i_d", "i_q"} <= known and (
-        {"i", "beta"} <= known or bool({"i", "beta"} & set(chosen))
-    )
-    apparent = not set(FLUXES) & known and (
-        {"l_d", "l_q"} <= known or bool({"l_d", "l_q", "psi_m"} & set(chosen))
-    )
-    return (
-        *(("i", "beta") if polar else ("i_d", "i_q")),
-        *(("l_d", "l_q", "psi_m") if apparent else FLUXES),
-    )
+    """Quantities that make the map: Cartesian or polar currents; flux linkages, inductances or
+    voltages.
+    """
+    known, named = {*chosen, *found}, set(chosen)
+    polar = {"i", "beta"} & named or (not {"i_d", "i_q"} <= known and {"i", "beta"} <= known)
+    fluxes: tuple[str, ...] = FLUXES
+    if set(VOLTAGES) & named:
+        fluxes = VOLTAGES
+    elif not set(FLUXES) & known:
+        if set(_APPARENT) <= known or set(_APPARENT) & named:
+            fluxes = _APPARENT
+        elif set(VOLTAGES) <= known:
+            fluxes = VOLTAGES
+        elif {"l_d", "l_q"} <= known:
+            fluxes = _APPARENT
+    return (*(("i", "beta") if polar else ("i_d", "i_q")), *fluxes)
+
+
+_APPARENT = ("l_d", "l_q", "psi_m")
+
+
+_FLUX_FORMS = (FLUXES, _APPARENT, VOLTAGES)
 
 
 def _best(quantity: str, found: Sequence[NamedArray], source: str) -> NamedArray:
@@ -275,6 +434,31 @@ def _named(arrays: Sequence[NamedArray], name: str, source: str) -> NamedArray:
         f"columns: no {name!r} found among {listed(arrays)}; write one of these names",
         source=source,
     )
+
+
+_PAIRS = re.compile(
+    r"(?:number|num|no|n)?(?:of)?(pole?pairs?|polpaar(?:zahl|e)?|pp|np|npp|zp|poles|polenumber|polzahl)"
+)
+
+
+_MOST_PAIRS = 200
+
+
+def stated_pole_pairs(arrays: Sequence[NamedArray]) -> int:
+    """Pole pairs that a file states beside its map, 0 where it states none or several."""
+    found = set()
+    for array in arrays:
+        match = _PAIRS.fullmatch(_plain(array.name)) if len(array.name) <= _LONGEST_NAME else None
+        if (
+            match
+            and array.numeric
+            and array.values.size
+            and np.all(array.values == array.values.flat[0])
+        ):
+            count = float(array.values.flat[0].real)
+            found.add(count / 2.0 if match[1] in ("poles", "polenumber", "polzahl") else count)
+    count = found.pop() if len(found) == 1 else 0.0
+    return int(count) if count.is_integer() and 1.0 <= count <= _MOST_PAIRS else 0
 
 
 def advice(quantities: Sequence[str]) -> str:

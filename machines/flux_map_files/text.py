@@ -61,13 +61,13 @@ class TextLayout:
 
 def arrays_of_layout(content: bytes, source: str) -> list[NamedArray] | None:
     """Arrays of a text in one of the special layouts, None for a plain table of columns."""
+    if is_femag(content, source):
+        return femag_arrays(content, source)
     if len(content) > _MOST_BYTES:
         return None
     text = decoded_text(content, source)
     if is_twin_builder(text):
         return twin_builder_arrays(text, source)
-    if is_femag(text):
-        return femag_arrays(text, source)
     lines = text.split("\n")
     head = _cells(lines[:_HEAD])
     for layout in LAYOUTS:
@@ -153,7 +153,7 @@ def _case_arrays(rows: _Rows, source: str) -> list[NamedArray]:
         if found and values.size != found[0].values.size:
             message = f"this row has {values.size} cases, the first one {found[0].values.size}"
             raise InputError(f"{message}; complete it", source=source, line=number)
-        found.append(NamedArray(row[0], name, values, unit, np.full(values.size, number)))
+        found.append(NamedArray(name, name, values, unit, np.full(values.size, number)))
     return found
 
 

@@ -19,6 +19,9 @@ from dqforge.machines.files.named_arrays import NamedArray
 _AXIS = re.compile(r"\(\s*(\d+)\s*:([^()]*)\)")
 
 
+_POLES = re.compile(r"^\s*Poles\s+(\d{1,3})\s*$", re.MULTILINE)
+
+
 _COLUMNS = 5
 
 
@@ -80,7 +83,10 @@ def twin_builder_arrays(text: str, source: str) -> list[NamedArray]:
         "psi_q": table[:, 2],
     }
     parts["torque"] = -table[:, 4] + 0.0
-    return [NamedArray(name, name, values, lines=lines) for name, values in parts.items()]
+    arrays = [NamedArray(name, name, values, lines=lines) for name, values in parts.items()]
+    if poles := _POLES.search(text):
+        arrays.append(NamedArray("poles", "poles", np.array([float(poles[1])])))
+    return arrays
 
 
 def _between(text: str, name: str, source: str) -> str:

@@ -60,6 +60,19 @@ _OTHER_TORQUES |= {
     "lbin": _POUND_INCH,
     "lbfin": _POUND_INCH,
     "ozin": _OUNCE_INCH,
+    "inlbf": _POUND_INCH,
+    "ozfin": _OUNCE_INCH,
+    "inoz": _OUNCE_INCH,
+}
+
+
+_KILOPOND = 9.80665
+
+
+_OTHER_TORQUES |= {
+    f"{force}{arm}": _KILOPOND * size
+    for force in ("kgf", "kp")
+    for arm, size in (("m", 1.0), ("cm", 1e-2))
 }
 
 
@@ -83,6 +96,21 @@ UNITS: dict[str, dict[str, float]] = {
     )
     | _spellings(dict.fromkeys(("rad/s", "rads"), 1.0), "")
     | _spellings(dict.fromkeys(("rps", "1/s", "Hz"), _TURN), ""),
+    "frequency": dict.fromkeys(("Hz", "hz", "1/s"), _TURN)
+    | {"kHz": 1e3 * _TURN}
+    | _spellings(dict.fromkeys(("rad/s", "rads"), 1.0), ""),
+    "v": {
+        f"{prefix}{symbol}": _PREFIXES[prefix]
+        for symbol in ("V", "Vpk", "Vpeak", "Vrms", "Veff", "Volt", "Volts", "volt", "volts")
+        for prefix in ("", "m", "k")
+    },
+    "r": {
+        f"{prefix}{symbol}": _PREFIXES[prefix]
+        for symbol in ("Ohm", "ohm", "Ohms", "ohms", "\u03a9", "\u2126")
+        for prefix in ("", "u", "m", "k")
+    },
+    "power": {"W": 1.0, "kW": 1e3, "mW": 1e-3, "MW": 1e6, "watt": 1.0, "watts": 1.0, "Watt": 1.0},
+    "share": {"%": 1e-2},
 }
 
 """Factor to SI (temperatures as they are) of each kind of quantity, without the signs
@@ -97,23 +125,36 @@ EXPECTED = {
     "angle": "deg or rad",
     "temperature": "degC or K",
     "speed": "rpm or rad/s",
+    "frequency": "Hz or rad/s",
+    "v": "V, mV or kV",
+    "r": "Ohm or mOhm",
+    "power": "W or kW",
+    "share": "%",
 }
 
 
-_BEFORE_UNIT = re.compile(r"[\s_/\[(-]+(?:in\s+)?")
+_BEFORE_UNIT = re.compile(r"[\s_/\[({<|,-]+(?:in\s+)?")
 
 
 _CLAIM = re.compile(r"(?:[\W_]|(?<=[A-Za-z]))(rms|peak|pk)\W*$", re.IGNORECASE)
 
 
 _PER_POLE_PAIR = re.compile(
-    r"per\W*_*pole\W*_*pair|/\s*pp\b|per\W*_*pp\b|je\W*_*polpaar", re.IGNORECASE
+    r"(?:/|per|je|pro|par)[\W_]*(?:pole[\W_]*pair|polpaar|pp(?![^\W_]))|par[\W_]*paire[\W_]*de[\W_]*p[oô]les?|"
+    r"per[\W_]*coppia[\W_]*(?:di[\W_]*)?poli|por[\W_]*par[\W_]*de[\W_]*polos",
+    re.IGNORECASE,
+)
+
+
+_PER_LENGTH = re.compile(
+    r"(?:/|per|je|pro)[\W_]*(?:unit[\W_]*length|l[aä]enge|length|axial|metre|meter|mm?(?![^\W_]))",
+    re.IGNORECASE,
 )
 
 
 def plain_unit(unit: str) -> str:
     """A unit without the signs between its parts."""
-    return re.sub(r"[\s*·.()_-]", "", _PER_POLE_PAIR.sub("", unit))
+    return re.sub(r"[\s*·⋅∙•\u00d7.()_-]", "", _PER_POLE_PAIR.sub("", unit))
 
 
 def is_unit(kind: str, unit: str) -> bool:
@@ -129,9 +170,9 @@ def factor(kind: str, unit: str) -> float:
 def split_name(name: str) -> tuple[str, str]:
     """Stem and unit of a name such as psi_d_mVs or 'i_d [A]', '' where it has no unit of these."""
     for found in _BEFORE_UNIT.finditer(name, 1):
-        unit = name[found.end() :].rstrip(" ])")
+        unit = name[found.end() :].rstrip(" ])}>|")
         if any(is_unit(kind, unit) for kind in UNITS):
-            return name[: found.start()].rstrip(" _/[(-"), unit
+            return name[: found.start()].rstrip(" _/[({<|,-"), unit
     return name, ""
 
 
@@ -147,3 +188,13 @@ def claimed(name: str, unit: str = "") -> Literal["", "peak", "rms"]:
 def per_pole_pair(text: str) -> bool:
     """Whether a name or unit of a torque says that it is that of one pole pair."""
     return bool(_PER_POLE_PAIR.search(text))
+
+
+def per_length(text: str) -> bool:
+    """Whether a name or unit of a torque says that it is that of a length of armature."""
+    return bool(_PER_LENGTH.search(text))
+
+
+def whole_torque(text: str) -> str:
+    """A name or unit of a torque without what it is a part of: a pole pair, a length."""
+    return _PER_LENGTH.sub("", _PER_POLE_PAIR.sub("", text))

@@ -18,6 +18,7 @@ from dqforge.machines.flux_maps.conversion import conversion_findings, converted
 from dqforge.machines.flux_maps.evidence import FluxFit
 from dqforge.machines.flux_maps.fit import FluxData, fit_flux
 from dqforge.machines.flux_maps.flux_points import FluxPoints
+from dqforge.machines.flux_maps.loss_check import MeasuredLoss
 from dqforge.machines.flux_maps.noise import FluxNoise, noise_of_grid, noise_of_repeats
 from dqforge.machines.flux_maps.outliers import check_outliers
 from dqforge.machines.flux_maps.planes import (
@@ -72,7 +73,8 @@ class FluxMapReading:
     mirrored points. ``scatter`` is the standard deviation in Wb of repeated points, 0 without any.
     ``torque`` compares the torque that the file gives, None where it gives none. ``fit`` says
     whether the points were smoothed, and ``whole`` is the map over both halves as they are, None
-    where only one is known.
+    where only one is known. ``most`` is the largest torque per pole pair in N m that the points
+    themselves have, and their largest current in A; ``loss`` is what the file gives beside.
     """
 
     flux_map: FluxMap
@@ -83,6 +85,8 @@ class FluxMapReading:
     whole: FluxMap | None
     scatter: float = 0.0
     torque: TorqueCheck | None = None
+    most: tuple[float, float] = (0.0, 0.0)
+    loss: MeasuredLoss | None = None
 
 
 def build_flux_map(
@@ -134,6 +138,12 @@ def build_flux_map(
     merged = merge_repeats(points)
     check_points(merged.points, axes)
     known, said = scaling_of_points(points, scaling)
+    if pole_pairs is not None and points.pole_pairs not in (0, pole_pairs):
+        raise InputError(
+            f"the file states {points.pole_pairs} pole pairs, the design has {pole_pairs}; correct "
+            "one of them",
+            source=source,
+        )
     compared = None if pole_pairs is None else check_torque(points, pole_pairs, known, torque)
     single = converted(merged.points, axes, known)
     plane, noise, is_grid = _plane(single, angle)
@@ -146,7 +156,8 @@ def build_flux_map(
             f"symmetry: {symmetry} needs points of both halves, i_q > 0 and i_q < 0; leave it out"
         )
         raise InputError(message, source=source)
-    noise = _noise_of_repeats(converted(points, axes, known)) or noise
+    peak = converted(points, axes, known)
+    noise = _noise_of_repeats(peak) or noise
     whole = _Given(plane, turned, noise, is_grid)
     given = _chosen(whole, symmetry)
     zero = _zero_current(given.plane.i_d, source)
@@ -167,9 +178,20 @@ def build_flux_map(
         *zero,
         *check_map(flux_map, source, expected_psi_pm),
     )
-    misfit = energy_misfit(flux_map)
+    torques = 1.5 * (single.psi_d * single.i_q - single.psi_q * single.i_d)
     return FluxMapReading(
-        flux_map, findings, misfit, plane.asymmetry, used, halves, merged.scatter, compared
+        flux_map,
+        findings,
+        energy_misfit(flux_map),
+        plane.asymmetry,
+        used,
+        halves,
+        merged.scatter,
+        compared,
+        (float(np.max(np.abs(torques))), float(np.max(np.hypot(single.i_d, single.i_q)))),
+        None
+        if points.loss is None
+        else MeasuredLoss(points.loss.name, points.loss.values, peak.i_d, peak.i_q),
     )
 
 
@@ -285,8 +307,18 @@ def _data(
 ) -> FluxData:
     """What a fit needs to know of a plane."""
     values = np.stack([points.psi_d, points.psi_q])
+    # A grid with gaps shows what its points have, scattered ones what the spline makes between.
+    scattered = not np.isin(points.i_d, plane.i_d).all()
     return FluxData(
-        plane.i_d, plane.i_q, psi, points.i_d, points.i_q, values, noise, is_grid=is_grid
+        plane.i_d,
+        plane.i_q,
+        psi,
+        points.i_d,
+        points.i_q,
+        values,
+        noise,
+        is_grid=is_grid,
+        hull=plane.hull if scattered else None,
     )
 
 

@@ -10,11 +10,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.errors import InputError
-from dqforge.machines.flux_maps.evidence import MOST_PLACES, places
+from dqforge.machines.flux_maps.evidence import MOST_PLACES, NOTABLE_CURL, places
 from dqforge.machines.names import FluxAxes
 from dqforge.machines.units.quantities import format_quantity
 
@@ -73,7 +74,7 @@ _FLUX_TOLERANCE = 0.05
 _FACTOR_TOLERANCE = 0.02
 
 
-_NOTABLE_MISFIT, _WORST_MISFIT = 0.05, 0.5
+_WORST_MISFIT = 0.5
 
 
 _FACTORS = (
@@ -152,23 +153,30 @@ def check_map(
     )
     if misfit > _WORST_MISFIT:
         raise InputError(
-            f"{about}; no machine has that: check that the columns belong together", source=source
+            f"{about}; no machine has that: check that the columns belong together, or write "
+            "flux_map: fit: smooth where the points leave gaps",
+            source=source,
         )
     return (
         (*dips, f"{about}; they are equal without loss and error")
-        if misfit > _NOTABLE_MISFIT
+        if misfit > NOTABLE_CURL
         else dips
     )
 
 
 def energy_misfit(flux_map: FluxMap) -> float:
-    """R.m.s. of d psi_d/d i_q - d psi_q/d i_d over the grid, over the r.m.s.
+    """R.m.s. of d psi_d/d i_q - d psi_q/d i_d where the data are, over the r.m.s.
     of the diagonal inductances.
     """
     jet = flux_map.jet(flux_map.i_d[:, np.newaxis], flux_map.i_q)
-    return float(
-        np.sqrt(np.mean((jet.l_dq - jet.l_qd) ** 2) / np.mean(0.5 * (jet.l_dd**2 + jet.l_qq**2)))
-    )
+    within = _within(flux_map)
+    difference, squares = (jet.l_dq - jet.l_qd) ** 2, 0.5 * (jet.l_dd**2 + jet.l_qq**2)
+    return float(np.sqrt(np.mean(difference[within]) / np.mean(squares[within])))
+
+
+def _within(flux_map: FluxMap) -> NDArray[np.bool_]:
+    """Which nodes lie among the data; what stands at the others is extrapolated."""
+    return flux_map.inside(flux_map.i_d[:, np.newaxis], flux_map.i_q)
 
 
 def check_holes(points: FluxPoints) -> None:
@@ -340,9 +348,12 @@ def _dips(flux_map: FluxMap, axis: str, source: str) -> tuple[str, ...]:
     a sentence for what may be noise.
     """
     psi, along = (flux_map.psi_d, 0) if axis == "d" else (flux_map.psi_q, 1)
-    span = float(np.ptp(psi))
-    fall = np.maximum.accumulate(psi, axis=along) - psi
-    flat = np.diff(psi, axis=along) <= 0.0
+    within = _within(flux_map)
+    span = float(np.ptp(psi[within]))
+    known = np.where(within, psi, -np.inf)
+    fall = np.where(within, np.maximum.accumulate(known, axis=along) - psi, 0.0)
+    both = within[1:] & within[:-1] if along == 0 else within[:, 1:] & within[:, :-1]
+    flat = (np.diff(psi, axis=along) <= 0.0) & both
     if not np.any(flat):
         return ()
     row, column = np.unravel_index(int(np.argmax(fall)), fall.shape)

@@ -16,9 +16,20 @@ NOISE_LIMIT = 0.03
 auto`` smooths."""
 
 
+NOTABLE_CURL = 0.05
+
+"""Difference of the two mutual inductances over the others above which it is told, and above
+which ``fit: auto`` smooths points that fill no grid."""
+
+
 MOST_PLACES = 8
 
 """Faulty places that are named; of more, the number is told."""
+
+
+_NO_NOISE = 1e-9
+
+"""Noise in Wb that is none: digits of a computation."""
 
 
 _SHOWN_BY = {
@@ -39,7 +50,8 @@ class FluxFit:
     not admissible, ``fault_count`` how many there are. ``residual_rms`` and ``residual_largest`` in
     Wb, for psi_d and psi_q, are the distances of the smoothed map from the plain spline through the
     points, ``torque_rms`` and ``torque_largest`` what they make of the torque in N m per pole pair;
-    0 where nothing was smoothed. ``freedom`` is the effective number of parameters.
+    0 where nothing was smoothed. ``freedom`` is the effective number of parameters. ``curl`` is the
+    r.m.s. difference of the mutual inductances of the plain spline over the others, 0 on a grid.
     """
 
     wanted: FluxFitName
@@ -53,6 +65,7 @@ class FluxFit:
     torque_rms: float = 0.0
     torque_largest: float = 0.0
     freedom: float = 0.0
+    curl: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +157,8 @@ def places(points: tuple[tuple[float, float], ...], count: int) -> str:
 def _noise_text(fit: FluxFit) -> str:
     if fit.noise is None:
         return "nothing shows the noise of the points"
+    if fit.noise.largest < _NO_NOISE:
+        return f"the points have no noise ({_SHOWN_BY[fit.noise.source]})"
     size = (
         f"{format_quantity(fit.noise.d, 'Wb', 2)} in psi_d, "
         f"{format_quantity(fit.noise.q, 'Wb', 2)} in psi_q"
@@ -178,10 +193,17 @@ def _fit_sentences(evidence: FluxEvidence) -> tuple[str, ...]:
             if fit.inductance_noise > NOISE_LIMIT
             else share
         )
-        why = f"{_noise_text(fit)}, {over}"
+        why = _noise_text(fit)
+        if fit.noise is None or fit.noise.largest >= _NO_NOISE:
+            why += f", {over}"
         if fit.fault_count:
             why += f"; the plain spline is not admissible in {fit.fault_count} cells: " + places(
                 fit.faults, fit.fault_count
+            )
+        if fit.curl > NOTABLE_CURL:
+            why += (
+                f"; among the points d psi_d/d i_q and d psi_q/d i_d of the plain spline differ by "
+                f"{100.0 * fit.curl:.2g} % of the inductances"
             )
     elif fit.noise is not None:
         why += f"; {_noise_text(fit)}"
@@ -206,7 +228,9 @@ def _short_fit(evidence: FluxEvidence) -> tuple[str, ...]:
     if fit.used == "interpolate":
         return ()
     rms, most = (format_quantity(value, "N m", 3) for value in evidence.torque_residual)
-    noise = "" if fit.noise is None else f" of noise {format_quantity(fit.noise.largest, 'Wb', 2)}"
+    noise = ""
+    if fit.noise is not None and fit.noise.largest >= _NO_NOISE:
+        noise = f" of noise {format_quantity(fit.noise.largest, 'Wb', 2)}"
     return (
         f"Flux map: a smooth co-energy through points{noise};",
         f"the torque is {rms} (r.m.s.), at most {most} from that of the plain spline.",

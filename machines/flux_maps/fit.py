@@ -10,10 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.flux_maps.checks import energy_misfit
 from dqforge.machines.flux_maps.co_energy import CoEnergy
-from dqforge.machines.flux_maps.evidence import MOST_PLACES, NOISE_LIMIT, FluxFit, places
+from dqforge.machines.flux_maps.evidence import (
+    MOST_PLACES,
+    NOISE_LIMIT,
+    NOTABLE_CURL,
+    FluxFit,
+    places,
+)
 from dqforge.machines.flux_maps.noise import FluxNoise, inductance_noise
 from dqforge.machines.flux_maps.smoothing import outliers, smooth_co_energy
 from dqforge.machines.names import FluxFitName
@@ -31,7 +39,8 @@ class FluxData:
 
     ``i_d``, ``i_q`` are its axes in A, ``psi`` its flux linkages (2, M, N) in Wb. ``at_d``,
     ``at_q`` and ``values`` are the points, shapes (K,), (K,), (2, K), with their ``noise``, None
-    where nothing but a fit shows it. ``is_grid``: the points are the nodes.
+    where nothing but a fit shows it. ``is_grid``: the points are the nodes. ``hull`` is where
+    scattered points lie, None for those of a grid.
     """
 
     i_d: FloatArray
@@ -42,6 +51,7 @@ class FluxData:
     values: FloatArray
     noise: FluxNoise | None
     is_grid: bool
+    hull: CurrentRegion | None = None
 
 
 def _judged(data: FluxData) -> tuple[FloatArray, FloatArray]:
@@ -141,8 +151,10 @@ def fit_flux(
                 data.at_d, data.at_q, data.values, None, even=even, positive=False
             ).noise
         share = 0.0 if noise is None else _inductance_noise(data, noise)
-        if wanted == "interpolate" or (wanted == "auto" and count == 0 and share <= NOISE_LIMIT):
-            return plain, FluxFit(wanted, "interpolate", noise, share, faults, count)
+        curl = 0.0 if data.hull is None else energy_misfit(replace(plain, hull=data.hull))
+        sound = count == 0 and share <= NOISE_LIMIT and curl <= NOTABLE_CURL
+        if wanted == "interpolate" or (wanted == "auto" and sound):
+            return plain, FluxFit(wanted, "interpolate", noise, share, faults, count, curl=curl)
         off, found = outliers(data.at_d, data.at_q, data.values, data.noise, even=even)
     except (NoSolutionError, np.linalg.LinAlgError) as error:
         raise InputError(f"the flux map cannot be smoothed: {error}", source=source) from None
@@ -153,7 +165,7 @@ def fit_flux(
     psi = found.flux(i_d, i_q)
     if found.d.even:
         psi[0, i_d == 0.0] = 0.0  # to the last digit, too, so that there are no magnets
-    used = FluxFit(wanted, "smooth", found.noise, share, faults, count)
+    used = FluxFit(wanted, "smooth", found.noise, share, faults, count, curl=curl)
     return FluxMap(i_d, i_q, psi[0], psi[1]), _priced(data, found, used)
 
 

@@ -27,6 +27,9 @@ _WORST_SCATTER = 0.05
 that is no scatter any more."""
 
 
+_MOST_NAMED = 8
+
+
 @dataclass(frozen=True, slots=True)
 class Merged:
     """Points of which no two have the same currents, the number that was merged,
@@ -51,7 +54,10 @@ def merge_repeats(points: FluxPoints) -> Merged:
         Repeated points differ by more than measurements do: something else than the
         currents tells them apart.
     """
-    tolerance = _SAME * max(float(np.max(np.abs(points.i_d))), float(np.max(np.abs(points.i_q))))
+    largest = max(float(np.max(np.abs(points.i_d))), float(np.max(np.abs(points.i_q))))
+    if points.blur:
+        return _merge_near(points, points.blur * largest)
+    tolerance = _SAME * largest
     rows, i_d = _labels(points.i_d, tolerance)
     columns, i_q = _labels(points.i_q, tolerance)
     cells, inverse, counts = np.unique(
@@ -90,10 +96,44 @@ def merge_repeats(points: FluxPoints) -> Merged:
     return Merged(single, repeated, scatter, (findings,))
 
 
+def _merge_near(points: FluxPoints, width: float) -> Merged:
+    """Points in one square of a width in A made one, with the means of currents and flux linkages:
+    the same operating point at other speeds.
+    """
+    given = np.stack([points.i_d, points.i_q, points.psi_d, points.psi_q])
+    squares = np.round(given[:2] / width)
+    _, inverse, counts = np.unique(squares, axis=1, return_inverse=True, return_counts=True)
+    means = np.stack([np.bincount(inverse, part) / counts for part in given])
+    away = np.max(np.abs(given[2:] - means[2:, inverse]), axis=0)
+    largest, worst = float(np.max(np.abs(given[2:]))), int(np.argmax(away))
+    if away[worst] > _WORST_SCATTER * largest:
+        where = f"i_d = {points.i_d[worst]:g} A, i_q = {points.i_q[worst]:g} A"
+        raise _contradiction(points, int(counts[inverse[worst]]), where, float(away[worst]), worst)
+    first = np.full(counts.size, points.i_d.size)
+    np.minimum.at(first, inverse, np.arange(points.i_d.size))
+    single = replace(
+        points,
+        i_d=means[0],
+        i_q=means[1],
+        psi_d=means[2],
+        psi_q=means[3],
+        torque=None,
+        lines=None if points.lines is None else points.lines[first],
+    )
+    repeated = points.i_d.size - counts.size
+    sentence = (
+        f"{points.i_d.size} operating points lie at {counts.size} currents further than "
+        f"{format_quantity(width, 'A', 2)} apart; means are taken of the others"
+    )
+    return Merged(single, repeated, 0.0, (sentence,) if repeated else ())
+
+
 def _contradiction(
     points: FluxPoints, count: int, where: str, away: float, worst: int
 ) -> InputError:
-    others = f" (columns of the file beside: {', '.join(points.others)})" if points.others else ""
+    others = (
+        f" (columns of the file beside: {', '.join(points.others[:8])})" if points.others else ""
+    )
     return InputError(
         f"the point {where} of the file is given {count} times, with flux linkages up to "
         f"{format_quantity(away, 'Wb', 3)} from their mean: more than scatter{others}; name what "

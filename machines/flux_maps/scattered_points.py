@@ -18,6 +18,7 @@ from dqforge.machines.flux_maps.planes import (
     halves_findings,
     largest_magnitude,
 )
+from dqforge.machines.units.quantities import format_quantity
 
 _FEWEST_SCATTERED = 16
 
@@ -38,6 +39,12 @@ _NEIGHBOURS = 64
 
 
 _MUCH_OUTSIDE = 0.15
+
+
+_FAR, _MUCH_FAR = 0.15, 0.05
+
+"""Distance from every point over the largest current that is a gap, and the share of the region
+from which on gaps are told."""
 
 
 def scattered_plane(points: FluxPoints) -> Plane:
@@ -77,12 +84,36 @@ def scattered_plane(points: FluxPoints) -> Plane:
             "extrapolated"
         )
         findings = (*findings, f"warning: {100.0 * share:.0f} % {beyond}")
-    raw = (values[:, :, ::-1] * MIRROR if turned else values) if whole else None
-    axis_q, psi_d, psi_q = complete_by_symmetry(axis_q, *values)
     hull = CurrentRegion.hull(i_d, i_q).within(
         CurrentRegion.rectangle(axis_d[0], axis_d[-1], axis_q[-1])
     )
+    if not own:
+        findings = (*findings, *_gaps(i_d, i_q, axis_d, axis_q, hull))
+    raw = (values[:, :, ::-1] * MIRROR if turned else values) if whole else None
+    axis_q, psi_d, psi_q = complete_by_symmetry(axis_q, *values)
     return Plane(axis_d, axis_q, np.stack([psi_d, psi_q]), asymmetry, findings, hull=hull, raw=raw)
+
+
+def _gaps(
+    i_d: FloatArray, i_q: FloatArray, axis_d: FloatArray, axis_q: FloatArray, hull: CurrentRegion
+) -> tuple[str, ...]:
+    """A sentence on the part of the hull that lies far from every point of a full plane."""
+    from scipy.spatial import cKDTree
+
+    nodes = np.stack(np.meshgrid(axis_d, axis_q, indexing="ij"), axis=2).reshape(-1, 2)
+    nodes = nodes[hull.contains(nodes[:, 0], nodes[:, 1])]
+    far = _FAR * hull.size
+    away = cKDTree(np.stack([i_d, i_q], axis=1)).query(nodes)[0]
+    share = float(np.mean(away > far))
+    if share <= _MUCH_FAR:
+        return ()
+    sentence = (
+        f"warning: the points leave gaps: {100.0 * share:.0f} % of the region between them lies "
+        f"further than {format_quantity(far, 'A', 3)} from every point, at most "
+        f"{format_quantity(float(np.max(away)), 'A', 3)}; the flux linkages there follow from "
+        "those around"
+    )
+    return (sentence,)
 
 
 def _with_mirror_image(

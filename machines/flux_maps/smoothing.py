@@ -38,6 +38,11 @@ _LEAST_NOISE = 1e-6
 """Noise over the largest flux linkage below which nothing is fitted closer."""
 
 
+_DIGITS = 1e-5
+
+"""R.m.s. residual over the r.m.s. flux linkage down to which the strongest penalty is taken."""
+
+
 _MOST_FREEDOM = 0.6
 
 """Effective parameters over the number of values beyond which a fit says nothing of its noise."""
@@ -143,6 +148,9 @@ def _solved(problem: _Problem, *, known: bool) -> tuple[float, float, float, Flo
     score = squares + 2.0 * freedom if known else squares / left**2
     score[:-1][freedom[:-1] > _MOST_FREEDOM * problem.count] = np.inf
     best = int(np.argmin(score))
+    # Where points leave gaps only the penalty tells; nothing is bent for digits that no file has.
+    met = np.flatnonzero(squares <= (_DIGITS**2) * problem.squares)
+    best = max(best, int(met[-1])) if met.size else best
     found = solve_triangular(lower.T, vectors @ scaled[best], lower=False)
     return float(_STRENGTHS[best]), float(freedom[best]), float(squares[best]), np.asarray(found)
 

@@ -55,10 +55,11 @@ _MOST_PAIRS, _MOST_PARTS = 200, 12
 class TorqueCheck:
     """How the torque of a file compares with that of its flux linkages.
 
-    ``slope`` is that of the least-squares line of the file's torque over the map's, through zero
-    unless ``declared`` is 'shaft'; ``offset`` is where that line begins, in N m; ``misfit`` is the
-    r.m.s. distance from it over the r.m.s. torque of the file; ``points`` is the number of points
-    compared.
+    ``per_pair``: the torque is that of one pole pair, and no test of their number. ``slope`` is
+    that of the least-squares line of the file's torque over the map's, through zero unless
+    ``declared`` is 'shaft'; ``offset`` is where that line begins, in N m; ``misfit`` is the
+    r.m.s. distance from it over the r.m.s. torque of the file; ``points`` is the number of
+    points compared.
     """
 
     name: str
@@ -67,6 +68,7 @@ class TorqueCheck:
     offset: float
     misfit: float
     points: int
+    per_pair: bool = False
 
     @property
     def sentence(self) -> str:
@@ -77,7 +79,7 @@ class TorqueCheck:
             f"the {kind} of the file ({self.name}) is {self.slope:.5f} times 3/2 p (psi_d i_q - "
             f"psi_q i_d){start}, r.m.s. misfit {100.0 * self.misfit:.2g} % over {self.points} "
             "points"
-        )
+        ) + "; per pole pair, it says nothing of the pole pairs" * self.per_pair
 
 
 def check_torque(
@@ -105,9 +107,8 @@ def check_torque(
     """
     if points.torque is None or declared == "ignore":
         return None
-    file = points.torque.values * (
-        pole_pairs if points.torque.per_pole_pair or declared == "per-pole-pair" else 1
-    )
+    per_pair = points.torque.per_pole_pair or declared == "per-pole-pair"
+    file = points.torque.values * (pole_pairs if per_pair else 1)
     of_map = (
         1.5
         * pole_pairs
@@ -122,7 +123,13 @@ def check_torque(
     ):  # what overflows is no torque and agrees with none
         slope, offset, misfit = _line(of_map[known], file[known], through_zero=declared != "shaft")
     found = TorqueCheck(
-        points.torque.name, declared, slope, offset, misfit, int(np.count_nonzero(known))
+        points.torque.name,
+        declared,
+        slope,
+        offset,
+        misfit,
+        int(np.count_nonzero(known)),
+        per_pair,
     )
     if not _agree(found, file[known]):
         raise InputError(_refusal(found, points, file, pole_pairs, scaling), source=points.source)

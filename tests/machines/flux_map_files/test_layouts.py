@@ -631,9 +631,60 @@ def test_results_of_femag_over_amplitude_and_angle_in_rms_values() -> None:
     assert found.torque.slope == pytest.approx(1.0, rel=1e-5)
 
 
-def test_a_femag_file_without_a_map_is_refused() -> None:
-    with pytest.raises(InputError, match="no table of Psi_d and Psi_q over Id and Iq"):
-        read_flux_points((BANNER + "Psi_d of nothing\n").encode(), "cogging.BCH")
+WITHOUT_A_MAP = {
+    "an empty one": "",
+    "no load": (
+        "Flux observed: \nFlux-Area k : Winding  \tKey:\t     1\n"
+        "F-Path \t Displ. \t Flux_k \tVoltage Dpsi\n       \t [Degr] \t  [Vs]  \t        [V] \n"
+        "1 \t     0.000 \t-0.1434     \t   -52.7704\n2 \t     3.000 \t-0.1522     \t   -28.9924\n"
+    ),
+    "a simulation that names flux linkages": (
+        "Results for Angle I-Up [Degr]: -38.0\n  Psi_d  [Vs] 0.1\n  Psi_q  [Vs] 0.2\n"
+        " beta [Degr]\t Torque [Nm]\t Psi_m [Vs]\n -10.0 \t 20.0 \t 0.1\n -20.0 \t 22.0 \t 0.1\n"
+    ),
+    "a table of flux linkages without currents": (
+        "    Speed   \t   Psi_d    \t   Psi_q    \n   [1/min]  \t    [Vs]    \t   [Vs]     \n"
+        " 100 \t 0.1 \t 0.2\n 200 \t 0.1 \t 0.2\n"
+    ),
+    "one column": "Losses\n1.0\n2.0\n3.0\n",
+    "two columns of another unit": "  id [lb]\tiq [lb]\n 1.0\t2.0\n 2.0\t3.0\n",
+    "with bytes of no text": "Magn.Temperatur[\udcb0C]:\t 60\0\0\x1a\n 1.0\t 2.0\n",
+    "an identification of inductances alone": (
+        "Function: Ld-Lq-Identification RMS-values\n\n  Wdg.-Curr \t Angle Beta \t      Ld    \n"
+        "   [A    ]  \t    [Degr]  \t    [H/mm]  \n 1.0 \t 0.0 \t 1e-5\n 2.0 \t 0.0 \t 1e-5\n"
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", WITHOUT_A_MAP)
+def test_a_femag_file_without_an_identification_is_told_so(kind: str) -> None:
+    ran = (
+        "*************************************************\n***** Fast cogging calculation ***  \n"
+    )
+    body = WITHOUT_A_MAP[kind].encode("utf-8", "surrogateescape")
+    for suffix in ("BCH", "BATCH", "bch", "txt", "dat"):
+        with pytest.raises(InputError) as caught:
+            read_flux_points((BANNER + ran).encode() + body, f"cogging.{suffix}")
+        assert str(caught.value) == (
+            f"cogging.{suffix}: this file of FEMAG (Fast cogging calculation) holds no table of a "
+            "Psid-Psiq or Ld-Lq identification; run one of them and name its file"
+        )
+    with pytest.raises(InputError, match="no table of a Psid-Psiq or Ld-Lq"):
+        read_flux_points(body, "old.BATCH")  # without the banner, the suffix tells
+
+
+def test_a_table_that_mentions_femag_is_a_table() -> None:
+    rows: Cells = [["id", "iq", "psi_d", "psi_q"], *columns_of(MESH_D, MESH_Q, PSI_D, PSI_Q)]
+    is_the_machine(read_flux_points(b"# from FEMAG\n" + text_of(rows), "map.csv"))
+
+
+def test_pole_pairs_of_femag_and_twin_builder_are_held_against_the_design() -> None:
+    for content, source in (
+        (psid_psiq(with_torque=False), "a.BATCH"),
+        (twin_builder(), "ece.txt"),
+    ):
+        with pytest.raises(InputError, match="the file states 3 pole pairs, the design has 4"):
+            build_flux_map(read_flux_points(content, source), pole_pairs=4)
 
 
 # Temperatures and speeds

@@ -16,7 +16,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.errors import InputError
-from dqforge.machines.flux_maps.building import FluxMapReading, build_flux_map
+from dqforge.machines.flux_maps.building import FluxMapReading, FluxTreatment, build_flux_map
 from dqforge.machines.flux_maps.conversion import converted
 from dqforge.machines.flux_maps.flux_points import FluxPoints
 from dqforge.machines.names import FluxAxes, FluxScaling
@@ -221,7 +221,7 @@ def test_few_scattered_points_equal_the_global_thin_plate_spline() -> None:
     """
     generator = np.random.default_rng(9)
     points = points_of(generator.uniform(-150.0, 60.0, 30), generator.uniform(1.0, 130.0, 30))
-    grid = build_flux_map(points).flux_map
+    grid = build_flux_map(points, treatment=FluxTreatment("interpolate")).flux_map
     at = np.stack([np.tile(points.i_d, 2), np.append(points.i_q, -points.i_q)], axis=1)
     flux = np.stack([np.tile(points.psi_d, 2), np.append(points.psi_q, -points.psi_q)], axis=1)
     scale = np.ptp(at, axis=0)
@@ -381,3 +381,38 @@ def test_computed_half_plane_gives_the_torque_of_its_corner(shared_data: Path) -
     assert reading.flux_map.psi_d.shape == (6, 11)
     with pytest.raises(InputError, match="write axes: magnet-d"):
         build_flux_map(FluxPoints("femag.csv", *table.T[:4]), axes="reluctance")
+
+
+@pytest.mark.slow
+def test_trajectories_alone_make_the_torque_of_the_whole_map(
+    thor: FluxPoints, shared_data: Path
+) -> None:
+    """MTPA, MTPV and field weakening as their authors publish them: the energy tells the rest."""
+    rows = np.concatenate(
+        [
+            np.loadtxt(shared_data / f"fluxmaps/thor_syre_{name}.csv", delimiter=",", skiprows=1)
+            for name in ("MTPA", "MTPV", "MPFPA")
+        ]
+    )
+    points = FluxPoints("trajectories.csv", *rows[:, :4].T)
+    found = build_flux_map(points, axes="reluctance")
+    assert found.fit.used == "smooth"
+    assert found.fit.curl > 0.1
+    assert found.energy_misfit < 0.01
+    region = found.flux_map.hull
+    assert region is not None
+    i_d, i_q = (
+        part.ravel() for part in np.meshgrid(np.linspace(-60.0, 0.0, 40), np.linspace(0, 66, 40))
+    )
+    within = region.contains(i_d, i_q)
+    whole = build_flux_map(thor, axes="reluctance").flux_map
+    plain = build_flux_map(
+        points, axes="reluctance", treatment=FluxTreatment("interpolate")
+    ).flux_map
+    torques = []
+    for flux_map in (whole, found.flux_map, plain):
+        psi_d, psi_q = flux_map.flux(i_d[within], i_q[within])
+        torques.append(3.0 * (psi_d * i_q[within] - psi_q * i_d[within]))
+    wrong = [float(np.max(np.abs(torque - torques[0]))) for torque in torques[1:]]
+    assert wrong[0] < 0.02 * float(np.max(torques[0]))
+    assert wrong[0] < wrong[1]

@@ -19,9 +19,11 @@ from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError
 from dqforge.machines.places import KeyPath
+from dqforge.machines.units.quantities import format_quantity
 
 if TYPE_CHECKING:  # the readers are needed for maps only
     from dqforge.machines.flux_maps.building import FluxMapReading
+    from dqforge.machines.flux_maps.loss_check import MeasuredLoss
     from dqforge.machines.flux_maps.torque_check import TorqueCheck
 
 
@@ -33,18 +35,31 @@ _SYMMETRIC = 1e-6
 """Asymmetry over the largest flux linkage below which the halves of a map are the same."""
 
 
+_FAR_TORQUE, _ANGLES, _SHARES = 1.5, 91, 13
+
+"""Torque over that of the points of the file from which on it is none of theirs, and the currents
+at which it is looked for."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FluxMaps:
     """The map that everything is computed with, and that of both halves as they are,
     None where none is known.
+
+    ``losses`` are those that the files give, with their names.
     """
 
     symmetric: FluxMap
     whole: FluxMap | None = None
+    losses: tuple[tuple[str, MeasuredLoss], ...] = ()
 
 
 def read_flux_maps(
-    section: MachineSection, pole_pairs: int, reading: Reading, expected: float | None, i_max: float
+    section: MachineSection,
+    pole_pairs: int,
+    reading: Reading,
+    expected: float | None,
+    i_max: float,
 ) -> FluxMaps:
     """Flux maps of the files that the section names, at the temperature of the magnets.
 
@@ -81,7 +96,7 @@ def read_flux_maps(
             "rated current",
         )
     if given.file is not None:
-        found = _one_map(given, given.file, (*_PATH, "file"), pole_pairs, reading, expected)
+        found = _one_map(given, given.file, (*_PATH, "file"), pole_pairs, reading, i_max, expected)
         return _told(given, given.file, found, reading, pole_pairs, at)
     files = given.files or ()
     for key in ("psi_q_file", "torque_file"):
@@ -101,7 +116,9 @@ def read_flux_maps(
         )
     maps = []
     for index, part in enumerate(files):
-        found = _one_map(given, part.file, (*_PATH, "files", index, "file"), pole_pairs, reading)
+        found = _one_map(
+            given, part.file, (*_PATH, "files", index, "file"), pole_pairs, reading, i_max
+        )
         maps.append(_told(given, part.file, found, reading, pole_pairs, at))
     temperatures = np.array([part.magnet_temperature.si for part in files])
     wholes = [part.whole for part in maps if part.whole is not None]
@@ -110,8 +127,23 @@ def read_flux_maps(
             flux_map_of_maps(temperatures, wholes, magnet.si) if len(wholes) == len(maps) else None
         )
         return FluxMaps(
-            flux_map_of_maps(temperatures, [part.symmetric for part in maps], magnet.si), whole
+            flux_map_of_maps(temperatures, [part.symmetric for part in maps], magnet.si),
+            whole,
+            tuple(loss for part in maps for loss in part.losses),
         )
+
+
+def losses_told(maps: FluxMaps, r_s: float, reading: Reading) -> None:
+    """What remains of the losses in the files without the copper loss of a resistance in Ohm, among
+    the remarks.
+    """
+    if not maps.losses:
+        return
+    from dqforge.machines.flux_maps.loss_check import loss_findings
+
+    reading.remarks.extend(
+        f"{name}: {finding}" for name, loss in maps.losses for finding in loss_findings(loss, r_s)
+    )
 
 
 def _told(
@@ -134,7 +166,8 @@ def _told(
     evidence = FluxEvidence(name, found.fit, asymmetry, pole_pairs)
     reading.flux_evidence.append(evidence)
     reading.remarks.extend(f"{name}: {sentence}" for sentence in evidence.sentences())
-    return FluxMaps(found.flux_map, found.whole)
+    losses = () if found.loss is None else ((name, found.loss),)
+    return FluxMaps(found.flux_map, found.whole, losses)
 
 
 def _one_map(
@@ -143,14 +176,16 @@ def _one_map(
     path: KeyPath,
     pole_pairs: int,
     reading: Reading,
+    i_max: float,
     expected: float | None = None,
 ) -> FluxMapReading:
     """Flux map of one file, its findings among the remarks.
 
-    ``expected`` is the known magnet flux in Wb.
+    ``expected`` is the known magnet flux in Wb, ``i_max`` the current limit in A (peak).
     """
     # A design with constants starts faster without the readers.
     from dqforge.machines.flux_map_files.files import read_flux_points
+    from dqforge.machines.flux_map_files.operating_points import Declared
     from dqforge.machines.flux_maps.building import FluxTreatment, build_flux_map
 
     columns = {key: value for key, value in given.columns if value is not None}
@@ -166,6 +201,11 @@ def _one_map(
         for key in ("temperature", "speed")
         if (si := si_of(getattr(given.at, key))) is not None
     }
+    scaling = given.scaling if "scaling" in given.model_fields_set else None
+    of_phase = None
+    if given.resistance is not None:
+        kind = given.resistance.kind or "phase"
+        of_phase = datasheet.phase_resistance(given.resistance.si, kind, "star")
     try:
         points = read_flux_points(
             content,
@@ -175,11 +215,13 @@ def _one_map(
             columns=columns or None,
             at=at,
             companions=companions,
+            torque=given.torque,
+            declared=Declared(pole_pairs, of_phase, scaling),
         )
         found = build_flux_map(
             at_the_terminals(points, given),
             axes=given.axes,
-            scaling=given.scaling if "scaling" in given.model_fields_set else None,
+            scaling=scaling,
             extrapolate=given.extrapolate,
             expected_psi_pm=expected,
             pole_pairs=pole_pairs,
@@ -192,10 +234,52 @@ def _one_map(
         file = error.source or name
         about = error.message if file in error.message else f"{file}: {error.message}"
         raise reading.document.error(f"machine.flux_map: {about}", path) from None
+    if "torque" in given.model_fields_set and found.torque is None and not points.ignored:
+        raise reading.document.error(
+            f"machine.flux_map.torque: {name} holds no torque that it could be about; remove the "
+            "key, or name the column, columns: {torque: NAME}",
+            (*_PATH, "torque"),
+        )
+    _refuse_far_torque(found, name, path, pole_pairs, reading, i_max)
     reading.remarks.extend(f"{name}: {finding}" for finding in found.findings)
     if found.torque is not None:
         reading.derived.extend(_torque_values(".".join(map(str, path[:-1])), found.torque))
     return found
+
+
+def _refuse_far_torque(
+    found: FluxMapReading,
+    name: str,
+    path: KeyPath,
+    pole_pairs: int,
+    reading: Reading,
+    i_max: float,
+) -> None:
+    """Refuse a map that makes far more torque within the current limit than its own points do.
+
+    Torque grows with the square of the current at most; beyond the points it may be extrapolated
+    to anything.
+    """
+    angle, share = np.linspace(0.0, np.pi, _ANGLES), np.linspace(0.0, 1.0, _SHARES)[1:]
+    i_d, i_q = (i_max * np.outer(share, part).ravel() for part in (np.cos(angle), np.sin(angle)))
+    if not found.flux_map.extrapolate:
+        within = found.flux_map.inside(i_d, i_q)
+        i_d, i_q = i_d[within], i_q[within]
+    psi_d, psi_q = found.flux_map.flux(i_d, i_q)
+    made = 1.5 * float(np.max(np.abs(psi_d * i_q - psi_q * i_d), initial=0.0))
+    most, current = found.most
+    if not most > 0.0 or made <= _FAR_TORQUE * most * max(1.0, i_max / current) ** 2:
+        return
+    extrapolated = found.flux_map.extrapolate
+    advice = "leave extrapolate out" if extrapolated else "write fit: smooth, or add points"
+    raise reading.document.error(
+        f"machine.flux_map: {name} would make "
+        f"{format_quantity(pole_pairs * made, 'N m', 4)} within max_current, its own points reach "
+        f"{format_quantity(pole_pairs * most, 'N m', 4)} at up to "
+        f"{format_quantity(current, 'A', 4)}: that torque is "
+        f"{'extrapolated' if extrapolated else 'between its points'}, not known; {advice}",
+        path,
+    )
 
 
 def _torque_values(path: str, found: TorqueCheck) -> list[InputValue]:

@@ -12,6 +12,7 @@ from dqforge.machines.entries.kinds import (
     FileName,
     Listing,
     PointSpeed,
+    Resistance,
     Section,
     Temperature,
 )
@@ -48,6 +49,18 @@ class ColumnsSection(Section):
         default=None, description="name of the temperature; see at"
     )
     speed: ColumnName | None = Field(default=None, description="name of the speed; see at")
+    v_d: ColumnName | None = Field(
+        default=None, description="name of the d voltage of operating points, in place of psi_d"
+    )
+    v_q: ColumnName | None = Field(default=None, description="name of the q voltage, with v_d")
+    frequency: ColumnName | None = Field(
+        default=None, description="name of the electrical frequency, with v_d and v_q"
+    )
+    resistance: ColumnName | None = Field(
+        default=None, description="name of the phase resistance, with v_d and v_q"
+    )
+    loss: ColumnName | None = Field(default=None, description="name of the total loss")
+    efficiency: ColumnName | None = Field(default=None, description="name of the efficiency")
 
 
 class FluxMapPointsSection(Section):
@@ -104,6 +117,13 @@ class FluxMapSection(Section):
     )
     flux_unit: Literal["Wb", "mWb", "V s", "mV s"] | None = Field(
         default=None, description="where the file does not say it"
+    )
+    resistance: Resistance | None = Field(
+        default=None,
+        description=(
+            "of a phase (Ohm), for operating points with voltages whose file does not give it, at "
+            "the temperature of the file"
+        ),
     )
     columns: ColumnsSection = Field(
         default=ColumnsSection(), description="names in the file, where they are unusual"

@@ -14,7 +14,11 @@ from dqforge.machines.design import datasheet
 from dqforge.machines.design.reading import Reading
 from dqforge.machines.design.sections.machine.back_emf import read_phase_machine, read_saliency
 from dqforge.machines.design.sections.machine.delta import check_connection
-from dqforge.machines.design.sections.machine.flux_map import FluxMaps, read_flux_maps
+from dqforge.machines.design.sections.machine.flux_map import (
+    FluxMaps,
+    losses_told,
+    read_flux_maps,
+)
 from dqforge.machines.design.sections.machine.inductances import read_inductances
 from dqforge.machines.design.sections.machine.magnet_flux import FLUX_KEYS, read_magnet_flux
 from dqforge.machines.design.sections.machine.schema import MachineSection, SaturationSection
@@ -140,6 +144,7 @@ def read_machine(section: MachineSection, reading: Reading) -> MachineReading:
             (section.flux_map, pole_pairs, expected, common["i_max"], *at),
             lambda: read_flux_maps(section, pole_pairs, reading, expected, common["i_max"]),
         )
+        losses_told(maps, common["r_s"], reading)
     machine = _scaled(SaturatedMachine(flux_map=maps.symmetric, **common), section, reading)
     _check_range(machine, reading)
     if section.flux_map is None or section.flux_map.symmetry != "keep" or maps.whole is None:
@@ -303,7 +308,10 @@ def _saturation_map(section: SaturationSection, i_max: float, reading: Reading) 
 def _check_range(machine: SaturatedMachine, reading: Reading) -> None:
     """Refuse a current limit beyond the map, unless it may be left."""
     flux_map, i_max = machine.flux_map, machine.i_max
-    reach = min(max(-float(flux_map.i_d[0]), float(flux_map.i_d[-1])), float(flux_map.i_q[-1]))
+    if flux_map.hull is None:
+        reach = min(max(-float(flux_map.i_d[0]), float(flux_map.i_d[-1])), float(flux_map.i_q[-1]))
+    else:
+        reach = flux_map.hull.size
     if i_max <= reach * (1.0 + 1e-6):
         _remark_on_the_region(machine, reading)
         return
