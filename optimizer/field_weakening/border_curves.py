@@ -19,6 +19,7 @@ from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.curves.single_precision import SinglePolynomial
 from dqforge.optimizer.curves.two_family_levelling import Aims, level
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
+from dqforge.optimizer.linear_programme import least_cost
 
 _SHAPES = (
     (1, 2),
@@ -128,31 +129,20 @@ def _level_curve(
     With ``rising``, the derivatives of the functions, that of a curve from
     below that rises everywhere.
     """
-    from scipy.optimize import linprog
-
-    columns = np.column_stack([np.ones(target.size), functions])
-    scale = np.max(np.abs(columns), axis=0)
-    columns = columns / scale
-    room = -unit if rising is None else np.zeros_like(unit)
-    rows = np.vstack([np.column_stack([columns, room]), np.column_stack([-columns, -unit])])
-    bounds = np.concatenate([target, -target])
+    # In units of what is permitted, so that the tolerance of the solver is a share of that.
+    columns = np.column_stack([np.ones(target.size), functions]) / unit[:, np.newaxis]
+    one, wanted = np.ones((target.size, 1)), target / unit
+    room = -one if rising is None else 0.0 * one
+    rows, most = np.block([[columns, room], [-columns, -one]]), np.append(wanted, -wanted)
     if rising is not None:
         nothing = np.zeros((rising.shape[0], 1))
-        rows = np.vstack([rows, np.column_stack([nothing, -rising / scale[1:], nothing])])
-        bounds = np.append(bounds, np.full(rising.shape[0], -_LEAST_SLOPE * float(np.max(target))))
-    found = linprog(
-        np.append(np.zeros(columns.shape[1]), 1.0),
-        A_ub=rows,
-        b_ub=bounds,
-        bounds=(None, None),
-        method="highs-ds",
-    )
-    if found.status != 0:
-        raise NoSolutionError(
-            "field_weakening: the torque limit cannot be fitted over all those speeds; lower "
-            f"field_weakening.speed (the linear programme ended with: {found.message})"
-        )
-    return found.x[:-1] / scale, float(found.x[-1])
+        rows = np.vstack([rows, np.column_stack([nothing, -rising, nothing])])
+        most = np.append(most, np.full(rising.shape[0], -_LEAST_SLOPE * float(np.max(target))))
+    cost = np.append(np.zeros(columns.shape[1]), 1.0)
+    found = least_cost(cost, rows, most, orthogonal=True)
+    if found is None:  # a constant below everything always fulfils the rows
+        raise AssertionError
+    return found[:-1], float(found[-1])
 
 
 def fit_limit(region: WeakeningRegion, permitted: float) -> SinglePolynomial:
