@@ -40,9 +40,10 @@ _SHAPES = (
 """Segments and degree in the order of their number of coefficients."""
 
 
-_SPACINGS = (1.0, 2.0, 3.0)
+_SPACINGS = (1.0, 2.0, 3.0, 0.5, 0.3)
 
-"""Powers by which breakpoints crowd towards the start, where roots are steep."""
+"""Powers by which breakpoints crowd towards the start, where roots are steep, or towards the end,
+next to which MTPV may give way to the current limit."""
 
 
 _POINTS = 601
@@ -58,6 +59,17 @@ _LEAST_SLOPE = 1e-4
 
 """Least rise of the torque limit over its domain, over the largest torque:
 between the points it falls nowhere."""
+
+
+_BELOW = 0.1, 0.8
+
+"""Permitted error of the flux linkage of MTPA points below the least one: shares of that and of the
+distance from it."""
+
+
+_JUMP = 0.1
+
+"""Share of the current limit between neighbours of `_POINTS` that is a jump of MTPA currents."""
 
 
 _NEAR = 0.97
@@ -155,7 +167,7 @@ def fit_limit(region: WeakeningRegion, permitted: float) -> SinglePolynomial:
         No shape comes that close.
     """
     span = region.flux_max - region.flux_min
-    share = np.linspace(0.0, 1.0, _POINTS) ** 2
+    share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _POINTS))
     most = region.largest_torque(region.flux_min + span * share)
     # Room for rounding; a torque below zero is of no use to anybody.
     target = np.maximum(most - 1e-5 * region.torque_max, 0.0)
@@ -220,10 +232,11 @@ def fit_mtpa(region: WeakeningRegion, torque_error: float, flux_error: float) ->
     Raises
     ------
     NoSolutionError
-        No shape comes that close.
+        No shape comes that close, or the currents jump.
     """
     share = np.linspace(0.0, 1.0, _POINTS) ** 2
     exact = region.mtpa(share * region.torque_max)
+    _refuse_a_jump(region, share * region.torque_max, exact)
     fit = _fit_currents(region, share, exact, (torque_error, 0.5 * flux_error))
     for segments, degree in _SHAPES:
         for spacing in _SPACINGS[: 1 if segments == 1 else None]:
@@ -232,9 +245,9 @@ def fit_mtpa(region: WeakeningRegion, torque_error: float, flux_error: float) ->
                 continue
             torque = share * region.torque_max
             taken = region.flux(in_double(d, torque), in_double(q, torque))
-            unit = np.where(
-                taken >= _NEAR * region.flux_min, 0.5 * flux_error * taken, 0.1 * region.flux_min
-            )
+            # Below the least flux linkage it counts only that the curve stays there, too.
+            room = np.minimum(_BELOW[0] * region.flux_min, _BELOW[1] * (region.flux_min - taken))
+            unit = np.maximum(0.5 * flux_error * taken, room)
             edges = _edges(segments, spacing)
             weights, worst = _level_curve(_functions(share, edges, degree), taken, unit)
             if worst <= 1.0:
@@ -245,4 +258,20 @@ def fit_mtpa(region: WeakeningRegion, torque_error: float, flux_error: float) ->
                 )
     raise NoSolutionError(
         "field_weakening: the MTPA currents bend too sharply for 4 segments of degree 6"
+    )
+
+
+def _refuse_a_jump(
+    region: WeakeningRegion, torque: FloatArray, exact: tuple[FloatArray, FloatArray]
+) -> None:
+    i_d, i_q = exact
+    steps = np.hypot(np.diff(i_d), np.diff(i_q))
+    place = int(np.argmax(steps))
+    if steps[place] < _JUMP * region.i_max:
+        return
+    before, after = (f"({i_d[at]:.4g}, {i_q[at]:.4g}) A" for at in (place, place + 1))
+    raise NoSolutionError(
+        f"field_weakening: at {torque[place]:.4g} N m the currents of least loss jump from "
+        f"{before} to {after}, which no continuous reference follows; lower max_current until "
+        "they make less torque than that, or correct the flux data"
     )
