@@ -4,15 +4,23 @@ so that solvers can be compared on it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.dq_machines.flux_map import FluxMap
+from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.saturation import SaturationModel
-from dqforge.machines.dq_machines.synchronous import FluxJet, MachineFormulas
+from dqforge.machines.dq_machines.synchronous import (
+    FluxJet,
+    LinearMachine,
+    Machine,
+    MachineFormulas,
+)
+from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 
 PM_SYRM = SaturationModel(
     a_d0=3.96,
@@ -90,3 +98,45 @@ class ArctanMachine(MachineFormulas):
             zero - 2.0 * c,
             bend_q,
         )
+
+
+def saturated_reluctance(seed: int, axis: str = "d", *, magnet: float = 0.0) -> SaturatedMachine:
+    """A random machine without resistance whose greatest inductance lies on an axis and saturates.
+
+    Self- and cross-saturation from one coenergy; ``magnet`` adds a share of the flux linkage to the
+    d axis.
+    """
+    generator = np.random.default_rng(seed)
+    i_max, pole_pairs = 10.0 ** generator.uniform(0.5, 2.5), int(generator.integers(2, 5))
+    flux = 10.0 ** generator.uniform(-1.5, 0.2)
+    knee = i_max * generator.uniform(0.1, 0.6)
+    leakage = flux / i_max * generator.uniform(0.02, 0.15)
+    other = flux / knee * generator.uniform(0.08, 0.35) * i_max
+    cross = generator.uniform(0.0, 0.3) * flux * i_max * 0.1
+    axes = np.linspace(-1.3, 1.3, 41) * i_max
+    main, small = np.meshgrid(axes, axes, indexing="ij")
+    x, y = main / knee, small / i_max
+
+    def hump(z: FloatArray) -> FloatArray:
+        return z * z / (1.0 + z * z)
+
+    def slope(z: FloatArray) -> FloatArray:
+        return 2.0 * z / (1.0 + z * z) ** 2
+
+    along = flux * 2.0 / np.pi * np.arctan(0.5 * np.pi * x) + leakage * main
+    along -= cross * slope(x) / knee * hump(y)
+    across = other * (0.7 * np.arctan(1.5 * y) / 1.5 + 0.3 * y) - cross * hump(x) * slope(y) / i_max
+    psi_d, psi_q = (along, across) if axis == "d" else (across.T, along.T)
+    flux_map = FluxMap(axes, axes, psi_d + magnet * np.max(np.abs(psi_d)), psi_q)
+    return SaturatedMachine(pole_pairs, 0.0, flux_map, i_max)
+
+
+def with_drop(machine: Machine, share: float, omega_m: float = 100.0) -> tuple[Machine, float]:
+    """The machine with a resistance that takes a share of the voltage at the current limit, and
+    that voltage in V: what its MTPA currents take at a mechanical speed in rad/s, nearly.
+    """
+    assert isinstance(machine, SaturatedMachine | LinearMachine)
+    locus = mtpa_locus(machine, machine.i_max)
+    flux = float(np.max(np.hypot(*machine.flux(locus.i_d, locus.i_q))))
+    v_max = flux * omega_m * machine.pole_pairs / (1.0 - share)
+    return replace(machine, r_s=share * v_max / machine.i_max), v_max

@@ -22,6 +22,7 @@ from dqforge.optimizer.curves.piecewise import (
     local_coefficients,
     power_of_series,
 )
+from dqforge.optimizer.linear_programme import least_cost
 
 Curve = Callable[[FloatArray], FloatArray]
 
@@ -228,8 +229,6 @@ class MinimaxProgramme:
         NoSolutionError
             The solver failed.
         """
-        from scipy.optimize import linprog
-
         rows = np.zeros((position.size, self.variables))
         width = self.degree + 1
         columns = block[:, np.newaxis] * width + np.arange(width)
@@ -240,25 +239,18 @@ class MinimaxProgramme:
         level[np.arange(position.size), self.coefficients + block] = -1.0
         limits = np.full((self.variables, 2), (-np.inf, np.inf))
         limits[-1 - self.moves : -1] = (-radius, radius)
-        has_equalities = self.equalities.size > 0
-        solution = linprog(
+        x = least_cost(
             self.objective,
-            A_ub=np.vstack([rows + level, -rows + level, self.order]),
-            b_ub=np.concatenate([residual, -residual, np.zeros(self.blocks)]),
-            A_eq=self.equalities if has_equalities else None,
-            b_eq=np.zeros(self.equalities.shape[0]) if has_equalities else None,
+            np.vstack([rows + level, -rows + level, self.order]),
+            np.concatenate([residual, -residual, np.zeros(self.blocks)]),
+            equal=self.equalities if self.equalities.size > 0 else None,
             bounds=limits,
-            method="highs-ds",
-            options={
-                "presolve": False
-            },  # there is nothing to remove, and looking takes a quarter of the time
+            presolve=False,  # nothing can be removed, and looking takes a quarter of the time
         )
-        if solution.status != 0:
-            raise NoSolutionError(
-                f"minimax fit: the linear programme stopped with '{solution.message}'"
-            )
-        series = solution.x[: self.coefficients].reshape(self.shape)
-        return series, solution.x[-1 - self.moves : -1], float(solution.x[-1])
+        if x is None:
+            raise NoSolutionError("minimax fit: the side conditions leave no curve")
+        series = x[: self.coefficients].reshape(self.shape)
+        return series, x[-1 - self.moves : -1], float(x[-1])
 
 
 def local_peaks(error: FloatArray) -> Mask:

@@ -19,6 +19,7 @@ from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.curves.single_precision import SinglePolynomial
 from dqforge.optimizer.curves.two_family_levelling import Aims, level
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
+from dqforge.optimizer.linear_programme import least_cost
 
 _SHAPES = (
     (1, 2),
@@ -39,9 +40,10 @@ _SHAPES = (
 """Segments and degree in the order of their number of coefficients."""
 
 
-_SPACINGS = (1.0, 2.0, 3.0)
+_SPACINGS = (1.0, 2.0, 3.0, 0.5, 0.3)
 
-"""Powers by which breakpoints crowd towards the start, where roots are steep."""
+"""Powers by which breakpoints crowd towards the start, where roots are steep, or towards the end,
+next to which MTPV may give way to the current limit."""
 
 
 _POINTS = 601
@@ -57,6 +59,17 @@ _LEAST_SLOPE = 1e-4
 
 """Least rise of the torque limit over its domain, over the largest torque:
 between the points it falls nowhere."""
+
+
+_BELOW = 0.1, 0.8
+
+"""Permitted error of the flux linkage of MTPA points below the least one: shares of that and of the
+distance from it."""
+
+
+_JUMP = 0.1
+
+"""Share of the current limit between neighbours of `_POINTS` that is a jump of MTPA currents."""
 
 
 _NEAR = 0.97
@@ -128,31 +141,20 @@ def _level_curve(
     With ``rising``, the derivatives of the functions, that of a curve from
     below that rises everywhere.
     """
-    from scipy.optimize import linprog
-
-    columns = np.column_stack([np.ones(target.size), functions])
-    scale = np.max(np.abs(columns), axis=0)
-    columns = columns / scale
-    room = -unit if rising is None else np.zeros_like(unit)
-    rows = np.vstack([np.column_stack([columns, room]), np.column_stack([-columns, -unit])])
-    bounds = np.concatenate([target, -target])
+    # In units of what is permitted, so that the tolerance of the solver is a share of that.
+    columns = np.column_stack([np.ones(target.size), functions]) / unit[:, np.newaxis]
+    one, wanted = np.ones((target.size, 1)), target / unit
+    room = -one if rising is None else 0.0 * one
+    rows, most = np.block([[columns, room], [-columns, -one]]), np.append(wanted, -wanted)
     if rising is not None:
         nothing = np.zeros((rising.shape[0], 1))
-        rows = np.vstack([rows, np.column_stack([nothing, -rising / scale[1:], nothing])])
-        bounds = np.append(bounds, np.full(rising.shape[0], -_LEAST_SLOPE * float(np.max(target))))
-    found = linprog(
-        np.append(np.zeros(columns.shape[1]), 1.0),
-        A_ub=rows,
-        b_ub=bounds,
-        bounds=(None, None),
-        method="highs-ds",
-    )
-    if found.status != 0:
-        raise NoSolutionError(
-            "field_weakening: the torque limit cannot be fitted over all those speeds; lower "
-            f"field_weakening.speed (the linear programme ended with: {found.message})"
-        )
-    return found.x[:-1] / scale, float(found.x[-1])
+        rows = np.vstack([rows, np.column_stack([nothing, -rising, nothing])])
+        most = np.append(most, np.full(rising.shape[0], -_LEAST_SLOPE * float(np.max(target))))
+    cost = np.append(np.zeros(columns.shape[1]), 1.0)
+    found = least_cost(cost, rows, most, orthogonal=True)
+    if found is None:  # a constant below everything always fulfils the rows
+        raise AssertionError
+    return found[:-1], float(found[-1])
 
 
 def fit_limit(region: WeakeningRegion, permitted: float) -> SinglePolynomial:
@@ -165,7 +167,7 @@ def fit_limit(region: WeakeningRegion, permitted: float) -> SinglePolynomial:
         No shape comes that close.
     """
     span = region.flux_max - region.flux_min
-    share = np.linspace(0.0, 1.0, _POINTS) ** 2
+    share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _POINTS))
     most = region.largest_torque(region.flux_min + span * share)
     # Room for rounding; a torque below zero is of no use to anybody.
     target = np.maximum(most - 1e-5 * region.torque_max, 0.0)
@@ -230,10 +232,11 @@ def fit_mtpa(region: WeakeningRegion, torque_error: float, flux_error: float) ->
     Raises
     ------
     NoSolutionError
-        No shape comes that close.
+        No shape comes that close, or the currents jump.
     """
     share = np.linspace(0.0, 1.0, _POINTS) ** 2
     exact = region.mtpa(share * region.torque_max)
+    _refuse_a_jump(region, share * region.torque_max, exact)
     fit = _fit_currents(region, share, exact, (torque_error, 0.5 * flux_error))
     for segments, degree in _SHAPES:
         for spacing in _SPACINGS[: 1 if segments == 1 else None]:
@@ -242,9 +245,9 @@ def fit_mtpa(region: WeakeningRegion, torque_error: float, flux_error: float) ->
                 continue
             torque = share * region.torque_max
             taken = region.flux(in_double(d, torque), in_double(q, torque))
-            unit = np.where(
-                taken >= _NEAR * region.flux_min, 0.5 * flux_error * taken, 0.1 * region.flux_min
-            )
+            # Below the least flux linkage it counts only that the curve stays there, too.
+            room = np.minimum(_BELOW[0] * region.flux_min, _BELOW[1] * (region.flux_min - taken))
+            unit = np.maximum(0.5 * flux_error * taken, room)
             edges = _edges(segments, spacing)
             weights, worst = _level_curve(_functions(share, edges, degree), taken, unit)
             if worst <= 1.0:
@@ -255,4 +258,20 @@ def fit_mtpa(region: WeakeningRegion, torque_error: float, flux_error: float) ->
                 )
     raise NoSolutionError(
         "field_weakening: the MTPA currents bend too sharply for 4 segments of degree 6"
+    )
+
+
+def _refuse_a_jump(
+    region: WeakeningRegion, torque: FloatArray, exact: tuple[FloatArray, FloatArray]
+) -> None:
+    i_d, i_q = exact
+    steps = np.hypot(np.diff(i_d), np.diff(i_q))
+    place = int(np.argmax(steps))
+    if steps[place] < _JUMP * region.i_max:
+        return
+    before, after = (f"({i_d[at]:.4g}, {i_q[at]:.4g}) A" for at in (place, place + 1))
+    raise NoSolutionError(
+        f"field_weakening: at {torque[place]:.4g} N m the currents of least loss jump from "
+        f"{before} to {after}, which no continuous reference follows; lower max_current until "
+        "they make less torque than that, or correct the flux data"
     )

@@ -30,7 +30,7 @@ _NO_LIMIT = 1e12
 """Phase voltage in V that limits nothing at standstill."""
 
 
-_LEAST_SHARE = 0.02
+LEAST_SHARE = 0.02
 
 """Share of the largest torque that must be left at the least flux linkage: below,
 nothing is worth fitting."""
@@ -109,10 +109,10 @@ def weakening_region(machine: Machine, i_max: float, flux_min: float) -> Weakeni
             "section out"
         )
     least = float(probe.largest_torque(np.array([flux_min]))[0])
-    if least < _LEAST_SHARE * torque_max:
+    if least < LEAST_SHARE * torque_max:
         raise NoSolutionError(
             f"field_weakening: within {flux_min:.4g} Wb and {i_max:.4g} A the machine makes less "
-            f"than {100.0 * _LEAST_SHARE:g} % of its largest torque; lower the speed"
+            f"than {100.0 * LEAST_SHARE:g} % of its largest torque; lower the speed"
         )
     region = WeakeningRegion(machine, i_max, flux_min, flux_max, torque_max)
     _refuse_what_data_hold(region)

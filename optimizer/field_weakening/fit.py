@@ -141,6 +141,11 @@ class WeakeningFit:
         return max(self.errors.torque, self.voltage.torque)
 
     @property
+    def largest_current_excess(self) -> float:
+        """Largest sampled excess of the current, over the same."""
+        return max(self.errors.current_excess, self.voltage.current_excess)
+
+    @property
     def reference(self) -> WeakeningReference:
         """Currents over torque and available flux linkage."""
         return self.step.surface
@@ -318,7 +323,9 @@ def _keeps(
     region: WeakeningRegion,
 ) -> bool:
     # The current limit is kept as well as the voltage limit.
-    excess = max(errors.flux_excess, errors.current_excess, voltage.voltage_excess)
+    excess = max(
+        errors.flux_excess, errors.current_excess, voltage.voltage_excess, voltage.current_excess
+    )
     torque = max(errors.torque, voltage.torque)
     return torque <= settings.torque_error * region.torque_max and excess <= settings.voltage_excess
 

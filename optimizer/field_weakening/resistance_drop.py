@@ -8,6 +8,7 @@ from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.optimizer.field_weakening.drop_reference import DropReference
 from dqforge.optimizer.field_weakening.form import WeakeningReference
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE, VoltageRegion
+from dqforge.optimizer.linear_programme import least_cost
 
 _NEGLIGIBLE = 0.1
 
@@ -42,8 +43,6 @@ def _near_mtpv(region: VoltageRegion) -> tuple[float, float] | None:
     The line lies as low as it can (a linear programme). None where the
     current limit holds everywhere.
     """
-    from scipy.optimize import linprog
-
     flux, square = region.flux, region.flux.i_max**2
     levels = np.linspace(flux.flux_min, flux.flux_max, _LEVELS)
     points = flux.points(np.full(_LEVELS, 2.0 * flux.torque_max), levels)
@@ -53,12 +52,10 @@ def _near_mtpv(region: VoltageRegion) -> tuple[float, float] | None:
         return None
     argument, target = (levels[below] / flux.flux_max) ** 2, used[below] + _MARGIN
     rows = np.column_stack([np.ones(argument.size), argument])
-    found = linprog(
-        rows.sum(axis=0), A_ub=-rows, b_ub=-target, bounds=[(0.0, None)] * 2, method="highs-ds"
-    )
-    if found.status != 0:
+    found = least_cost(rows.sum(axis=0), -rows, -target, bounds=(0.0, np.inf))
+    if found is None:
         return None
-    constant, slope = (float(part) * square for part in found.x)
+    constant, slope = (float(part) * square for part in found)
     return constant, slope / flux.flux_max**2
 
 

@@ -4,9 +4,11 @@ domain and errors of a current reference.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
@@ -15,9 +17,13 @@ from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.forms import PENALTY_FROM
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.field_weakening.drop_reference import DropReference
-from dqforge.optimizer.field_weakening.exact import WeakeningRegion, weakening_region
+from dqforge.optimizer.field_weakening.exact import (
+    LEAST_SHARE,
+    WeakeningRegion,
+    weakening_region,
+)
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
-from dqforge.optimizer.operating_points.points import optimal_points
+from dqforge.optimizer.operating_points.points import OptimalPoints, optimal_points
 
 LEAST_VOLTAGE = 0.8
 
@@ -30,10 +36,13 @@ _GRID, _ROUNDS = 49, 6
 _LOCUS_POINTS = 801
 
 
-_SPEEDS, _TORQUES = 28, 24
+_SPEEDS, _TORQUES = 48, 40
 
 
-_VOLTAGES = (LEAST_VOLTAGE, 0.9, 1.2)
+_VOLTAGES = (LEAST_VOLTAGE, 0.9, 1.0, 1.2, 1.6, 4.0)
+
+"""Shares of the design's voltage at which errors are measured: nearly even in the share of the
+voltage that the resistance takes, which falls with them."""
 
 
 _WITHIN = 1.0 - 1e-6
@@ -53,12 +62,18 @@ class VoltageRegion:
     v_max:
         The design's largest phase-voltage amplitude in V.
     omega_e:
-        Largest electrical speed in rad/s at that voltage; it changes in proportion to the voltage.
+        Largest electrical speed in rad/s at that voltage; from `LEAST_VOLTAGE` up it changes in
+        proportion to the voltage.
     """
 
     flux: WeakeningRegion
     v_max: float
     omega_e: float
+
+    @property
+    def voltages(self) -> tuple[float, ...]:
+        """Voltages in V at which errors are measured, the least one first."""
+        return tuple(share * self.v_max for share in _VOLTAGES)
 
     @property
     def machine(self) -> Machine:
@@ -91,30 +106,35 @@ def _locus_voltage(region: WeakeningRegion, omega_e: float) -> float:
     return float(np.sqrt(np.max(probe.squared_voltage(i_d, i_q, np.full(i_d.shape, omega_e)))))
 
 
-def _least_flux(region: WeakeningRegion, v_max: float, omega_e: float) -> float:
-    """Flux linkage in Wb that is left at the largest speed for the largest torque that
-    can be had there, motoring.
-    """
-    r_s, whole = region.machine.r_s, v_max / omega_e
-    drop = 2.0 * r_s / (omega_e * 1.5 * region.machine.pole_pairs)
-    reserve = (r_s * region.i_max / omega_e) ** 2
+def _largest_within(region: WeakeningRegion, levels: FloatArray) -> FloatArray:
+    """Largest torque in N m within flux linkages in Wb, 0 where not even the least one is kept."""
+    points = region.points(np.full(levels.shape, 2.0 * region.torque_max), levels)
+    kept = region.flux(points.i_d, points.i_q) <= _REACHED * levels
+    return np.asarray(np.where(kept, points.torque, 0.0))
 
-    def over(levels: FloatArray) -> FloatArray:
-        points = region.points(np.full(levels.shape, 2.0 * region.torque_max), levels)
-        torque = np.where(
-            region.flux(points.i_d, points.i_q) <= _REACHED * levels, points.torque, 0.0
-        )
-        return np.asarray(levels**2 + drop * torque + reserve - whole**2)
 
-    low, high = 0.0, whole
+def _first_above(function: Callable[[FloatArray], FloatArray], high: float) -> tuple[float, float]:
+    """Bracket of where a function of a flux linkage in Wb that rises reaches 0, up to ``high``."""
+    low = 0.0
     for _ in range(_ROUNDS):
         levels = np.linspace(low, high, _GRID)[1:]
-        place = int(np.argmax(over(levels) >= 0.0))
+        place = int(np.argmax(function(levels) >= 0.0))
         low, high = (float(levels[place - 1]) if place else low), float(levels[place])
-    # Without torque the same speed over voltage is to be had at the least voltage,
-    # where the drop weighs most.
-    idle = whole**2 - reserve / LEAST_VOLTAGE**2
-    return min(low, float(np.sqrt(idle)) * _WITHIN)
+    return low, high
+
+
+def _least_flux(region: WeakeningRegion, v_max: float, omega_e: float) -> float:
+    """Flux linkage in Wb that is left at the largest speed for the largest torque that
+    can be had there, motoring, at the least voltage, where the drop weighs most.
+    """
+    r_s, whole, least = region.machine.r_s, v_max / omega_e, LEAST_VOLTAGE * omega_e
+    drop = 2.0 * r_s / (least * 1.5 * region.machine.pole_pairs)
+    reserve = (r_s * region.i_max / least) ** 2
+
+    def over(levels: FloatArray) -> FloatArray:
+        return levels**2 + drop * _largest_within(region, levels) + reserve - whole**2
+
+    return _first_above(over, whole)[0] * _WITHIN
 
 
 def voltage_region(machine: Machine, i_max: float, v_max: float, omega_m: float) -> VoltageRegion:
@@ -144,8 +164,28 @@ def voltage_region(machine: Machine, i_max: float, v_max: float, omega_m: float)
             f"are taken there, the resistance drop included, {v_max:.4g} V are available); raise "
             "the speed or leave the section out"
         )
-    return VoltageRegion(
-        weakening_region(machine, i_max, _least_flux(probe, v_max, omega_e)), v_max, omega_e
+    least = _least_flux(probe, v_max, omega_e)
+    if _largest_within(probe, np.array([least]))[0] < LEAST_SHARE * torque_max:
+        raise NoSolutionError(_too_fast(probe, v_max, omega_m))
+    return VoltageRegion(weakening_region(machine, i_max, least), v_max, omega_e)
+
+
+def _too_fast(region: WeakeningRegion, v_max: float, omega_m: float) -> str:
+    """What to write where a speed in rad/s leaves next to no torque at the least voltage."""
+    machine, sagged = region.machine, LEAST_VOLTAGE * v_max
+    torque = LEAST_SHARE * region.torque_max
+    plenty = 1.01 * float(region.flux(*region.mtpa(np.array([torque])))[0])
+    _, flux = _first_above(lambda levels: _largest_within(region, levels) - torque, plenty)
+    half = machine.r_s * torque / (1.5 * machine.pole_pairs)
+    left = sagged**2 - (machine.r_s * region.i_max) ** 2
+    omega_e = (np.sqrt(half**2 + flux**2 * left) - half) / flux**2
+    fastest = float(omega_e) / LEAST_VOLTAGE / machine.pole_pairs * 30.0 / np.pi
+    step = 10.0 ** (np.floor(np.log10(fastest)) - 2.0)
+    return (
+        f"field_weakening: at {100.0 * LEAST_VOLTAGE:g} % of {v_max:.4g} V, to which the dc link "
+        f"may sag, and of {format_quantity(omega_m, 'rpm', 4)} the machine makes less than "
+        f"{100.0 * LEAST_SHARE:g} % of its largest torque; lower the speed to "
+        f"{np.floor(fastest / step) * step:g} rpm"
     )
 
 
@@ -153,9 +193,9 @@ def voltage_region(machine: Machine, i_max: float, v_max: float, omega_m: float)
 class VoltageSamples:
     """Where errors are measured, and the best that can be had there, arrays of shape (N,).
 
-    float32 torques in N m, phase-voltage amplitudes in V, electrical speeds in rad/s; ``most`` is
-    the torque of the optimum in N m and ``square`` its squared current in A^2, both nan where it
-    was not solved for (other voltages than the design's).
+    float32 torques in N m, phase-voltage amplitudes in V, electrical speeds in rad/s; ``best`` is
+    the torque of the optimum in N m, ``square`` its squared current in A^2 and ``most`` the
+    magnitude of the largest torque in N m.
     """
 
     torque: SingleArray
@@ -163,36 +203,46 @@ class VoltageSamples:
     omega_e: SingleArray
     best: FloatArray
     square: FloatArray
+    most: FloatArray
 
 
 def voltage_samples(region: VoltageRegion) -> VoltageSamples:
-    """Motoring and generating at the design's voltage, where the optimum is solved for,
-    and at other voltages.
+    """Torques to beyond the largest at every speed and voltage, motoring and generating.
+
+    Speeds reach to the largest in proportion to the voltage; those of one voltage lie between those
+    of the others.
     """
-    shares = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _TORQUES))
-    speeds = region.omega_e * np.linspace(0.0, 1.0, _SPEEDS + 1)[1:]
-    torque = region.flux.torque_max * np.concatenate([-shares[:0:-1], shares, [1.05, -1.05]])
-    mesh_speed, mesh_torque = (part.ravel() for part in np.meshgrid(speeds, torque, indexing="ij"))
-    single = [part.astype(np.float32) for part in (mesh_torque, mesh_speed)]
-    double = [part.astype(np.float64) for part in single]
-    found = optimal_points(
-        region.machine,
-        double[0],
-        double[1] / region.machine.pole_pairs,
-        v_max=float(np.float32(region.v_max)),
-        i_max=region.flux.i_max,
-    )
-    count = mesh_speed.size
-    volts = np.repeat(np.array([1.0, *_VOLTAGES]) * region.v_max, count)
-    times = len(_VOLTAGES) + 1
-    omega = np.concatenate([mesh_speed * share for share in (1.0, *_VOLTAGES)])
-    nothing = np.full(count * len(_VOLTAGES), np.nan)
+    shift = np.arange(len(_VOLTAGES))[:, np.newaxis] / len(_VOLTAGES)
+    shares = (np.arange(1, _SPEEDS + 1) - shift * (np.arange(1, _SPEEDS + 1) < _SPEEDS)) / _SPEEDS
+    volts = np.repeat(np.array(_VOLTAGES) * region.v_max, 2 * _SPEEDS).astype(np.float32)
+    # Rounding must not put a speed above the largest one.
+    speed = region.omega_e * _WITHIN * np.repeat(shares.ravel(), 2)
+    omega = (speed * volts.astype(np.float64) / region.v_max).astype(np.float32)
+    signs = np.tile([1.0, -1.0], volts.size // 2)
+
+    def solve(torque: FloatArray, places: NDArray[np.intp]) -> OptimalPoints:
+        return optimal_points(
+            region.machine,
+            torque,
+            omega[places].astype(np.float64) / region.machine.pole_pairs,
+            v_max=volts[places].astype(np.float64),
+            i_max=region.flux.i_max,
+        )
+
+    most = np.abs(solve(2.0 * signs * region.flux.torque_max, np.arange(volts.size)).torque)
+    steps = np.append(0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _TORQUES)), [0.97, 1.05])
+    mesh = signs[:, np.newaxis] * steps * most[:, np.newaxis]
+    beyond = 1.05 * signs[:, np.newaxis] * region.flux.torque_max
+    torque = np.hstack([mesh, beyond]).astype(np.float32).ravel()
+    places = np.repeat(np.arange(volts.size), steps.size + 1)
+    found = solve(torque.astype(np.float64), places)
     return VoltageSamples(
-        np.tile(single[0], times),
-        volts.astype(np.float32),
-        omega.astype(np.float32),
-        np.concatenate([found.torque, nothing]),
-        np.concatenate([found.i_d**2 + found.i_q**2, nothing]),
+        torque,
+        volts[places],
+        omega[places],
+        found.torque,
+        found.i_d**2 + found.i_q**2,
+        most[places],
     )
 
 
@@ -201,14 +251,20 @@ class VoltageErrors:
     """Largest errors at `VoltageSamples`, with and without fused multiply-add.
 
     ``voltage_excess`` is the voltage beyond the limit, relative to it, the resistance drop
-    included; ``torque`` in N m the torque made less the one asked for or the largest one that can
-    be had at the design's voltage; ``loss_relative`` the copper loss above the least for torques
-    that can be had, from 5 % of the largest one upwards.
+    included, and ``current_excess`` likewise; ``torque`` in N m the torque made less the one
+    requested or the largest one that can be had at that voltage and speed; ``missed`` what is not
+    granted of the largest one, as a share of it, where that is at least 5 % of the largest of all;
+    ``loss_relative`` the copper loss above the least for torques that can be had, from 5 % of the
+    largest one upwards. ``torque_nominal`` and ``loss_nominal`` are those at the design's voltage.
     """
 
     voltage_excess: float
+    current_excess: float
     torque: float
+    missed: float
     loss_relative: float
+    torque_nominal: float
+    loss_nominal: float
     samples: int
 
 
@@ -216,23 +272,34 @@ def voltage_errors(
     region: VoltageRegion, reference: DropReference, samples: VoltageSamples
 ) -> VoltageErrors:
     """Largest errors of the float32 arithmetic, by the machine in double."""
-    excess, error, loss = -np.inf, 0.0, 0.0
-    solved = np.isfinite(samples.best)
     volts, omega = samples.v_max.astype(np.float64), samples.omega_e.astype(np.float64)
-    asked = samples.torque.astype(np.float64)
-    floor = PENALTY_FROM * region.flux.torque_max
-    loaded = (
-        solved
-        & (np.abs(asked) >= floor)
-        & (np.abs(asked - samples.best) <= 1e-9 * region.flux.torque_max)
+    requested, torque_max = samples.torque.astype(np.float64), region.flux.torque_max
+    floor, reached = (
+        PENALTY_FROM * torque_max,
+        np.abs(requested - samples.best) <= 1e-9 * torque_max,
     )
-    for fused in (False, True):
-        found = reference.currents(samples.torque, samples.v_max, samples.omega_e, fused=fused)
-        i_d, i_q = (part.astype(np.float64) for part in found)
-        taken = np.sqrt(region.squared_voltage(i_d, i_q, omega))
-        excess = max(excess, float(np.max(taken / volts)) - 1.0)
-        made = region.machine.torque(i_d, i_q)
-        error = max(error, float(np.max(np.abs(made - samples.best)[solved])))
-        more = (i_d**2 + i_q**2)[loaded] / samples.square[loaded] - 1.0
-        loss = max(loss, float(np.max(more, initial=0.0)))
-    return VoltageErrors(excess, error, loss, 2 * samples.torque.size)
+    loaded = reached & (np.abs(requested) >= floor)
+    beyond = ~reached & (samples.most >= floor)
+    nominal = samples.v_max == np.float32(region.v_max)
+    found = np.full((7, 2), -np.inf)
+    for column, fused in enumerate((False, True)):
+        i_d, i_q = (
+            part.astype(np.float64)
+            for part in reference.currents(
+                samples.torque, samples.v_max, samples.omega_e, fused=fused
+            )
+        )
+        made, square = region.machine.torque(i_d, i_q), i_d**2 + i_q**2
+        off = np.abs(made - samples.best)
+        missed = np.where(beyond, off / np.maximum(samples.most, floor), 0.0)
+        more = np.where(loaded, square / np.where(loaded, samples.square, 1.0) - 1.0, 0.0)
+        found[:, column] = [
+            np.max(np.sqrt(region.squared_voltage(i_d, i_q, omega)) / volts) - 1.0,
+            np.sqrt(np.max(square)) / region.flux.i_max - 1.0,
+            np.max(off),
+            np.max(missed),
+            np.max(more),
+            np.max(off[nominal]),
+            np.max(more[nominal]),
+        ]
+    return VoltageErrors(*np.max(found, axis=1).tolist(), 2 * samples.torque.size)

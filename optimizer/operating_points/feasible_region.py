@@ -18,6 +18,7 @@ from dqforge.optimizer.operating_points.ends_of_data.boundary import (
     ANGLES,
     INSIDE,
     RAYS,
+    UPPER,
     BoolArray,
     IndexArray,
     Limits,
@@ -248,7 +249,7 @@ def scan_region(
     flat = boundary(limits.take(np.repeat(np.arange(count), RAYS)), np.tile(ANGLES, count))
     radius, torque = flat[0].reshape(count, RAYS), flat[1].reshape(count, RAYS)
     at_voltage = flat[2].reshape(count, RAYS)
-    top, rows = np.argmax(torque, axis=1), np.arange(count)
+    top, rows = np.argmax(torque[:, UPPER:], axis=1) + UPPER, np.arange(count)
     start = limits.point(ANGLES[top], radius[rows, top])
     held = at_voltage[rows, top]
     best = _Best(

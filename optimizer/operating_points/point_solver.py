@@ -8,6 +8,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.optimizer.operating_points.ends_of_data.boundary import (
+    UPPER,
     Limits,
     ray_angles,
     voltage_radius,
@@ -81,11 +82,15 @@ def _crossing_start(
     """
     angles = ray_angles()
     scanned = region.torque[speed]
-    rising = np.arange(angles.size) <= np.argmax(scanned, axis=1)[:, np.newaxis]
-    reaches = rising & (scanned >= torque[:, np.newaxis])
-    found = reaches.any(axis=1)
+    # The last rise before the most torque: an earlier one belongs to the opposite currents.
+    top = np.argmax(scanned[:, UPPER:], axis=1) + UPPER
+    rising = np.arange(angles.size) <= top[:, np.newaxis]
+    below = rising & (scanned < torque[:, np.newaxis])
+    last = angles.size - 1 - np.argmax(below[:, ::-1], axis=1)
+    after = np.where(below.any(axis=1), last + 1, 0)
+    found = after <= top
     most_angle = region.most_angle[speed]
-    upper = np.where(found, np.argmax(reaches, axis=1), np.searchsorted(angles, most_angle))
+    upper = np.where(found, after, np.searchsorted(angles, most_angle))
     upper = np.clip(np.minimum(upper, np.searchsorted(angles, most_angle)), 1, angles.size - 1)
     rows = np.arange(speed.size)
     at_ray = found & (angles[upper] <= most_angle)

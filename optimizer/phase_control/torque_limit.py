@@ -17,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.topologies.regions import VOLTAGE_ROWS, voltage_bounds
 from dqforge.machines.topologies.topology import TOPOLOGIES
+from dqforge.optimizer.linear_programme import least_cost
 from dqforge.optimizer.phase_control.phase_controller import PhaseControl, TorqueLimit
 from dqforge.optimizer.phase_control.shape_vectors import (
     PHASES,
@@ -279,7 +281,6 @@ def _lower_nodes(
     """Node values, shape (N, M), whose bilinear surface lies below the truth at all fine points and
     as high as it can: a linear programme.
     """
-    from scipy.optimize import linprog
     from scipy.sparse import csr_matrix, kron
 
     by_speed, by_link = (
@@ -287,14 +288,12 @@ def _lower_nodes(
         for nodes, fine in ((speeds, fine_speeds), (links, fine_links))
     )
     surface = kron(by_speed, by_link).tocsr()
-    found = linprog(
-        -np.asarray(surface.sum(axis=0)).ravel(),
-        A_ub=surface,
-        b_ub=truth.ravel(),
-        bounds=(0.0, None),
-        method="highs",
+    found = least_cost(
+        -np.asarray(surface.sum(axis=0)).ravel(), surface, truth.ravel(), bounds=(0.0, np.inf)
     )
-    return np.asarray(np.maximum(found.x.reshape(speeds.size, links.size), 0.0) + 0.0)
+    if found is None:  # a torque limit below zero at some point
+        raise NoSolutionError("control: no torque can be had at some speed and link voltage")
+    return np.asarray(np.maximum(found.reshape(speeds.size, links.size), 0.0) + 0.0)
 
 
 def _hats(nodes: FloatArray, fine: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.optimizer.linear_programme import least_cost
 from dqforge.optimizer.waveforms.constraint_rows import LIMITS, WaveformLimits
 from dqforge.optimizer.waveforms.quadratic_problem import (
     DENSE_UNKNOWNS,
@@ -329,7 +330,6 @@ def _with_extra(
     """Least or largest extra unknown s with lower <= A z + column s + offset <= upper,
     the chosen bounds times s.
     """
-    from scipy.optimize import linprog
     from scipy.sparse import csr_matrix, hstack, vstack
 
     matrix = csr_matrix(problem.still + omega_e * problem.moving)
@@ -346,8 +346,8 @@ def _with_extra(
     bounds = np.concatenate([(high * kept - offset)[above], (offset - low * kept)[below]])
     slope = np.zeros(problem.unknowns + 1)
     slope[-1] = 1.0 if least else -1.0
-    found = linprog(slope, A_ub=rows, b_ub=bounds, bounds=(None, None), method="highs")
-    return float(found.x[-1]) if found.status == 0 else None
+    found = least_cost(slope, rows, bounds)
+    return None if found is None else float(found[-1])
 
 
 def require_solution(

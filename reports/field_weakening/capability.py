@@ -16,12 +16,21 @@ from dqforge.reports.field_weakening.header import (
 )
 from dqforge.reports.field_weakening.plain import plain_weakening_fit
 from dqforge.reports.field_weakening.tables import weakening_part, weakening_tables
-from dqforge.reports.field_weakening.text import domain_text, errors_text, proof_text
+from dqforge.reports.field_weakening.text import (
+    domain_text,
+    errors_text,
+    nominal_text,
+    proof_text,
+)
 from dqforge.reports.pages.chapters import WEAKENING as CHAPTER
 
 
 def _summary(_: Solution, fit: WeakeningFit) -> Rows:
-    rows = [("field weakening", domain_text(fit)), ("  largest errors", errors_text(fit))]
+    rows = [
+        ("field weakening", domain_text(fit)),
+        ("  largest errors", errors_text(fit)),
+        ("  over the dc link", nominal_text(fit)),
+    ]
     proven = proof_text(fit)
     return rows if proven is None else [*rows, ("  proven bounds", proven)]
 

@@ -188,13 +188,18 @@ def _comment(fit: WeakeningFit) -> list[str]:
             "that of the torque."
         ),
         (
-            f"Made for {domain.v_max:.6g} V up to {domain.omega_e:.6g} rad/s; at other voltages "
-            "the largest speed changes"
+            f"Made for {domain.v_max:.6g} V up to {domain.omega_e:.6g} rad/s, and from "
+            f"{domain.voltages[0]:.6g} V up for speeds up to the largest"
         ),
         (
-            "in proportion. Beyond it the field is weakened to FLUX_MIN and no further, which may "
-            "break the voltage limit."
+            "in proportion to the voltage; below that the resistance takes more of it, and the "
+            "largest speed falls faster."
         ),
+        (
+            "Beyond it torque is given up first; then the field is weakened to FLUX_MIN and no "
+            "further, which may break"
+        ),
+        "the voltage limit.",
         (
             "i_d_A, i_q_A: current references in A (peak). Not-a-number as torque gives no torque; "
             "as voltage or speed"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from dqforge.optimizer.field_weakening.fit import WeakeningFit
-from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE
 from dqforge.reports.pages.certificate_text import plain_certificate
 from dqforge.reports.plain_data import PlainData
 
@@ -22,7 +21,8 @@ def plain_weakening_fit(fit: WeakeningFit | None) -> PlainData | None:
         "torque_max_Nm": region.torque_max,
         "v_max_V": fit.domain.v_max,
         "omega_e_rad_per_s": fit.domain.omega_e,
-        "v_least_V": LEAST_VOLTAGE * fit.domain.v_max,
+        "v_least_V": fit.domain.voltages[0],
+        "voltages_V": list(fit.domain.voltages),
         "voltage_drop_V": fit.domain.largest_drop,
         "torque_error_Nm": fit.largest_torque_error,
         "r_s_Ohm": fit.domain.machine.r_s,

@@ -7,6 +7,7 @@ from dqforge.reports.field_weakening.text import (
     domain_text,
     errors_text,
     least_voltage_text,
+    nominal_text,
     percent,
     proof_text,
 )
@@ -66,7 +67,8 @@ def weakening_tables(fit: WeakeningFit | None) -> list[Table]:
     rows = tuple(_cells(trial) for trial in fit.trials)
     proven = proof_text(fit)
     bounds = "no bounds are proven" if proven is None else f"proven bounds: {proven}"
-    notes = (domain_text(fit), f"largest errors: {errors_text(fit)}", bounds, note)
+    largest = f"largest errors: {errors_text(fit)}"
+    notes = (domain_text(fit), largest, nominal_text(fit), bounds, note)
     return [Table("Field weakening: surfaces tried for the budget", _COLUMNS, rows, notes)]
 
 
@@ -83,6 +85,7 @@ def weakening_part(fit: WeakeningFit, prefix: str) -> PlainData:
     return {
         "domain": domain_text(fit),
         "errors": errors_text(fit),
+        "nominal": nominal_text(fit),
         "proven": proof_text(fit),
         "samples": count(fit.errors.samples + fit.voltage.samples),
         "least_voltage": least_voltage_text(fit),

@@ -35,20 +35,26 @@ def least_voltage_text(fit: WeakeningFit) -> str:
 def errors_text(fit: WeakeningFit) -> str:
     """The largest errors in one line."""
     return (
-        f"torque {percent(_torque(fit))}, voltage +{percent(_voltage(fit))},"
-        f" current +{percent(fit.errors.current_excess)}, copper loss "
-        f"+{percent(fit.voltage.loss_relative)}"
+        f"torque {percent(_torque(fit))}, voltage +{percent(fit.voltage.voltage_excess)},"
+        f" current +{percent(fit.largest_current_excess)}, copper loss "
+        f"+{percent(fit.voltage.loss_relative)}, from {least_voltage_text(fit)} up"
+    )
+
+
+def nominal_text(fit: WeakeningFit) -> str:
+    """What of the errors falls on the design's voltage itself, and what beyond reach is missed."""
+    voltage = fit.voltage
+    return (
+        f"beyond reach at most {percent(voltage.missed)} of what is available is missed; at "
+        f"{format_quantity(fit.domain.v_max, 'V', 4)} itself torque "
+        f"{percent(voltage.torque_nominal / fit.region.torque_max)}, copper loss "
+        f"+{percent(voltage.loss_nominal)}"
     )
 
 
 def _torque(fit: WeakeningFit) -> float:
     """Largest sampled error of the torque over the largest torque."""
     return fit.largest_torque_error / fit.region.torque_max
-
-
-def _voltage(fit: WeakeningFit) -> float:
-    """Largest sampled excess of the voltage."""
-    return fit.voltage.voltage_excess
 
 
 def proof_text(fit: WeakeningFit) -> str | None:
@@ -63,23 +69,31 @@ def proof_text(fit: WeakeningFit) -> str | None:
     )
     return (
         f"torque {percent(proof.torque_relative)} of what is granted, {volts},"
-        f" current +{percent(proof.current_excess)}, against {AGAINST[proof.model]}"
+        f" current +{percent(proof.current_excess)}, from {least_voltage_text(fit)} up, against "
+        f"{AGAINST[proof.model]}"
     )
 
 
 def _sampled_lines(fit: WeakeningFit) -> list[str]:
     """What no bound covers."""
-    floor = "from 5 % of the largest torque upwards"
+    voltage, volts = fit.voltage, f"{fit.domain.v_max:.6g} V"
+    shares = [f"{part / fit.domain.v_max:.3g}" for part in fit.domain.voltages]
+    nominal = percent(voltage.torque_nominal / fit.region.torque_max)
     return [
         (
-            f"torque beyond reach at {fit.domain.v_max:.6g} V is granted to within "
-            f"{percent(_torque(fit))} of the largest,"
+            f"torque beyond reach is granted to within {percent(_torque(fit))} of the largest one, "
+            f"and to within {percent(voltage.missed)}"
         ),
-        f"copper loss is up to {percent(fit.voltage.loss_relative)} above the least, {floor}",
+        f"of what voltage, speed and current leave of it ({nominal} of the largest at {volts}),",
         (
-            f"({fit.errors.samples + fit.voltage.samples} evaluations, with and without fused "
-            "multiply-add)."
+            f"copper loss is up to {percent(voltage.loss_relative)} above the least "
+            f"({percent(voltage.loss_nominal)} at {volts}), from 5 % of the largest torque"
         ),
+        (
+            f"up: {fit.errors.samples + voltage.samples} evaluations, with and without fused "
+            "multiply-add, at"
+        ),
+        f"{', '.join(shares[:-1])} and {shares[-1]} times {volts}, motoring and generating.",
     ]
 
 
@@ -88,7 +102,7 @@ def error_lines(fit: WeakeningFit) -> list[str]:
     comment of the evaluator.
     """
     errors, proof, most = fit.errors, fit.certificate, f"{fit.region.torque_max:.6g} N m"
-    volts, current = percent(_voltage(fit)), percent(errors.current_excess)
+    volts, current = percent(fit.voltage.voltage_excess), percent(fit.largest_current_excess)
     reach = f"voltages from {least_voltage_text(fit)} up, motoring and generating"
     if proof is None:
         return [

@@ -72,6 +72,26 @@ SLOW: dict[str, tuple[str, tuple[str, ...]]] = {
         SERVO, ("inverter.current_sensing={shunt: 1 mOhm, gain: 20, reference: 3.3 V}",),
     ),
 }  # fmt: skip
+TOGETHER = (
+    IPM,
+    (
+        "field_weakening={speed: 6000 rpm, flash: 2048 B}",
+        "operation={speed: 5000 rpm, overmodulation: least-phase-error}",
+        "fit={form: polynomial, degree: 6, segments: 4, max_torque: 150 N m}",
+        "modulation_choice.torques=20",
+        "modulation_choice.speeds=20",
+        "control.speed_loop.ratio=5",
+        FLUX,
+        "control.references={torque_slope: 100 N m/s}",
+        "control.tolerances={r_s: 20 %, l_d: 10 %, l_q: 10 %, psi_pm: 5 %}",
+        "export.control=float32",
+        "control.start_up={method: i-f}",
+        "export.application=skeleton",
+        "inverter.current_sensing={shunt: 1 mOhm, gain: 20, reference: 3.3 V}",
+    ),
+)
+"""As many sections at once as one drive takes."""
+
 SIMULATED = ("paper001-pmsm-bench", "salient-phase-waveforms", SIX_STEP, THIRD)
 
 NOT_PICTURED = {
@@ -99,6 +119,7 @@ def judge(page: str) -> None:
     [
         *(pytest.param(*case, id=name) for name, case in CHEAP.items()),
         *(pytest.param(*case, id=name, marks=pytest.mark.slow) for name, case in SLOW.items()),
+        pytest.param(*TOGETHER, id="all together", marks=pytest.mark.slow),
     ],
 )
 def test_a_report_is_small_and_soon_written(drive: str, sets: tuple[str, ...]) -> None:

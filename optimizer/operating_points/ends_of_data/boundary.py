@@ -17,6 +17,12 @@ RAYS = 31
 ANGLES = np.linspace(-0.5 * np.pi, np.pi, RAYS)
 
 
+UPPER = int(np.searchsorted(ANGLES, -1e-9))
+
+"""First ray towards positive q currents. Most torque lies there: without a magnet, or with a weak
+one and l_d < l_q, the opposite currents make as much or a little less."""
+
+
 _RADIAL_STEPS = 12
 
 

@@ -32,6 +32,9 @@ from dqforge.reports.field_weakening.header import (
     weakening_from,
     weakening_inputs,
 )
+from dqforge.reports.field_weakening.plain import plain_weakening_fit
+from dqforge.reports.field_weakening.tables import weakening_part, weakening_tables
+from dqforge.reports.field_weakening.text import least_voltage_text, percent
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.host import WARNINGS
 
@@ -332,3 +335,60 @@ def test_the_header_states_its_errors_with_units_and_for_which_resistance() -> N
     ].decode("ascii")
     assert all(line == line.rstrip() for line in text.splitlines())
     assert weakening_files(design, fit) == weakening_files(design, fit)
+
+
+def test_header_json_report_and_terminal_state_the_same_errors_over_the_link() -> None:
+    """Each number is the result's own, and each line names its voltages."""
+    design, fit = made("small ipm")
+    voltage, torque_max = fit.voltage, fit.region.torque_max
+    header = " ".join(
+        weakening_files(design, fit)["drive_weakening.h"]
+        .decode("ascii")
+        .replace(" * ", " ")
+        .split()
+    )
+    plain = plain_weakening_fit(fit)
+    assert plain is not None
+    assert plain["voltage_errors"]["loss_relative"] == voltage.loss_relative
+    assert plain["voltage_errors"]["missed"] == voltage.missed
+    assert plain["voltages_V"] == list(fit.domain.voltages)
+    assert plain["v_least_V"] == LEAST_VOLTAGE * fit.domain.v_max == min(plain["voltages_V"])
+    whole, missed, loss, nominal, nominal_loss = (
+        percent(value)
+        for value in (
+            fit.largest_torque_error / torque_max,
+            voltage.missed,
+            voltage.loss_relative,
+            voltage.torque_nominal / torque_max,
+            voltage.loss_nominal,
+        )
+    )
+    assert nominal != whole
+    volts = f"{fit.domain.v_max:.6g} V"
+    for phrase in (
+        f"from {fit.domain.voltages[0]:.6g} V up for speeds up to the largest in proportion",
+        f"granted to within {whole} of the largest one, and to within {missed} of what voltage",
+        f"({nominal} of the largest at {volts})",
+        f"up to {loss} above the least ({nominal_loss} at {volts})",
+        f"at 0.8, 0.9, 1, 1.2, 1.6 and 4 times {volts}",
+    ):
+        assert phrase in header
+    part = weakening_part(fit, "drive")
+    notes = weakening_tables(fit)[0].notes
+    for text in (f"{part['errors']} {part['nominal']}", " ".join(notes)):
+        for number in (
+            f"torque {whole}", f"copper loss +{loss}", f"at most {missed}", f"torque {nominal}",
+            f"copper loss +{nominal_loss}", f"from {least_voltage_text(fit)} up",
+        ):  # fmt: skip
+            assert number in text
+
+
+def test_bounds_and_what_was_found_speak_of_the_same_points() -> None:
+    for name in FAST:
+        fit = made(name)[1]
+        proof = fit.certificate
+        assert proof is not None
+        assert proof.voltage_excess is not None
+        assert fit.voltage.voltage_excess <= proof.voltage_excess
+        assert fit.largest_current_excess <= proof.current_excess
+        assert fit.errors.torque_relative <= proof.torque_relative
