@@ -7,11 +7,10 @@ that the header spells out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import (
     MultiplyAdd,
     SingleArray,
