@@ -246,7 +246,7 @@ def polynomial(
     by = square if variable == "square" else x
     value = np.full_like(x, np.float32(coefficients[-1]))
     for coefficient in coefficients[-2::-1]:
-        value = muladd(value, by, np.broadcast_to(np.float32(coefficient), by.shape))
+        value = muladd(value, by, np.asarray(coefficient, dtype=np.float32))
     return value * x if odd else value
 
 
