@@ -111,17 +111,19 @@ def test_a_record_is_a_dataclass_whatever_is_done_with_it_first(name: str, eq: s
         assert outcomes[0] == outcomes[1], first
 
 
+def _counted(calls: list[object], real: Callable[..., object], *cls: object, **how: bool) -> object:
+    calls.append(cls)
+    return real(*cls, **how)
+
+
 @pytest.mark.parametrize("name", ["Base", "Derived", "Own"])
 def test_methods_of_a_record_are_made_once_and_when_needed(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = getattr(_module("records_example", records.dataclass, ""), name)
-    calls = []
+    calls: list[object] = []
     real = dataclasses.dataclass
-    monkeypatch.setattr(
-        dataclasses, "dataclass", lambda *cls, **how: calls.append(cls) or real(*cls, **how)
-    )
-    assert not calls
+    monkeypatch.setattr(dataclasses, "dataclass", partial(_counted, calls, real))
     bases = sum("__dataclass_fields__" in vars(base) for base in made.__mro__)
     assert len({repr(made(1)), repr(made(1))}) == 1
     assert len(calls) == bases
