@@ -1,8 +1,8 @@
 """What commands cost: user time as multiples of a calibrating loop, beside the multiples that are
 kept in the tree. Says which became slower by a fifth or more; that is a remark, and no failure.
 
-``python tests/benchmarks/command_times.py`` runs all; ``--drawn 30`` those whose turn it is at this
-commit, for some 30 s; ``--keep`` writes the file anew.
+``python tests/benchmarks/command_times.py`` runs all, or those that are named; ``--drawn 30`` those
+whose turn it is at this commit, for some 30 s; ``--keep`` keeps what they took.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from drawn_cases import turn  # noqa: E402
 KEPT = HERE / "command_times.json"
 LIBRARY = HERE.parents[1] / "machines" / "library"
 SLOWER = 1.2
+UNKNOWN = 50.0
 OF_EVERY_DRIVE = ("check", "run")
 OF_SOME = ("tune", "mtpa", "fit", "export")
 SOME = ("paper000-ipmsm-100kw", "abb-ipmsm-2k2", "salient-phase-waveforms")
@@ -64,7 +65,7 @@ def drawn(known: dict[str, float], seconds: float) -> list[str]:
     """Commands whose turn it is, as long as seconds are left."""
     left, chosen, one = seconds, [], min(loop_s() for _ in range(3))
     for command in sorted(commands(), key=turn):
-        cost = known.get(command, 0.0) * one
+        cost = known.get(command, UNKNOWN) * one
         if cost <= left:
             chosen.append(command)
             left -= cost
@@ -74,12 +75,14 @@ def drawn(known: dict[str, float], seconds: float) -> list[str]:
 def main() -> None:
     """Measure, compare, say what became slower."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("commands", nargs="*", help="in quotes, such as 'check vdyno-trampa-6340'")
     parser.add_argument("--drawn", type=float, metavar="SECONDS")
     parser.add_argument("--keep", action="store_true")
     asked = parser.parse_args()
     known: dict[str, float] = json.loads(KEPT.read_text("utf-8")) if KEPT.exists() else {}
     found, slower, begin = {}, 0, time.monotonic()
-    for command in list(commands()) if asked.drawn is None else drawn(known, asked.drawn):
+    chosen = asked.commands or list(commands())
+    for command in chosen if asked.drawn is None else drawn(known, asked.drawn):
         found[command] = multiple(command)
         limit = SLOWER * known.get(command, float("inf"))
         # What else runs can only slow a command down: the least of three counts.
@@ -93,8 +96,8 @@ def main() -> None:
             print(f"remark: {command} takes {found[command] / limit * SLOWER:.2f} times as long")
     print(f"{len(found)} commands, {slower} slower, in {time.monotonic() - begin:.0f} s")
     if asked.keep:
-        kept = dict(sorted({name: round(value, 1) for name, value in found.items()}.items()))
-        KEPT.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+        kept = known | {name: round(value, 1) for name, value in found.items()}
+        KEPT.write_text(json.dumps(dict(sorted(kept.items())), indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
