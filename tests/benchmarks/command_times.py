@@ -29,7 +29,7 @@ UNKNOWN = 50.0
 OF_EVERY_DRIVE = ("check", "run")
 OF_SOME = ("tune", "mtpa", "fit", "export")
 SOME = ("paper000-ipmsm-100kw", "abb-ipmsm-2k2", "salient-phase-waveforms")
-OTHERS = ("--help", "schema", "machines", "export vdyno-trampa-6340 --for vesc")
+OTHERS = ("--help", "schema", "machines", "export abb-ipmsm-2k2 --for moteus")
 
 
 def commands() -> Iterator[str]:
@@ -51,7 +51,13 @@ def loop_s() -> float:
 
 
 def multiple(command: str) -> float:
-    """User time of a command, its compilers' included, over that of the loop before and after."""
+    """User time of a command, its compilers' included, over that of the loop before and after.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        The command fails.
+    """
     program = str(Path(sys.executable).with_name("dqforge"))
     before = loop_s()
     start = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
@@ -83,7 +89,11 @@ def main() -> None:
     found, slower, begin = {}, 0, time.monotonic()
     chosen = asked.commands or list(commands())
     for command in chosen if asked.drawn is None else drawn(known, asked.drawn):
-        found[command] = multiple(command)
+        try:
+            found[command] = multiple(command)
+        except subprocess.CalledProcessError as error:
+            print(f"remark: {command} ends with {error.returncode}: {error.stderr.decode()[-500:]}")
+            continue
         limit = SLOWER * known.get(command, float("inf"))
         # What else runs can only slow a command down: the least of three counts.
         for _ in range(2):
