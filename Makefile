@@ -7,7 +7,7 @@ DEMO_DESIGN ?= paper000-ipmsm-100kw
 # Modules are compiled once, when they are installed and when they change, not by each process.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign drawn-campaign coverage costs check lint types contracts format figures mutants sessions docs page-checks page-drives wheel sbom schemas site-checks lock clean
+.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign drawn-campaign coverage costs times drawn-times check lint types contracts format figures mutants sessions docs page-checks page-drives wheel sbom schemas site-checks lock clean
 
 demo: $(VENV)/runtime.stamp
 	@mkdir -p out
@@ -61,6 +61,14 @@ costs: $(VENV)/dev.stamp
 MUTANTS ?= 30
 mutants: $(VENV)/dev.stamp
 	$(BIN)/python tests/mutants.py $(MUTANTS)
+
+# What commands take as multiples of a loop, beside the multiples kept in the tree; a slower one is a remark, no failure.
+# TIMES=--keep writes them anew, on a quiet machine.
+times: $(VENV)/dev.stamp
+	$(BIN)/python tests/benchmarks/command_times.py $(TIMES)
+
+drawn-times: $(VENV)/dev.stamp
+	$(BIN)/python tests/benchmarks/command_times.py --drawn 30
 
 check: lint types contracts
 

@@ -11,10 +11,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import NamedTuple
 
 from dqforge.machines.errors import DqforgeError, VerificationError
+from dqforge.machines.records import dataclass
 from dqforge.machines.wording import shown
 
 KeyPath = tuple[str | int, ...]

@@ -10,11 +10,12 @@ emitted integers and, on ranges, the proof that no word overflows.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from dqforge.machines.records import dataclass
 
 N = TypeVar("N")
 

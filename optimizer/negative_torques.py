@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from dqforge.machines.design.design import Design
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.current_reference import Certificate, certify
 from dqforge.optimizer.current_reference.fit import ReferenceFit
 from dqforge.optimizer.current_reference.signed import signed_designs

@@ -13,12 +13,12 @@ K. J. Astroem, B. Wittenmark, "Computer-Controlled Systems", 3rd edition, 1997: 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.frequency_scan import bracketed_roots, scanned_response
 
 FloatArray = NDArray[np.float64]

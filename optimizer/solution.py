@@ -4,11 +4,11 @@ each with its evidence.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.current_reference import Certificate, certify
 from dqforge.optimizer.control_design.gain_set import GainSet, gains_or_reason
 from dqforge.optimizer.current_reference.alternatives import Alternative, alternatives

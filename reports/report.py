@@ -5,12 +5,12 @@ the same bytes for the same solution.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dqforge import __version__
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.forms import SignedReference
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Capability, Outcome, Tile, asked_for

@@ -5,10 +5,11 @@ gather the files to be written.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.observed_refusal import require_observed
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.capabilities import CAPABILITIES

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from dqforge.machines.entries.c_names import check_prefix
 from dqforge.machines.entries.rules import EntryError
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.forms import Emitted
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import HeaderKind

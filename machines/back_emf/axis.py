@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.back_emf.checks import Origin
 from dqforge.machines.files.text_table import TextTable
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity, parse_quantity
 from dqforge.machines.units.registry import COMPOUNDS, DIMENSIONS, SYMBOLS
 

@@ -6,14 +6,13 @@ The findings are sentences.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.back_emf.harmonics import HarmonicFit, resolution
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
 _LEAST_SAMPLES = 16

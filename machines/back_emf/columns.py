@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -13,6 +13,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.back_emf.axis import Axis, factor, find_axis, kind_and_unit
 from dqforge.machines.back_emf.checks import Origin
 from dqforge.machines.files.text_table import TextTable
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
 Connection = Literal["phase", "line-to-line"]

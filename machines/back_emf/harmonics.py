@@ -16,13 +16,14 @@ applications", Inverse Problems 19(2), 2003, doi:10.1088/0266-5611/19/2/201.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.back_emf.motion import LONG, Motion, evenly, spectrum, spectrum_size
+from dqforge.machines.records import dataclass
 
 ComplexArray = NDArray[np.complex128]
 

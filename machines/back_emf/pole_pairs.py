@@ -7,7 +7,7 @@ orders, but raises and lowers the three phases at the same instant.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from dqforge.machines.back_emf import harmonics as numerics
 from dqforge.machines.back_emf.harmonics import ComplexArray, HarmonicFit
 from dqforge.machines.back_emf.motion import Motion
 from dqforge.machines.phase_machines.phase_machine import angles_of, grid
+from dqforge.machines.records import dataclass
 
 _MOST_UNKNOWNS = 400
 

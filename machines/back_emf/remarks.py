@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 
 _NOTED = {
     "asymmetry": 0.03,

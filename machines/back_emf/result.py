@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -17,6 +16,7 @@ from dqforge.machines.back_emf.harmonics import ComplexArray, HarmonicFit
 from dqforge.machines.back_emf.motion import Motion
 from dqforge.machines.back_emf.pole_pairs import PolePairs, pole_pairs_of
 from dqforge.machines.back_emf.remarks import BemfSymmetry, remarks
+from dqforge.machines.records import dataclass
 
 IntArray = NDArray[np.int64]
 

@@ -7,7 +7,8 @@ Nothing is loaded here, so that ``dqforge --help`` answers at once.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+
+from dqforge.machines.records import dataclass
 
 _TERMINALS = (
     ("line-to-line", "between two terminals"),

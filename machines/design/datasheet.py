@@ -23,11 +23,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Topology
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.regions import sine_share
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.units.quantities import format_quantity

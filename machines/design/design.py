@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from dqforge.machines.design.settings import (
     ChoiceSettings,
@@ -24,6 +24,7 @@ from dqforge.machines.names import Strategy
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.places import Places
 from dqforge.machines.plants.scenario import Scenario
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import amplitude_limit
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import NoReturn
 
@@ -24,6 +23,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_yaml import MAX_DEPTH, YamlDocument, YamlValue, parse_value
 from dqforge.machines.files.yaml_edit import edited, written
 from dqforge.machines.places import KeyPath, Position, dotted
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import kind_said
 from dqforge.machines.wording import shown
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -20,6 +20,7 @@ from dqforge.machines.files.input_files import MEGABYTE, read_regular_file
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.flux_maps.evidence import FluxEvidence
 from dqforge.machines.places import KeyPath, dotted
+from dqforge.machines.records import dataclass
 
 MAX_FILE_BYTES = 256_000_000
 _MOST_RECALLED = 256

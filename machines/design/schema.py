@@ -39,14 +39,14 @@ class DesignFile(Section):
     about: About = Field(default="", description="a paragraph on the design")
     machine: MachineSection
     inverter: InverterSection
-    control: ControlSection = ControlSection()
-    operation: OperationSection = OperationSection()
-    fit: FitSection = FitSection()
+    control: ControlSection = Field(default_factory=ControlSection)
+    operation: OperationSection = Field(default_factory=OperationSection)
+    fit: FitSection = Field(default_factory=FitSection)
     losses: LossSection | None = Field(
         default=None, description="loss comparison, if one is wanted"
     )
     waveform: WaveformSection = Field(
-        default=WaveformSection(), description="phase currents, for machine.model waveform"
+        default_factory=WaveformSection, description="phase currents, for machine.model waveform"
     )
     field_weakening: WeakeningSection | None = Field(
         default=None, description="two-dimensional current references, if they are wanted"
@@ -57,7 +57,7 @@ class DesignFile(Section):
     simulation: SimulationSection | None = Field(
         default=None, description="simulation in the time domain, if one is wanted"
     )
-    export: ExportSection = ExportSection()
+    export: ExportSection = Field(default_factory=ExportSection)
 
 
 SCHEMA_ID = "urn:dqforge:schema:design:1"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 from dqforge.machines.losses.mission import Mission
@@ -38,6 +37,7 @@ from dqforge.machines.names import (
     Strategy,
     WaveformForm,
 )
+from dqforge.machines.records import dataclass
 
 LossStrategy = Literal["mtpa", "id0", "least-loss"]
 

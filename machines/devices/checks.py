@@ -6,10 +6,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 from dqforge.machines.devices.curves import Curve
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 _KELVIN = 230.0
 

@@ -4,7 +4,6 @@ resistance at several temperatures.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 BoolArray = NDArray[np.bool_]
 

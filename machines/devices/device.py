@@ -4,8 +4,6 @@ sheets give it, in tables.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -15,6 +13,7 @@ from dqforge.machines.devices.energies import EXPONENTS, EnergyTable
 from dqforge.machines.devices.switch import DeviceKind, SwitchDevice
 from dqforge.machines.devices.thermal_network import FosterNetwork, ThermalNetwork
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 REFERENCE_TEMPERATURE = 25.0
 

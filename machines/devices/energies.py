@@ -4,7 +4,6 @@ resistance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +13,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.curves import Family, Lookup
 from dqforge.machines.devices.switch import DeviceKind
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 _VOLTAGE_SPAN = (0.5, 1.5)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dqforge.machines.devices.current_sensing import CurrentSensing
 from dqforge.machines.devices.switch import SwitchDevice
 from dqforge.machines.names import OvermodulationName, Topology
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from dqforge.machines.devices.device import DeviceModel

@@ -7,7 +7,6 @@ IEC 60747-15 on the impedance.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from decimal import Decimal, localcontext
 from fractions import Fraction
 
@@ -16,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 _DIGITS = 120
 

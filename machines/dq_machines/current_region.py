@@ -4,12 +4,13 @@ and where it ends.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 
 _ON_THE_EDGE = 1e-9
 

@@ -7,7 +7,7 @@ torque-speed maps cheap.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.synchronous import FluxJet
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 _LEAST_POINTS = 4
 

@@ -7,7 +7,7 @@ the columns broadcast against the last axis of the currents.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from dqforge.machines.dq_machines.synchronous import (
     Machine,
 )
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 _POSITIVE = ("l_d", "l_q", "i_max")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.dq_machines.synchronous import FluxJet, Machine, MachineFormulas
+from dqforge.machines.records import dataclass
 
 _SMALL_CURRENT = 1e-5
 

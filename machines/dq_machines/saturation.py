@@ -11,13 +11,12 @@ machines", ICEM 2024, doi:10.1109/ICEM60801.2024.10700403.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 
 _GRID = 81
 

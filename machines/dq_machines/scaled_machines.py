@@ -14,7 +14,7 @@ stay. Where the d and q factors differ, cross-coupled maps lose their reciprocit
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,7 @@ from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import FluxFormulas, FluxJet
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,13 +6,13 @@ the d axis lies along the magnet flux.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:  # which works on the arrays that are named here
     from dqforge.machines.dq_machines.current_region import CurrentRegion

@@ -303,7 +303,11 @@ class Section(BaseModel):
     """A part of the design file: immutable, without unknown keys and without silent conversions."""
 
     model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, arbitrary_types_allowed=True
+        frozen=True,
+        extra="forbid",
+        strict=True,
+        arbitrary_types_allowed=True,
+        defer_build=True,
     )
 
 

@@ -11,7 +11,6 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, get_args
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -20,6 +19,7 @@ from pydantic_core import CoreSchema, core_schema
 from dqforge.machines.entries.kind_choice import KindChoice
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware, NumberFormat
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.kind_words import KindWords, kind_words, words_pattern
 from dqforge.machines.units.quantities import format_quantity, parse_quantity, read_quantity
 from dqforge.machines.units.registry import DIMENSIONS

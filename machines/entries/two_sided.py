@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
 from typing import Any
 
 from dqforge.machines.entries.rules import (
@@ -14,6 +13,7 @@ from dqforge.machines.entries.rules import (
     spoken,
     unknown_key,
 )
+from dqforge.machines.records import dataclass
 
 _SHARE = QuantityRule("number", 0.0, 0.9)
 

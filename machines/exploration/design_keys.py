@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -19,6 +19,7 @@ from dqforge.machines.entries.former_keys import present_path
 from dqforge.machines.entries.rules import CountRule, EntryError, QuantityRule, Rule, spoken
 from dqforge.machines.files.positioned_yaml import YamlValue
 from dqforge.machines.places import KeyPath
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.registry import DIMENSIONS
 from dqforge.machines.wording import close_matches
 

@@ -5,13 +5,13 @@ paths, the same for every way to write them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 from dqforge.machines.design.schema import DesignFile
 from dqforge.machines.entries.kinds import Section
 from dqforge.machines.entries.rules import Quantity
 from dqforge.machines.entries.two_sided import Between
 from dqforge.machines.places import KeyPath
+from dqforge.machines.records import dataclass
 
 _OF_NO_MEANING = ("name", "about")
 """Keys that change no number of a row."""

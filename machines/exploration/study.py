@@ -7,11 +7,12 @@ order, the last axis quickest; where something is drawn, each grid point has ``d
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Literal
 
 from dqforge.machines.files.positioned_yaml import YamlValue
 from dqforge.machines.places import Places
+from dqforge.machines.records import dataclass
 
 DistributionKind = Literal["normal", "uniform", "between"]
 Sampling = Literal["random", "sobol"]

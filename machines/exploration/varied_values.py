@@ -6,7 +6,6 @@ import json
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -24,6 +23,7 @@ from dqforge.machines.exploration.study_entries import (
 )
 from dqforge.machines.files.positioned_yaml import YamlDocument, YamlValue
 from dqforge.machines.places import KeyPath
+from dqforge.machines.records import dataclass
 
 MOST_STEPS = 100_000
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from importlib import resources
 from importlib.resources.abc import Traversable
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.lately_read import remember
+from dqforge.machines.records import dataclass
 from dqforge.machines.wording import close_matches, shown
 
 DESIGN_SCHEMA, STUDY_SCHEMA = "design.schema.json", "study.schema.json"

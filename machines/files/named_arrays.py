@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 MOST_BYTES = 256_000_000
 

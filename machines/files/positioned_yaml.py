@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import NoReturn
 
@@ -22,6 +22,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.files.yaml_messages import position_of, translated
 from dqforge.machines.places import KeyPath, Position, behind_option, dotted, nearest, option_at
+from dqforge.machines.records import dataclass
 from dqforge.machines.wording import close_matches, shown
 
 MAX_BYTES = 1 << 20

@@ -11,13 +11,14 @@ import codecs
 import io
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from dqforge.machines.files.text_table import TextTable

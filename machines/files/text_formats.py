@@ -11,12 +11,12 @@ import codecs
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 BoolArray = NDArray[np.bool_]
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.files.text_cells import Cells
 from dqforge.machines.files.text_formats import BLANKS, SAMPLE, SHOW, TEXT, IndexArray, Layout
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.registry import COMPOUNDS, SYMBOLS
 
 _UNDERSCORE_UNITS = frozenset(

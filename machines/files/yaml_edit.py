@@ -13,7 +13,7 @@ import yaml
 
 from dqforge.machines.files.positioned_yaml import YamlValue, parse_value, parse_yaml
 
-_NOT_PRINTED = re.compile("[^\x20-\x7e\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_NOT_PRINTED = "[^\x20-\x7e\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 
 
 class _Edit(NamedTuple):
@@ -143,6 +143,6 @@ def _is_plain(text: str) -> bool:
 
 
 def _quoted(text: str) -> str:
-    return _NOT_PRINTED.sub(
-        lambda found: f"\\u{ord(found[0]):04x}", json.dumps(text, ensure_ascii=False)
+    return re.sub(
+        _NOT_PRINTED, lambda found: f"\\u{ord(found[0]):04x}", json.dumps(text, ensure_ascii=False)
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import PurePath
 
 import numpy as np
@@ -17,6 +16,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.named_arrays import NamedArray
+from dqforge.machines.records import dataclass
 
 _LENGTH = re.compile(
     r"Armature Length\s*\[mm\]\s*:\s*(\d+\.?\d*(?:[eE][+-]?\d{1,2})?)", re.IGNORECASE

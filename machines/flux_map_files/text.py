@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from dqforge.machines.flux_map_files.femag import femag_arrays, is_femag
 from dqforge.machines.flux_map_files.names import recognised
 from dqforge.machines.flux_map_files.twin_builder import is_twin_builder, twin_builder_arrays
 from dqforge.machines.flux_map_files.units import split_name
+from dqforge.machines.records import dataclass
 
 _MOST_BYTES = 16_000_000
 

@@ -4,7 +4,7 @@ was found and done on the way.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from dqforge.machines.flux_maps.repeated_points import merge_repeats
 from dqforge.machines.flux_maps.scattered_points import scattered_plane
 from dqforge.machines.flux_maps.torque_check import TorqueCheck, check_torque
 from dqforge.machines.names import FluxAxes, FluxFitName, FluxScaling, FluxSymmetry, FluxTorque
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
 MOST_NODES = 500_000

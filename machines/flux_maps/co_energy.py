@@ -5,12 +5,11 @@ W has degree four in both currents, so that the flux linkages have no curl by co
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.flux_maps.noise import FluxNoise
+from dqforge.machines.records import dataclass
 
 _DEGREE = 4
 

@@ -4,10 +4,9 @@ asymmetry and the frame that removes it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from dqforge.machines.flux_maps.noise import FluxNoise
 from dqforge.machines.names import FluxFitName, FluxSymmetry
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
 NOISE_LIMIT = 0.03

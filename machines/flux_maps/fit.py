@@ -4,7 +4,7 @@ grid with the price of it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from dqforge.machines.flux_maps.evidence import (
 from dqforge.machines.flux_maps.noise import FluxNoise, inductance_noise
 from dqforge.machines.flux_maps.smoothing import outliers, smooth_co_energy
 from dqforge.machines.names import FluxFitName
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
 _FINE_GRID = 20_000

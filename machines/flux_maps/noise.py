@@ -7,12 +7,12 @@ are no noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 
 NoiseSource = Literal["repeats", "symmetry", "neighbours", "residual"]
 

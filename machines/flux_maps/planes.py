@@ -6,8 +6,6 @@ halves differ by measurement errors.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
@@ -16,6 +14,7 @@ from dqforge.machines.dq_machines.flux_map import complete_by_symmetry
 from dqforge.machines.errors import InputError
 from dqforge.machines.flux_maps.flux_points import FluxPoints
 from dqforge.machines.names import FluxSymmetry
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
 SAME = 1e-6

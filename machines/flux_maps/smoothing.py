@@ -9,8 +9,6 @@ definite. How strong the penalty is follows from the noise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +16,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.flux_maps.co_energy import CHUNK, CoEnergy, SplineBasis, spline_basis
 from dqforge.machines.flux_maps.noise import FluxNoise
+from dqforge.machines.records import dataclass
 
 _STRENGTHS = np.geomspace(1e-10, 1e6, 97)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +17,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import FluxScaling, FluxTorque
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:  # the points' own module calls this check
     from dqforge.machines.flux_maps.flux_points import FluxPoints

@@ -9,12 +9,11 @@ until both stand still.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.losses.bridge_tables import BridgeTables
+from dqforge.machines.records import dataclass
 
 _SWEEPS = 200
 

@@ -14,8 +14,6 @@ form, for any modulator).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
@@ -24,6 +22,7 @@ from dqforge.machines.modulation.modulators import PhaseWaveforms, sector_wavefo
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.ripple import ripple_squares
 from dqforge.machines.names import ModulationName, OvermodulationName
+from dqforge.machines.records import dataclass
 
 # Points at once: each array of 1024 x 24 angles x 3 phases is 0.6 MB,
 # so that a handful stays in the cache.

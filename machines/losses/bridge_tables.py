@@ -4,8 +4,6 @@ at one DC voltage.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
@@ -14,6 +12,7 @@ from dqforge.machines.devices.device import DeviceModel
 from dqforge.machines.devices.energies import EnergyTable
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.losses.constant_device import required_device
+from dqforge.machines.records import dataclass
 
 _FAR = 1e6
 

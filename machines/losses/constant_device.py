@@ -12,8 +12,6 @@ modulators).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -23,6 +21,7 @@ from dqforge.machines.devices.switch import SwitchDevice
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.modulators import PhaseWaveforms, sector_waveforms
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import overmodulation_of
 
 REFERENCE_TEMPERATURE = 25.0

@@ -12,8 +12,6 @@ together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
@@ -21,6 +19,7 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.devices.thermal_network import CauerNetwork, ThermalNetwork
 from dqforge.machines.losses.bridge_heat import at_temperature
 from dqforge.machines.losses.bridge_tables import BridgeTables
+from dqforge.machines.records import dataclass
 
 _SWEEPS = 300
 

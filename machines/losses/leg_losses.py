@@ -13,8 +13,6 @@ switches sees the current of the very edge: a leg that rises does so near the va
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
@@ -24,6 +22,7 @@ from dqforge.machines.losses.phase_terminals import allowed_currents
 from dqforge.machines.modulation.modulators import Modulation, PhaseWaveforms, modulate
 from dqforge.machines.modulation.ripple import flux_moments
 from dqforge.machines.names import ModulationName, OpenPhase, Topology
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.duties import duty_cycles
 from dqforge.machines.topologies.topology import TOPOLOGIES, leg_signs
 

@@ -16,7 +16,6 @@ doi:10.1109/41.315269 (with it).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.dq_machines.machine_batch import MachineOrBatch
 from dqforge.machines.errors import InputError
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
+from dqforge.machines.records import dataclass
 
 COPPER_COEFFICIENT = 0.00393
 

@@ -9,12 +9,12 @@ eddy-current terms).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,6 @@ faults named by file and line.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.number_table import read_table
 from dqforge.machines.files.text_table import TextTable
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import Reading, read_quantity
 
 _NAMES: dict[str, tuple[str, ...]] = {

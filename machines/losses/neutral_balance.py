@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.frame_choice import flux_axes
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.neutral_ripple import neutral_ripple
 
 

@@ -28,7 +28,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -36,6 +35,7 @@ import numpy as np
 
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName, OvermodulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Floats, Pair, Reals, clarke_inverse
 
 INSCRIBED = 1.0 / math.sqrt(3.0)

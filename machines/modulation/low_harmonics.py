@@ -15,7 +15,7 @@ harmonics.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,7 @@ from dqforge.machines.dq_machines.machine_batch import BATCHES, MachineOrBatch
 from dqforge.machines.modulation.hexagon import INSCRIBED, SIX_STEP, overmodulated
 from dqforge.machines.modulation.ripple import inverse_inductance
 from dqforge.machines.names import OvermodulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair
 
 ORDERS = (5, 7, 11, 13, 17, 19)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair
 
 RuleKind = Literal["sine", "third-harmonic", "centred", "highest", "lowest", "compared"]

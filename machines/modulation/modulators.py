@@ -18,7 +18,6 @@ Industrial Electronics 58(9), 2011, doi:10.1109/TIE.2010.2102311 (DDT-GDPWM).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +32,7 @@ from dqforge.machines.modulation.hexagon import INSCRIBED, overmodulated
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.zero_sequence import zero_sequence_of
 from dqforge.machines.names import ModulationName, OvermodulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import DOUBLES, Triple, clarke, clarke_inverse, dq_to_phases
 
 __all__ = [

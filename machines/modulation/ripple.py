@@ -24,7 +24,6 @@ computer algebra.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +41,7 @@ from dqforge.machines.modulation.modulators import (
     sector_waveforms,
 )
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import dq_to_phases, rotor_axes
 
 _THIRTY = math.pi / 6.0

@@ -9,7 +9,6 @@ distortion factors).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +18,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.overmodulation import saturate
 from dqforge.machines.modulation.ripple import switching_instants
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import dq_to_phases
 
 ComplexArray = NDArray[np.complex128]

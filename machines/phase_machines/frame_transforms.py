@@ -10,7 +10,7 @@ holds at any angles and is as exact as F' is: take the formula's derivative wher
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from dqforge.machines.phase_machines.frames import (
     transform,
 )
 from dqforge.machines.phase_machines.phase_machine import grid
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import POWER_INVARIANT
 
 __all__ = [

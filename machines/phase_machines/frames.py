@@ -19,7 +19,6 @@ reflection: its determinant is -1.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -27,6 +26,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import derivative, grid
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import DOUBLES, POWER_INVARIANT, clarke_matrix, park
 
 Frame = Literal["alphabeta0", "dq0", "dqx", "dqy"]

@@ -8,7 +8,7 @@ after a mechanical turn only: ``turns`` electrical periods.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 Symmetry = Literal["sixth", "third", "none"]
 

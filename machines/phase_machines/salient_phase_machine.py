@@ -4,8 +4,6 @@ over the electrical angle.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -18,6 +16,7 @@ from dqforge.machines.phase_machines.phase_machine import (
     derivative,
     shift_of,
 )
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import DOUBLES, park
 
 _SAME = 1e-9

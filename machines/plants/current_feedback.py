@@ -17,7 +17,6 @@ Applications IA-21(3), 1985, pp. 562-570 (error of twice the band, slopes of ram
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -38,6 +37,7 @@ from dqforge.machines.plants.current_regulators.schemes import (
 from dqforge.machines.plants.current_trace import CurrentTrace
 from dqforge.machines.plants.fed_machine import I_D, I_Q, Z_D, Z_Q, BridgeDrive, Plant, build_plant
 from dqforge.machines.plants.switching_events import Controller, LegByLeg, follow
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import dq_to_phases
 
 # All switching states of the bridge, (8, 3).

@@ -8,13 +8,13 @@ so that no sampling smears an edge.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.plants.fed_machine import I_0, I_D, I_Q, V_D, V_Q, Plant, evaluate
+from dqforge.machines.records import dataclass
 
 ComplexArray = NDArray[np.complex128]
 

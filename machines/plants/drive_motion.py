@@ -20,7 +20,7 @@ speed runs linearly from sample to sample and the angle is its exact integral.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 ComplexArray = NDArray[np.complex128]
 

@@ -12,7 +12,6 @@ middle of the DC link added.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import dq_to_phases, phases_to_dq
 
 # Places in the state: currents, voltages, integrals of the current errors, and the constant 1.

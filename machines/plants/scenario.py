@@ -4,7 +4,7 @@ and how the machine differs from its data.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import pairwise
 from typing import Literal
 
@@ -13,6 +13,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import OpenPhase, StartLoadName
+from dqforge.machines.records import dataclass
 
 ControlMode = Literal["speed", "torque", "current", "open-loop"]
 

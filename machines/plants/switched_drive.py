@@ -11,7 +11,6 @@ next without error, and the periodic steady state is the fixed point of the peri
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from dqforge.machines.losses.bridge_tables import BridgeTables
 from dqforge.machines.modulation.modulators import modulate
 from dqforge.machines.modulation.ripple import switching_instants
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import dq_to_phases, phases_to_dq
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)

@@ -14,11 +14,11 @@ psi_d = psi + L_d (i_d - s i_d^2/(2 I)).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.records import dataclass
 
 LINKS = (24.0, 48.0, 325.0, 560.0)
 

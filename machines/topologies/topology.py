@@ -8,12 +8,11 @@ this room, and every limit of voltage elsewhere, follows from these records.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import Topology
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True)

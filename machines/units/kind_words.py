@@ -8,10 +8,10 @@ measure. Which of them a key may have, the key says (`dqforge.machines.entries.k
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import lru_cache
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.registry import COMPOUNDS, SYMBOLS
 from dqforge.machines.wording import shown
 

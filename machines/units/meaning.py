@@ -9,11 +9,11 @@ dimension (`Dimension.unnamed`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from decimal import Decimal
 from functools import cache
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.registry import (
     ANGULAR,
     CYCLIC,

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 from functools import lru_cache
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.expressions import parse_unit
 from dqforge.machines.units.kind_words import KindWords, kind_words, without_kind
 from dqforge.machines.units.meaning import convert

@@ -5,8 +5,10 @@ dimensions the program knows.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Literal
+
+from dqforge.machines.records import dataclass
 
 # A vocabulary of engineers, not that of a library of units: there "mh" is a millihour
 # and "Nm" is a metre per tex.

@@ -7,11 +7,11 @@ the rotor or lets the start-up do without one, runs, stops on a slope and ends i
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.start_up.alignment import alignment_damping, alignment_time
 
 Kind = Literal["start-up", "edges", "counts"]

@@ -11,8 +11,9 @@ a resistance in proportion to g, which stays in s as a constant. The same g is i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from flint import fmpq

@@ -11,9 +11,9 @@ least and the largest of their 36 Bernstein coefficients over a cell.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.axis_margins.box_cells import Interval
 
 if TYPE_CHECKING:

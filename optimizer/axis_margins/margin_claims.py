@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import heapq
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.axis_margins.box_cells import AxisBox, Cell, rational
 from dqforge.optimizer.axis_margins.loop_polynomials import (
     POWERS,

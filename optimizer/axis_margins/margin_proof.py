@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.axis_margins.box_cells import AxisBox, rational
 from dqforge.optimizer.axis_margins.loop_polynomials import AxisGains
 from dqforge.optimizer.axis_margins.margin_claims import (

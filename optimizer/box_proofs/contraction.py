@@ -14,12 +14,12 @@ P after.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.interior_point import Blocks, climb
 
 _SLACK = 1e-5

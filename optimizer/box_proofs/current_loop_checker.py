@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from flint import arb, arb_mat

@@ -23,11 +23,11 @@ The voltage gain is in three of the parameters: not every cell of them holds a d
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.cell_queue import Cell
 from dqforge.optimizer.box_proofs.contraction import Remainder
 

@@ -4,12 +4,12 @@ and where it ends.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.both_axes_sensitivity import bound_sensitivity
 from dqforge.optimizer.box_proofs.cell_queue import Cell
 from dqforge.optimizer.box_proofs.current_loop_checker import (

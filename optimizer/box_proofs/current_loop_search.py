@@ -7,11 +7,11 @@ states it.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.cell_queue import (
     Cell,
     Cut,

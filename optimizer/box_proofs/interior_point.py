@@ -8,11 +8,11 @@ may take it; and where the bound of the path says that no scalar above zero is l
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 
 _STEPS = 60
 

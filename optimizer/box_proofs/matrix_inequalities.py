@@ -14,12 +14,12 @@ What is returned is a proposal: the caller checks it, so that no status of the s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray, IndexArray
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

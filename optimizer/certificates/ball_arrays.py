@@ -9,12 +9,12 @@ which a factor makes up for. S. M. Rump, "Fast and parallel interval arithmetic"
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 
 _UNIT = 2.0**-52
 

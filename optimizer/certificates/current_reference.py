@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import field
 from heapq import heapify, heappop, heappush
 from itertools import count, pairwise
 from typing import Literal
@@ -29,6 +29,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.ball import ORDER, upper
 from dqforge.optimizer.certificates.exact_conditions import Condition, Task
 from dqforge.optimizer.certificates.interval_newton import (

@@ -9,7 +9,6 @@ whole interval, and the true flux linkage is one of them everywhere.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ import numpy as np
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.ball import Value
 
 if TYPE_CHECKING:

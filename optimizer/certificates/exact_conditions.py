@@ -5,13 +5,14 @@ in ball arithmetic.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.ball import Value, as_ball, exactly, hull
 from dqforge.optimizer.certificates.enclosures import Jet, jets
 from dqforge.optimizer.current_reference.forms import Reference

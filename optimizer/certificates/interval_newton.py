@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.ball import Expansion, Value, exactly, hull, upper, widened
 from dqforge.optimizer.certificates.enclosures import JetFunction, jets
 from dqforge.optimizer.certificates.exact_conditions import (

@@ -5,13 +5,13 @@ as near rest without magnets.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.ball import Expansion, Value, exactly, hull, upper, widened
 from dqforge.optimizer.certificates.enclosures import jets
 from dqforge.optimizer.certificates.exact_conditions import Task, conditions_over_box

@@ -11,10 +11,10 @@ its error is covered. In fixed point every shift rounds to nearest: half a unit 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.ball import Value
 from dqforge.optimizer.current_reference.forms import (
     ClosedForm,

@@ -16,12 +16,12 @@ before, times i before, in the voltage for good.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from flint import fmpq

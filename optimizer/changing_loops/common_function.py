@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.contraction import common_lyapunov, contracts, lyapunov_frame
 from dqforge.optimizer.box_proofs.matrix_inequalities import chained_matrices
 from dqforge.optimizer.changing_loops.changing_steps import LoopRange, falls_exactly

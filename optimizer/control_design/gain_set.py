@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.loop_proofs import LoopProofs, prove_loops
 from dqforge.optimizer.dynamic_references.solve import DynamicReferences, dynamic_references
 from dqforge.optimizer.estimators.solve import TunedTracker, solve_tracker

@@ -5,11 +5,12 @@ inductances.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from dqforge.optimizer.axis_margins.margin_proof import ProvenMargins

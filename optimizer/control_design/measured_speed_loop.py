@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.control_design.slower_speed_loop import (
     ROUNDED,

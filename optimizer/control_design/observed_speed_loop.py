@@ -8,12 +8,13 @@ changes (`dqforge.optimizer.loops.gains`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.slower_speed_loop import (
     ROUNDED,
     slower_speed_pi,

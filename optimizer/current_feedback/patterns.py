@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.plants.current_regulators.pulse_patterns import optimal_pattern
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_feedback.regulator_numbers import RegulatorPlan
 from dqforge.optimizer.current_feedback.regulator_runs import WorkingPoints
 

@@ -14,7 +14,6 @@ Defaults aim at the inverter's switching frequency f_sw with the smaller inducta
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import linearised
@@ -27,6 +26,7 @@ from dqforge.machines.plants.current_regulators.schemes import (
     Trajectory,
 )
 from dqforge.machines.plants.fed_machine import BridgeDrive
+from dqforge.machines.records import dataclass
 
 METHODS: tuple[FeedbackMethod, ...] = (
     "hysteresis",

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from dqforge.machines.losses.machine_budget import machine_budget
 from dqforge.machines.names import ModulationName
 from dqforge.machines.plants.current_feedback import simulate_currents
 from dqforge.machines.plants.current_trace import CurrentTrace
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_feedback.regulator_numbers import RegulatorPlan, bridge_of
 from dqforge.optimizer.current_feedback.trace_losses import trace_losses
 from dqforge.optimizer.losses.drive_budget import (

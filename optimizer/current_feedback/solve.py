@@ -5,7 +5,6 @@ design beside its modulators, and a speed loop over it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import ModulationName
 from dqforge.machines.plants.current_regulators.sampled_rules import RuleConstants
 from dqforge.machines.plants.current_regulators.schemes import Sampled
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_feedback.patterns import DesignPattern, design_patterns
 from dqforge.optimizer.current_feedback.regulator_numbers import (
     METHODS,

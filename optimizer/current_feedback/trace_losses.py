@@ -8,13 +8,12 @@ diode that conducts; the other two turn one off.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.losses.bridge_tables import BridgeTables
 from dqforge.machines.plants.current_trace import CurrentTrace
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True)

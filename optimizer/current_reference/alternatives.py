@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.names import FitMethod, NumberFormat
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.fit import (
     ReferenceFit,
     exact_form,

@@ -5,7 +5,7 @@ degrees and segments tried in order of cost.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from itertools import product
 
@@ -15,6 +15,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import FitBudget, FitSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import FitForm, NumberFormat
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.cost_model import (
     AXES,
     constant_bytes,

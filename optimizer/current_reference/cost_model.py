@@ -6,11 +6,10 @@ estimate on the emulated core; tests/benchmarks/test_firmware_cost.py measures t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.names import Core, FitForm, NumberFormat
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.forms import ClosedForm, Emitted, SignedReference
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS, FixedReference
 from dqforge.optimizer.curves.single_precision import SinglePolynomial, multiply_add

@@ -5,12 +5,12 @@ or beyond them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 _GRID = 801

@@ -5,7 +5,7 @@ with its errors and its alternatives.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import FitForm, NumberFormat
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.cost_model import AXES
 from dqforge.optimizer.current_reference.forms import (
     ClosedForm,

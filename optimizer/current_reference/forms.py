@@ -7,7 +7,6 @@ for it are those of the very arithmetic that runs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import copper_loss
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.curves.single_precision import (
     MultiplyAdd,

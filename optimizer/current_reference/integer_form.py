@@ -4,7 +4,6 @@ as the emitted C has it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import NumberFormat
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.integer_fit import CodeScale
 from dqforge.optimizer.curves.integer_polynomial import CodeArray, FixedPolynomial
 

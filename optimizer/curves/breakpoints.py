@@ -10,13 +10,13 @@ same breakpoints.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.fitting import Curve, SideConditions, condition_rows, null_space
 
 Objective = Callable[[FloatArray], float]

@@ -8,7 +8,6 @@ series on each segment.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.polynomial import chebyshev
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import FitMethod
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.piecewise import (
     PiecewisePolynomial,
     local_coefficients,

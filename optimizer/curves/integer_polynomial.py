@@ -13,11 +13,12 @@ and rounds to nearest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+
+from dqforge.machines.records import dataclass
 
 CodeArray = NDArray[np.int64]
 

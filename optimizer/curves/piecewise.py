@@ -6,13 +6,13 @@ segments, where degree 6 in single precision would lose more than the fit gains.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from math import comb
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,12 @@ readings are modelled.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 
 SingleArray = NDArray[np.float32]

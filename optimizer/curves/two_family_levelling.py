@@ -8,12 +8,11 @@ linkage, and only those two count.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.records import dataclass
 
 _LARGEST_NORM = 14.0
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ReferenceSettings
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from dqforge.optimizer.dynamic_references.voltage_feedback import VoltageFeedback

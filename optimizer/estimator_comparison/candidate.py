@@ -8,7 +8,6 @@ function that lists candidates, in `dqforge.optimizer.estimator_comparison.regis
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.names import StartUpMethodName
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.estimator_comparison.capture_range import CaptureMap
 from dqforge.optimizer.estimator_comparison.sensitivity import Slopes
 from dqforge.optimizer.estimators.solve import TunedTracker

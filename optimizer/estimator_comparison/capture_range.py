@@ -8,7 +8,6 @@ a hand-over or a flying start.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.drive_motion import plants, steady_voltage
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, SPEED_LIMIT
 from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.parts import EXACT

@@ -5,11 +5,12 @@ this observer.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from dqforge.machines.design.sections.chosen_together import SPREAD
 from dqforge.machines.design.settings import ControlSettings
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.estimator_comparison.candidate import Question
 from dqforge.optimizer.estimator_comparison.observer_candidates import settings_of

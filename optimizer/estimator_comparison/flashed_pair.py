@@ -5,10 +5,11 @@ which they change hands.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.estimator_comparison.candidate import Question
 from dqforge.optimizer.estimator_comparison.closed_loop import ClosedLoop
 from dqforge.optimizer.estimator_comparison.compared import ComparedEstimator, ComparedStart

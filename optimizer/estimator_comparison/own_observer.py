@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from dqforge.machines.design.design import Design
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.estimator_comparison.capture_range import CaptureMap, capture_map
 from dqforge.optimizer.estimator_comparison.warm_machine import WarmErrors, warm_errors
 from dqforge.optimizer.observers.conditions import loads_at

@@ -4,12 +4,11 @@ L_q, psi and the voltage that a dead time takes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.plants.drive_motion import Plants
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.judgement import DEAD_TIME, PARAMETERS
 from dqforge.optimizer.observers.steady_states import steady_observer
 from dqforge.optimizer.observers.tuning import PositionObserver

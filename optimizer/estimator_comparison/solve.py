@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.estimator_comparison.candidate import (
     Candidate,

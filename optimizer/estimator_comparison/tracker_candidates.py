@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import cast
 
 import numpy as np
@@ -12,6 +12,7 @@ from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import ObserverMethodName
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
 from dqforge.optimizer.estimator_comparison.candidate import (
     Candidate,

@@ -11,12 +11,12 @@ is small.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.plants.drive_motion import ComplexArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.estimators.solve import TunedTracker
 from dqforge.optimizer.observers.parts import EXACT, Pair
 

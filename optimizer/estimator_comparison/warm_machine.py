@@ -9,8 +9,6 @@ has just been switched on is the one that differs: it is shown beside the warmer
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
@@ -18,6 +16,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.losses.machine_budget import COPPER_COEFFICIENT
 from dqforge.machines.plants.drive_motion import Plants
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.conditions import loads_at, lost_voltage
 from dqforge.optimizer.observers.steady_states import steady_observer
 from dqforge.optimizer.observers.tuning import SHOWN, PositionObserver

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import TRACKER_NAMES
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design

@@ -11,11 +11,11 @@ precision for analysis and in single precision as the model of the C.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Literal
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ObserverSettings
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 

@@ -4,12 +4,11 @@ with the age of what it measures, without the currents that it injects.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.plants.drive_motion import ComplexArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.estimators.tracker import TrackerLoop
 
 

@@ -5,7 +5,6 @@ formulas for many machines go; the others one design at a time.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from dqforge.machines.arrays import BoolArray, FloatArray, IndexArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import DqforgeError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.block_rows import BlockRows
 from dqforge.optimizer.exploration.exact_rows import (
     exact_row,

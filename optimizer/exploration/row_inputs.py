@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from dqforge.machines.exploration.recent import Recent
 from dqforge.machines.exploration.study import Axis, Study
 from dqforge.machines.exploration.study_checks import grid_rows
 from dqforge.machines.files.positioned_yaml import YamlValue
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.draws import draw_values
 from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, ColumnSpec
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.exploration.study import Bound, Study
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.exploration.block_rows import BlockRows
 from dqforge.optimizer.exploration.row_block import STATES

@@ -8,7 +8,7 @@ A block holds the same numbers wherever and whenever it is computed.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from dqforge.machines.exploration.study import Study
 from dqforge.machines.exploration.study_checks import row_count
 from dqforge.machines.files.positioned_yaml import YamlValue
 from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.audit import audited_rows, deviations, largest
 from dqforge.optimizer.exploration.block_groups import LEAST_TOGETHER, Grouping, key_bounds
 from dqforge.optimizer.exploration.block_rows import BlockRows

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from dqforge.machines.dq_machines.scaled_machines import ScaledMachines
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.block_rows import BlockRows
 from dqforge.optimizer.exploration.exact_rows import put_losses
 from dqforge.optimizer.exploration.group_rows import Group

@@ -8,13 +8,13 @@ breakpoint b by construction.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.curves.single_precision import SinglePolynomial
 from dqforge.optimizer.curves.two_family_levelling import Aims, level

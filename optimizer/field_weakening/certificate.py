@@ -20,7 +20,6 @@ they stay sampled.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
@@ -30,6 +29,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.field_weakening.certified_domain import (
     STRIPS,
     CertifiedDomain,

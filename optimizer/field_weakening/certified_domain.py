@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.ball_arrays import Balls
 from dqforge.optimizer.field_weakening.enclosures import Bend, Boxes, rounding, taylor
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion

@@ -11,10 +11,9 @@ header.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import (
     MultiplyAdd,
     SingleArray,

@@ -10,7 +10,7 @@ Taylor polynomial with its remainder.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.ball import Value
 from dqforge.optimizer.certificates.ball_arrays import Balls, magnitude, most
 from dqforge.optimizer.certificates.enclosures import Jet, JetFunction, bicubic

@@ -4,12 +4,13 @@ torque and excess flux linkage.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.ball_arrays import Balls, magnitude, most
 from dqforge.optimizer.field_weakening.border_curves import in_double
 from dqforge.optimizer.field_weakening.enclosures import (

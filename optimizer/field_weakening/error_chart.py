@@ -4,12 +4,11 @@ for people to see.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 from dqforge.optimizer.field_weakening.form import SurfaceSamples, WeakeningReference, error_map
 from dqforge.optimizer.operating_points.point_problem import Active

@@ -4,7 +4,7 @@ budget.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import WeakeningSettings
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import SinglePolynomial
 from dqforge.optimizer.curves.two_family_levelling import Aims, level
 from dqforge.optimizer.field_weakening.border_curves import Mtpa, fit_limit, fit_mtpa, in_double

@@ -7,12 +7,11 @@ stated for it are those of the very arithmetic that runs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.forms import PENALTY_FROM
 from dqforge.optimizer.curves.single_precision import (
     MultiplyAdd,

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.certificates.ball_arrays import Balls
 from dqforge.optimizer.field_weakening.enclosures import formulas, machine_parts, resolved
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion

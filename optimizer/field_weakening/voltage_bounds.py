@@ -14,11 +14,10 @@ is larger than it need be, at low speed, larger z count for less.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.field_weakening.drop_reference import DropReference
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE, VoltageRegion
 

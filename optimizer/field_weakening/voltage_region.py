@@ -5,7 +5,6 @@ domain and errors of a current reference.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.forms import PENALTY_FROM
 from dqforge.optimizer.curves.single_precision import SingleArray

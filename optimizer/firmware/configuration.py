@@ -9,8 +9,10 @@ from it. Its numbers are those that the file can hold, already rounded.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING
+
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from dqforge.machines.names import Firmware

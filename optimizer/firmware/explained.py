@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 from dqforge.machines.design.numerical import numerical_errors
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
 from dqforge.optimizer.firmware.judge import (
     JudgedFirmware,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.asked import asked as asked_of
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.gain_search.current_gains import CurrentSearch

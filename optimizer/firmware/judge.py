@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.sampled_structure import (
     Mechanics,
     Winding,

@@ -20,11 +20,12 @@ K. J. Astroem, B. Wittenmark, "Computer-Controlled Systems", 3rd edition, 1997: 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.plants import PiLoop, close_pi
 from dqforge.optimizer.sampled_systems import SampledSystem, delayed_plant, discretise, lift
 

@@ -5,12 +5,12 @@ and what is lost on the way.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware
 from dqforge.machines.places import about
+from dqforge.machines.records import dataclass
 from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.asked import asked
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall

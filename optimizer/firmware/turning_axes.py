@@ -13,11 +13,11 @@ for references of zero; the magnets move no pole.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.sampled_structure import equivalent_gains, filter_share
 
 if TYPE_CHECKING:

@@ -12,13 +12,14 @@ chapter 2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import isqrt
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import C, N
 
 CodeArray = NDArray[np.int64]

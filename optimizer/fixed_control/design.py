@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import filter_share
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.optimizer.fixed_control.arithmetic import Reach
 from dqforge.optimizer.fixed_control.gains import QuantisedLoop, quantised_loop, real_pi

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import C, N
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded
 from dqforge.optimizer.loops.analysis import analyse_current_loop, analyse_speed_loop

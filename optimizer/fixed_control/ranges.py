@@ -9,9 +9,10 @@ result holds for every input and every past.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.fixed_control.arithmetic import Range, Ranges, Reach
 from dqforge.optimizer.fixed_control.gains import scaled

@@ -14,13 +14,13 @@ A step of 16 bits squares the error of the polynomial (1.7e-3, 2.1e-3) once, one
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, larger, magnitude, rounded
 

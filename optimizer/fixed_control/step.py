@@ -8,10 +8,10 @@ observer's state have ``fraction`` more bits than a code and lie in words of twi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Generic, Literal, Protocol
 
 from dqforge.machines.names import ModulationName, NumberFormat
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair, Triple, clarke, park, park_inverse
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded
 from dqforge.optimizer.fixed_control.gains import scaled

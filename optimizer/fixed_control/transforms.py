@@ -9,7 +9,6 @@ are a share of a turn, 2^width of them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar, Generic
 
@@ -19,6 +18,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.zero_sequence import zero_sequence_of
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair, Triple, clarke, clarke_inverse
 from dqforge.optimizer.fixed_control.arithmetic import (
     Arithmetic,

@@ -12,10 +12,10 @@ is brought to 27 bits before its reciprocal is taken.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair, park
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, Range, rounded
 from dqforge.optimizer.fixed_control.transforms import Codes, rotation

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, Generic
 
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair, park
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, rounded
 from dqforge.optimizer.fixed_control.gains import scaled

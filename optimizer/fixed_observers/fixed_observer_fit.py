@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.names import NumberFormat
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.optimizer.fixed_control.arithmetic import Reach
 from dqforge.optimizer.fixed_control.design import require_scales

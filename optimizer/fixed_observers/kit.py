@@ -13,9 +13,9 @@ make it the model of the emitted C, ranges its proof.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, magnitude, rounded
 from dqforge.optimizer.fixed_control.gains import scaled

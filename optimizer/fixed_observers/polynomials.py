@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic
 from dqforge.optimizer.fixed_observers.kit import times

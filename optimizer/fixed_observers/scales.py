@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.fixed_observers.kit import ONE, TOP, WIDTH, FixedPll
 from dqforge.optimizer.loops.integer_gains import FixedGain, quantise
 from dqforge.optimizer.observers.pll import PllGains

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.regions import largest_phase_voltage
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.fixed_control.arithmetic import Reach

@@ -6,10 +6,10 @@ codes. Integrals have ``fraction`` more bits than a code.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Generic, NamedTuple
 
 from dqforge.machines.names import CurrentFrame, Feedforward, NumberFormat, Topology
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N
 from dqforge.optimizer.fixed_control.step import FixedPi, PiForm
 from dqforge.optimizer.fixed_control.transforms import (

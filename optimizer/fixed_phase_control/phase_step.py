@@ -6,9 +6,9 @@ the proof that nothing overflows. Vectors are alpha, beta and zero sequence (mea
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Generic
 
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import N, Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, magnitude, rounded

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE, VoltageRegion
 from dqforge.optimizer.fixed_control.arithmetic import Reach

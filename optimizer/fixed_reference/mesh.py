@@ -16,10 +16,10 @@ their proof. Clamps that change no number are for the ranges, and the C leaves t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Generic
 
 from dqforge.machines.names import NumberFormat
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import N, Pair
 from dqforge.optimizer.fixed_control.arithmetic import Arithmetic, magnitude
 from dqforge.optimizer.loops.integer_gains import FixedGain

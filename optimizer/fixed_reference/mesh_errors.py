@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE
 from dqforge.optimizer.fixed_control.arithmetic import BoolArray, CodeArray, Integers
 from dqforge.optimizer.fixed_reference.mesh import CurrentMesh

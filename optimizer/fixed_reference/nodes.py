@@ -9,11 +9,11 @@ goes with the square of that size.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.field_weakening.exact import WeakeningRegion
 
 _FINE_ROWS, _FINE_COLUMNS = 161, 33

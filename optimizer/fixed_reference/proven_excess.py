@@ -11,13 +11,13 @@ a cell are rounded by.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.field_weakening.voltage_region import LEAST_VOLTAGE
 from dqforge.optimizer.fixed_reference.mesh import CurrentMesh
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from dqforge.machines.names import Topology
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.flashing_choice.choices import COMPARED, FlashRow
 from dqforge.optimizer.flashing_choice.solve import FlashComparison
 

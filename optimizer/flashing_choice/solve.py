@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.names import CurrentFrame, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.flashing_choice.choices import COMPARED, FlashRow, compared_frames

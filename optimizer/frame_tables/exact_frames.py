@@ -6,8 +6,6 @@ Power-invariant and divided by a_x and a_y, as in paper 002 and in
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
@@ -22,6 +20,7 @@ from dqforge.machines.phase_machines.frame_transforms import (
 )
 from dqforge.machines.phase_machines.frames import CLARKE
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, grid
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import POWER_INVARIANT
 
 DENSE = 23_040

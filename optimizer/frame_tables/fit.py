@@ -4,8 +4,6 @@ that holds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.design.design import Design
@@ -14,6 +12,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.frame_choice import tables_obstacle
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine, grid
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import (
     MultiplyAdd,
     SingleArray,

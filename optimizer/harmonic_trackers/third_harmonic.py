@@ -35,13 +35,12 @@ wide speed range", IEEE Trans. Ind. Applications 32, 1996; paper 001, 7.2.3.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.models.matsui_model import ObserverRun
 from dqforge.optimizer.observers.sampled_machine import wrapped
 

@@ -4,10 +4,11 @@ the C, `observer_third_harmonic.j2`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.harmonic_trackers.third_harmonic import ThirdHarmonic
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair

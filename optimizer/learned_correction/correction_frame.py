@@ -13,12 +13,12 @@ over the range that was trained; where one lies outside, or is not a number, the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.learned_correction.steady_errors import SteadyErrors
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, at_least

@@ -16,13 +16,13 @@ control", IEEE Trans. Systems, Man and Cybernetics 15, 1985; paper 001, 7.2.8.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.learned_correction.correction_frame import (
     CorrectionFrame,

@@ -13,12 +13,12 @@ threads of a linear algebra library; they do depend on the instructions that num
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.learned_correction.correction_frame import TOLD, Inputs
 from dqforge.optimizer.observers.parts import Arithmetic

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.learned_correction import corrected_flux, fuzzy_rules
 from dqforge.optimizer.learned_correction.assessment import assessed, training_drives

@@ -16,14 +16,13 @@ in a fraction of a second.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.drive_motion import ComplexArray, Plants, steady_voltage
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.methods.flux import integrated
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.training import TrainingBox

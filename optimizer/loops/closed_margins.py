@@ -24,12 +24,11 @@ Source: derived; stability by E. I. Jury, "Theory and Application of the z-Trans
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dqforge.machines.arrays import BoolArray, FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.sampled_systems import LEAST_SHARE, LoopMargins
 
 _MOST_STEPS = 80

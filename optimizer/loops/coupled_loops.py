@@ -18,11 +18,10 @@ eigenvalues of this map of (i, v, I), six states.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True)

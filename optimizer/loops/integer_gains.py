@@ -7,7 +7,6 @@ digits.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from dqforge.machines.design.settings import PerUnitBases
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import QFormats
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.loop_gains import LoopGains, loop_bases, per_unit
 
 GainStyle = Literal["power-of-two", "q"]

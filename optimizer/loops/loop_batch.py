@@ -11,11 +11,10 @@ margins of one loop at a time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.sampled_systems import GOLDEN, GOLDEN_STEPS
 
 FloatArray = NDArray[np.float64]

@@ -6,7 +6,6 @@ Gains are physical (current loops V/A and V/(A s), speed loop N m s/rad and N m/
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from dqforge.machines.design.settings import PerUnitBases
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.observed_margins import ObservedLoop
 from dqforge.optimizer.loops.plants import DisturbanceResponse, PiLoop, SpeedLoop
 from dqforge.optimizer.sampled_systems import LoopMargins

@@ -4,11 +4,10 @@ what the observer leaves, how it swings where it is unstable, and where all corn
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.plants import PiLoop
 
 

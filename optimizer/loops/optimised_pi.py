@@ -17,12 +17,11 @@ on M_s, for one plant.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.loop_batch import PlantBatch, close_loops, peak_sensitivities
 
 FloatArray = NDArray[np.float64]

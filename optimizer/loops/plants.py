@@ -12,11 +12,12 @@ the inverter as linear.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.sampled_systems import (
     SampledSystem,
     constant_input_states,

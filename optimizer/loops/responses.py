@@ -4,11 +4,10 @@ open loops to a sine.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.analysis import step_response
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.plants import PiLoop, SpeedLoop, StepResponse, current_step

@@ -5,13 +5,14 @@ and what would hold.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSettings
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.current_loop_proof import CurrentLoopProof
 from dqforge.optimizer.loops.coupled_loops import CurrentControl, largest_pole
 from dqforge.optimizer.loops.gains import speed_delay

@@ -23,7 +23,6 @@ lies between them.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -32,6 +31,7 @@ from numpy.typing import NDArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import ToleranceName, Tolerances
 from dqforge.machines.dq_machines.synchronous import LinearMachine, torque_from_flux
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.coupled_loops import TurningMachines
 from dqforge.optimizer.loops.loop_batch import (
     DriveVariants,

@@ -13,14 +13,13 @@ the curve level above the limit: then the voltage cannot be kept, whatever the c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.losses.machine_budget import machine_budget
 from dqforge.machines.names import Strategy
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import BudgetOptions
 from dqforge.optimizer.losses.drive_comparison import AIM, EXCESS, ROUNDS
 from dqforge.optimizer.machine_batch.batch_currents import largest_torques, strategy_currents

@@ -5,7 +5,7 @@ modulators and carrier frequencies.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import field, fields
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.losses.machine_budget import WindingHeat
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
+from dqforge.machines.records import dataclass
 
 PARTS = (
     "copper",

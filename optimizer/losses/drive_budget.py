@@ -10,7 +10,7 @@ they do.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.modulation.low_harmonics import low_harmonics
 from dqforge.machines.modulation.ripple import inverse_inductance
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import fundamental_share, overmodulation_of
 from dqforge.optimizer.losses.budget_record import (
     PARTS,

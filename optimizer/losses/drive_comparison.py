@@ -10,7 +10,7 @@ loses least there.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.losses.machine_budget import machine_budget
 from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import amplitude_limit
 from dqforge.optimizer.losses.drive_budget import (
     BudgetOptions,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.devices.inverter import Inverter
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions
 from dqforge.optimizer.losses.drive_comparison import (
     Alternatives,

@@ -10,7 +10,7 @@ voltages over that of the link, energies of one table a power of it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.losses.bridge_tables import energy_factors
 from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.names import ModulationName, Strategy
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import fundamental_share
 from dqforge.optimizer.losses.axis_currents import AxisCurrents, axis_currents
 from dqforge.optimizer.losses.drive_budget import (

@@ -4,7 +4,7 @@ for every alternative.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from dqforge.machines.losses.junction_transient import (
 from dqforge.machines.losses.machine_budget import MachineBudget, WindingHeat, machine_budget
 from dqforge.machines.losses.mission import Mission
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import (
     PARTS,
     BudgetOptions,

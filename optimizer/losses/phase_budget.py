@@ -7,7 +7,7 @@ junctions of every leg are in balance with the losses of that leg alone.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName, OpenPhase
 from dqforge.machines.phase_machines.phase_machine import grid
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.regions import link_demand
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget, known_bridge

@@ -8,8 +8,6 @@ leg by its own duty cycle and current.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
@@ -21,6 +19,7 @@ from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.names import ModulationName, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.regions import sine_share
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.losses.drive_budget import BudgetOptions

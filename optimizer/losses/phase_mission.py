@@ -6,7 +6,7 @@ the losses of its own leg, so that the neutral's is the coldest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from dqforge.machines.losses.junction_transient import (
 from dqforge.machines.losses.mission import Mission
 from dqforge.machines.losses.phase_terminals import phase_terminals
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.losses.drive_budget import PARTS, BudgetOptions, known_bridge
 from dqforge.optimizer.losses.drive_comparison import Alternatives, dead_time_share, least

@@ -8,7 +8,7 @@ part in the choice of the best.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any, Literal
 
 import numpy as np
@@ -20,6 +20,7 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.names import ModulationName
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget
 from dqforge.optimizer.losses.drive_comparison import Alternatives, compare_drives, least
 from dqforge.optimizer.losses.leg_budgets import PhaseBudget

@@ -8,7 +8,6 @@ breakpoints; between two entries it is interpolated only where both lie in the s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate
 from operator import mul
@@ -19,6 +18,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import FitMethod
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.fitting import SideConditions
 from dqforge.optimizer.machine_batch.batch_currents import strategy_currents
 from dqforge.optimizer.machine_batch.batch_fits import fit_columns, segment_points

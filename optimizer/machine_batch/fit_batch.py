@@ -7,7 +7,7 @@ make it some thousand times cheaper, and 1 or 2 % worse. Headers are made by the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Strategy
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.cost_model import AXES
 from dqforge.optimizer.current_reference.fit import least_degree
 from dqforge.optimizer.curves.fitting import SideConditions

@@ -6,7 +6,6 @@ rounded to float32.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from math import comb
 
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.names import FitForm, Strategy
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.machine_batch.batch_currents import strategy_currents
 from dqforge.optimizer.machine_batch.batch_fits import segment_points

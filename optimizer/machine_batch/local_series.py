@@ -13,12 +13,12 @@ a library's kernels or on the processor.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.fitting import SideConditions
 from dqforge.optimizer.curves.piecewise import power_of_series
 

@@ -7,13 +7,12 @@ rotations without angle functions, give a machine the same numbers in any batch.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.dq_machines.scaled_machines import ScaledMachines
 from dqforge.machines.dq_machines.synchronous import FluxJet
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.mtpa_locus import free_locus
 
 _LEVELS = 32

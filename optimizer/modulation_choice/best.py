@@ -9,7 +9,6 @@ and its least value sought on a fine grid within the limits, for all points and 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.losses.bridge_tables import bridge_tables
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget, drive_budget
 from dqforge.optimizer.modulation_choice.limits import (
     LIMITS,

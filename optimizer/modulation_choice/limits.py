@@ -4,13 +4,12 @@ and who keeps what.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import DriveBudget
 
 LIMITS = (

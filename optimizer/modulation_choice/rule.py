@@ -10,13 +10,13 @@ every first question the best second ones on both sides.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 
 _FORBIDDEN = 1e6
 

@@ -8,7 +8,7 @@ one frequency with the least mean loss of its region that keeps all limits there
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.design.settings import ChoiceSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import BudgetOptions
 from dqforge.optimizer.losses.drive_comparison import strategy_currents, usable_limit
 from dqforge.optimizer.modulation_choice.best import (

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray

@@ -19,12 +19,12 @@ back by the true angle. What a dead time costs lies along the current, softened 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.plants.drive_motion import ComplexArray, plants, steady_voltage
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray

@@ -6,12 +6,12 @@ rotor, whose turning within a period is taken off at its end.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from dqforge.machines.plants.drive_motion import ComplexArray, plants
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.parts import EXACT, ObserverState, Pair
 from dqforge.optimizer.observers.steady_states import steady_observer, vector_count
 

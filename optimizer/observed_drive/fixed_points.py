@@ -12,13 +12,13 @@ the samples of a speed period and closed by the PI it has the poles of the whole
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observed_drive.drive_cases import DriveCases, drive_cases, exact_cases
 from dqforge.optimizer.observed_drive.drive_model import OWN, ObservedDrive
 from dqforge.optimizer.sampled_systems import ComplexArray, SampledSystem

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.observed_margins import (
     Corner,
     CornerJudgement,

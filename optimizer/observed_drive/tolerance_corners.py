@@ -4,13 +4,14 @@ dead time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.observed_margins import Corner
 from dqforge.optimizer.observed_drive.drive_cases import RELATIVE, DriveCases, drive_cases
 from dqforge.optimizer.observers.conditions import lost_voltage

@@ -8,13 +8,13 @@ such a loop are as late as their own phase is at the crossover 1/(a T) that the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.plants.drive_motion import plants
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.pll import PllGains
 from dqforge.optimizer.observers.steady_states import SteadyObserver, steady_observer
 

@@ -8,7 +8,6 @@ dead time costs, noise, and an acceleration.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.drive_motion import ComplexArray, Plants
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.steady_states import steady_observer
 from dqforge.optimizer.observers.tuning_numbers import LARGEST_TURN, Disturbances, Load

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.drive_motion import DriveMotion
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, cast
 from dqforge.optimizer.observers.training import Training, TrainingBox

@@ -19,9 +19,9 @@ about a / w^2.
 from __future__ import annotations
 
 import cmath
-from dataclasses import dataclass
 
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import Arithmetic
 

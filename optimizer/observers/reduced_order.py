@@ -23,13 +23,14 @@ Deviations from the paper: its p0 is +g in (8.19), (8.20) and -g in (8.22), (8.2
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.sampled_systems import discretise
 
 R_ERROR = 0.3

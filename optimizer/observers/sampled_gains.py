@@ -9,11 +9,11 @@ emitted C (`observer_ekf.j2`, `observer_matsui_voltage.j2`, `observer_matsui_cur
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import Pair
 from dqforge.optimizer.observers.sampled_machine import SampledMachine

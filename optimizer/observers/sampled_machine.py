@@ -25,13 +25,12 @@ equations are (7.23) and (7.24) of paper 001 with L_d and L_q kept apart.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 
 TERMS = 4
 

@@ -10,7 +10,6 @@ acceleration is a steady state, too, with a speed that moves by a t_s per sample
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.drive_motion import ComplexArray, Plants, steady_voltage
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.parts import EXACT, ObserverState, Pair
 

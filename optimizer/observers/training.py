@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 
 Limits = tuple[float, float]
 

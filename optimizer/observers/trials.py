@@ -8,14 +8,13 @@ noise acts on the machine itself besides on what is measured, as a Kalman filter
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import InputError
 from dqforge.machines.plants.drive_motion import next_flux, plants
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.sampled_machine import turned
 
 _GAIN = 0.3

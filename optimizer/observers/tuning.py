@@ -5,12 +5,13 @@ error of the angle.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.judgement import ObserverJudgement, judge, judge_at
 from dqforge.optimizer.observers.pll import FASTEST
 from dqforge.optimizer.observers.training import Training, TrainingBox, usual_training_box

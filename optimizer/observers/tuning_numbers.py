@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from dqforge.machines.design.settings import Deviation, both_sides
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 LARGEST_TURN = 0.8
 

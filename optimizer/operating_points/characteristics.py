@@ -4,12 +4,13 @@ largest speed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.ends_of_data.boundary import least_flux_current, make_limits
 from dqforge.optimizer.operating_points.mtpa_locus import MtpaLocus, mtpa_locus
 from dqforge.optimizer.operating_points.point_problem import Active

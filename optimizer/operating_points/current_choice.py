@@ -8,7 +8,6 @@ everything else is solved.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, copper_loss
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Strategy
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.mtpa import id0_currents, mtpa_at_current, mtpa_currents
 from dqforge.optimizer.operating_points.mtpa_locus import mtpa_locus
 from dqforge.optimizer.operating_points.point_problem import Active

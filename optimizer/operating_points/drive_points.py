@@ -4,7 +4,6 @@ and over maps, asked in SI numbers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,6 +15,7 @@ from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import contradiction
 from dqforge.optimizer.operating_points.characteristics import (
     Characteristics,

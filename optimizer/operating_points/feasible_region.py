@@ -8,12 +8,11 @@ point of torque and voltage limit (MTPV).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.ends_of_data.boundary import (
     ANGLES,
     INSIDE,

@@ -7,12 +7,11 @@ differ only in their `FluxJet`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import FluxJet, Machine
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True)

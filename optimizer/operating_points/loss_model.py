@@ -10,7 +10,6 @@ have exactly this form; what an IGBT bridge and discontinuous modulators add to 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +27,7 @@ from dqforge.machines.losses.constant_device import (
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import amplitude_fits
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
 

@@ -8,13 +8,12 @@ every salient machine is one curve, T = i_q (1 + sqrt(1 + i_q^2)) with |i_d| = s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True)

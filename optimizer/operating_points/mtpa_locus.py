@@ -4,8 +4,6 @@ and a characteristic.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +11,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, torque_from_flux
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.local_terms import (
     cross_of_gradients,
     current_terms,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -14,6 +12,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.losses.machine_loss import NO_EXTRA_LOSS, MachineLoss
 from dqforge.machines.modulation.low_harmonics import LowHarmonics, low_harmonics
 from dqforge.machines.names import ModulationName, OvermodulationName, Topology
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import amplitude_limit, overmodulation_of
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.operating_points.characteristics import Characteristics

@@ -4,7 +4,6 @@ and the names of the limits.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
 from dqforge.optimizer.operating_points.mtpa_locus import MtpaLocus
 

@@ -10,7 +10,7 @@ feasible region gives, never from the user.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.ends_of_data.data_limit import hold_by_data
 from dqforge.optimizer.operating_points.local_terms import LossCoefficients
 from dqforge.optimizer.operating_points.missed_points import missed_points, replace_missed_points

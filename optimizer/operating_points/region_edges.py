@@ -8,7 +8,6 @@ it, or the end of an interval.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.local_terms import torque_terms
 
 IndexArray = NDArray[np.intp]

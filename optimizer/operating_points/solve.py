@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.current_choice import (
     CurrentChoice,
     OperatingPoints,

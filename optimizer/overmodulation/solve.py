@@ -4,8 +4,6 @@ largest torque over speed what they do to currents, torque and copper.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
@@ -19,6 +17,7 @@ from dqforge.machines.modulation.low_harmonics import (
     voltage_harmonics,
 )
 from dqforge.machines.names import OvermodulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import fundamental_share
 from dqforge.optimizer.operating_points.characteristics import Characteristics, characteristics
 from dqforge.optimizer.operating_points.drive_points import limited_drive

@@ -9,12 +9,12 @@ do (`whole_samples`), and the worst of some angles of the first sample within a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.phase_control.periodic_step import (
     LoopState,
     PhasePlants,

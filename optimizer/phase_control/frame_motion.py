@@ -8,12 +8,11 @@ how both change with the angle: n_j' = Omega x n_j, a' = growth a.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import CurrentFrame
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.phase_control.phase_controller import PhaseShape
 

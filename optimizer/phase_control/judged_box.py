@@ -13,13 +13,14 @@ angle, random points inside them are tried as well.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.loops.robustness import Worst
 from dqforge.optimizer.loops.tolerance_box import BoxPoints, DriveBox

@@ -8,14 +8,13 @@ keeps it too. Between speeds and angles it is checked on a grid of its own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.phase_control.phase_controller import LimitedShapes, PhaseControl

@@ -24,11 +24,10 @@ The voltage limit, the fading of the references and what rests at large errors h
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.machines.transforms import POWER_INVARIANT, clarke_matrix
 from dqforge.optimizer.phase_control.frame_motion import FrameMotion, frame_motion, shape_at

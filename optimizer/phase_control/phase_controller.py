@@ -7,10 +7,9 @@ neutral). Source: paper 002, chapters 3 to 5, as corrected in docs/methods/curre
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

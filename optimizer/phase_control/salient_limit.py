@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.regions import VOLTAGE_ROWS, voltage_bounds
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.phase_control.torque_limit import Largest

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import clarke_matrix
 from dqforge.optimizer.phase_control.phase_controller import PhaseShape
 from dqforge.optimizer.phase_control.shape_vectors import flux_at, torque_of, unit_currents

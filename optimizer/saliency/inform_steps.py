@@ -9,10 +9,9 @@ converter to itself. A sequence with a sample that is no number corrects nothing
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 from dqforge.optimizer.observers.sampled_gains import limited

@@ -6,7 +6,6 @@ or a rotating voltage; docs/methods/estimators.md has the equations,
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import InjectionWave
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.estimators.tracker import Tracker
 from dqforge.optimizer.observers.sampled_machine import electrical_limit
 from dqforge.optimizer.observers.tuning_numbers import usual_disturbances

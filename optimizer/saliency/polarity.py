@@ -9,13 +9,13 @@ current.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.saliency.injection import current_noise
 from dqforge.optimizer.saliency.polarity_steps import PolarityGains
 

@@ -8,14 +8,13 @@ saturation turns away from it. References: paper 001, 7.2.4; M. Corley, R. Loren
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 LEAST_RATIO = 1.1

@@ -37,13 +37,12 @@ square-wave-type voltage injection", IEEE Trans. Ind. Applications 47, 2011 (N =
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.sampled_machine import electrical_limit, exact_entries
 
 LONGEST = 16

@@ -11,11 +11,11 @@ that is not a number corrects nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
 from dqforge.optimizer.observers.sampled_gains import limited

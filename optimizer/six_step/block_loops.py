@@ -8,12 +8,12 @@ symmetrical optimum, and a dead time in its margin.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.pi_methods import speed_pi
 

@@ -15,7 +15,6 @@ between psi (1 - cos 30 deg) = 0.134 psi; here both are those of the waveform it
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from dqforge.machines.phase_machines.salient_phase_machine import (
     AnyPhaseMachine,
     SalientPhaseMachine,
 )
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.six_step.sectors import FED, FLOATING, RETURN, SECTOR, middle
 
 _TURN = 2.0 * np.pi / 3.0

@@ -22,10 +22,10 @@ The current is that of the phase which both blocks share, so that a commutation 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.six_step.estimator import (
     BlockGains,
     BlockState,

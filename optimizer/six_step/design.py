@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from dqforge.machines.phase_machines.salient_phase_machine import (
     AnyPhaseMachine,
     SalientPhaseMachine,
 )
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.gains import tune_current_loop
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT

@@ -24,11 +24,10 @@ For a sine dv x/(omega g_c) is (pi/3) dv/(psi omega).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.six_step.block_shape import BlockShape
 from dqforge.optimizer.six_step.sectors import SECTOR
 

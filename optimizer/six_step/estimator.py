@@ -13,11 +13,11 @@ the model of the C.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.six_step.sectors import FLOATING, rising
 
 _LARGEST = 1e6  # V

@@ -8,11 +8,11 @@ drives damps it, with 3/2 p^2 psi^2/(2 J R) in 1/s where the winding is quick.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import SixStepSettings
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.six_step.block_shape import BlockShape
 
 _CURRENT = 0.5  # of the limit

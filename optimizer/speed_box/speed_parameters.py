@@ -12,11 +12,10 @@ b is far from its gains: what interpolation over a cell leaves out is a third of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.cell_queue import Cell
 
 Interval = tuple[float, float]

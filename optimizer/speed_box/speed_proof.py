@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.cell_queue import Proven, Tree
 from dqforge.optimizer.loops.loop_gains import LoopGains
 from dqforge.optimizer.loops.tolerance_box import DriveBox

@@ -9,11 +9,10 @@ within a cell at every current sample.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.box_proofs.cell_queue import (
     Cell,
     Cut,

@@ -22,12 +22,11 @@ high-accuracy wide-range speed regulator for motor drives", IEEE Trans. Industri
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.settings import SpeedMeasurementSettings
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.sampled_systems import ComplexArray
 
 REST = 1.0

@@ -21,13 +21,13 @@ pulse after a longer time S_3, whose turns the first pair tells, divides that by
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.sampled_systems import ComplexArray
 
 LEVEL = 0.15

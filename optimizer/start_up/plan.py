@@ -20,7 +20,6 @@ Electrical angles and speeds, peak values; K_T = 3/2 p psi_pm, T_r = K_T I with 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import StartUpSettings
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine, linearised
 from dqforge.machines.names import AlignmentName, StartUpMethodName
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.estimators.solve import TunedTracker, solve_tracker
 from dqforge.optimizer.observers.conditions import lost_voltage
 from dqforge.optimizer.start_up.alignment import alignment_damping, alignment_time, swing_time

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
@@ -13,6 +12,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import StartUpMethodName
 from dqforge.machines.phase_machines.frame_choice import controlled_frame
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.estimators.solve import TunedTracker, solve_tracker, tune_tracker
 from dqforge.optimizer.observers.conditions import lost_voltage

@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray, IndexArray
+from dqforge.machines.records import dataclass
 
 Failure = Literal["no hand-over", "stalled", "half a turn", "swings", "angle", "speed", "overload"]
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import BoolArray, FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.row_block import STATES, RowState
 from dqforge.optimizer.exploration.verdicts import within
 from dqforge.optimizer.study_results.intervals import CONFIDENCE, Share

@@ -6,12 +6,11 @@ with the lowest index stays, so that a front does not depend on the order in whi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray, IndexArray
+from dqforge.machines.records import dataclass
 
 _BLOCK = 512
 

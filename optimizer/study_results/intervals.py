@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import sqrt
 from statistics import NormalDist
+
+from dqforge.machines.records import dataclass
 
 CONFIDENCE = 0.95
 

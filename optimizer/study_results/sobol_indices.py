@@ -12,11 +12,12 @@ Sobol sequence, a power of 2 is the best n.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

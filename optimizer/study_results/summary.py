@@ -7,12 +7,12 @@ the front. The same parts in the same order give the same digits.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import BoolArray, FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.row_block import STATES
 from dqforge.optimizer.study_results.acceptance import AcceptanceTally, AcceptedRange, StudyRows
 from dqforge.optimizer.study_results.fronts import Front, empty_front, front_of

@@ -10,13 +10,13 @@ goes on after the finished generations have been asked for and told again, which
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.row_block import STATES
 from dqforge.optimizer.study_results.acceptance import AcceptedRange
 from dqforge.optimizer.study_results.summary import GoalColumn

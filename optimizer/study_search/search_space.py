@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.exploration.study import Axis
+from dqforge.machines.records import dataclass
 
 VariableKind = Literal["range", "steps", "choice"]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.exploration.study import Search
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.row_block import ColumnSpec, RowBlock
 from dqforge.optimizer.exploration.row_inputs import Inputs, chosen_inputs
 from dqforge.optimizer.exploration.study_plan import StudyPlan

@@ -8,7 +8,7 @@ weakening only the single path knows, are left to that.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.scaled_machines import ScaledMachines
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import Strategy
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.closed_margins import CurrentMargins
 from dqforge.optimizer.loops.loop_axes.current_loop_axis import (
     BY_SEARCH,

@@ -5,7 +5,7 @@ largest values over the points.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dqforge.machines.arrays import BoolArray, FloatArray, IndexArray
 from dqforge.machines.design.settings import AnyStrategy, LoadPoint
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import DriveBudget
 from dqforge.optimizer.variant_steps.outputs import (
     LOSS_POWERS,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.names import ModulationName
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget
 from dqforge.optimizer.losses.drive_comparison import Alternatives, compare_drives
 from dqforge.optimizer.losses.loss_map import budget_options

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 from dqforge.machines.design.design import Design
@@ -17,6 +16,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.exploration.study import Bound, Study
 from dqforge.machines.names import ModulationName
 from dqforge.machines.places import KeyPath
+from dqforge.machines.records import dataclass
 from dqforge.machines.wording import close_matches, shown
 from dqforge.optimizer.losses.budget_record import PARTS
 

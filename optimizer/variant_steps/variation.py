@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
@@ -19,6 +19,7 @@ from dqforge.machines.design.settings import FitSettings
 from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import DqforgeError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.variant_steps.map_scales import scale_between
 from dqforge.optimizer.variant_steps.step_cache import key_of
 

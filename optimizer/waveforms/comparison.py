@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,6 +20,7 @@ from dqforge.machines.phase_machines.salient_phase_machine import (
     AnyPhaseMachine,
     SalientPhaseMachine,
 )
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.regions import sine_share
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.operating_points.characteristics import limit_speed

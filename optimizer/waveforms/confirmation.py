@@ -8,7 +8,6 @@ taken from its report.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
 from dqforge.optimizer.waveforms.quadratic_problem import UNBOUNDED, PointProblem, make_problem
 from dqforge.optimizer.waveforms.solver import WaveformSolutions, complementarity

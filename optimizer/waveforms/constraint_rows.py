@@ -4,7 +4,6 @@ topology, torque.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +12,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.regions import VOLTAGE_ROWS, voltage_bounds
 from dqforge.machines.topologies.topology import TOPOLOGIES
 

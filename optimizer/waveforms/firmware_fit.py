@@ -4,7 +4,7 @@ and the smallest that holds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.names import WaveformForm
 from dqforge.machines.phase_machines.frame_transforms import resampled
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.curves.single_precision import fused_multiply_add, multiply_add
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits

@@ -7,11 +7,10 @@ that the header spells out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import (
     MultiplyAdd,
     SingleArray,
@@ -247,7 +246,7 @@ def polynomial(
     by = square if variable == "square" else x
     value = np.full_like(x, np.float32(coefficients[-1]))
     for coefficient in coefficients[-2::-1]:
-        value = muladd(value, by, np.broadcast_to(np.float32(coefficient), by.shape))
+        value = muladd(value, by, np.asarray(coefficient, dtype=np.float32))
     return value * x if odd else value
 
 

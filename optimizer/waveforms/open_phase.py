@@ -8,12 +8,12 @@ vanishes twice a period.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.names import OpenPhase, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 
 _VANISHING = 1e-6

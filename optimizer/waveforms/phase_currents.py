@@ -9,7 +9,6 @@ flux values (dqy), or its part without zero sequence (dqx); thesis of paper 002,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -19,6 +18,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.regions import link_demand
 from dqforge.machines.transforms import DOUBLES, park_inverse
 

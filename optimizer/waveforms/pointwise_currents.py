@@ -9,14 +9,13 @@ torque grows with lambda on the whole interval that is left.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.waveforms.constraint_rows import OpenPhase
 

@@ -10,7 +10,6 @@ instead of 1080.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from dqforge.machines.phase_machines.phase_machine import (
     PhaseMachine,
     shift_of,
 )
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.regions import VOLTAGE_ROWS
 from dqforge.optimizer.waveforms.constraint_rows import (
     WaveformLimits,

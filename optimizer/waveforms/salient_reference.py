@@ -8,7 +8,6 @@ a sine weight polynomial in x.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -18,6 +17,7 @@ from dqforge.machines.design.settings import WaveformSettings
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.frame_transforms import resampled
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import fused_multiply_add, multiply_add
 from dqforge.optimizer.waveforms.constraint_rows import WaveformLimits
 from dqforge.optimizer.waveforms.firmware_fit import (

@@ -10,7 +10,6 @@ local optimum, and their loss bounds how much better any could be.
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from dqforge.machines.phase_machines.phase_machine import (
     shift_of,
 )
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.waveforms.constraint_rows import LIMITS, WaveformLimits
 from dqforge.optimizer.waveforms.phase_currents import unit_currents

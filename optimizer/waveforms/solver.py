@@ -9,7 +9,6 @@ ms, where OSQP takes 21 to 45 ms, Clarabel 20 to 50 ms and DAQP 50 to 210 ms.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.linear_programme import least_cost
 from dqforge.optimizer.waveforms.constraint_rows import LIMITS, WaveformLimits
 from dqforge.optimizer.waveforms.quadratic_problem import (

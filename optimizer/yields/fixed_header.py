@@ -4,12 +4,11 @@ as they are emitted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.current_reference.forms import Emitted
 from dqforge.optimizer.current_reference.signed import signed_designs, signed_reference

@@ -10,7 +10,6 @@ points of operation, of which the voltage is one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import BudgetOptions, DriveBudget, drive_budget
 from dqforge.optimizer.yields.fixed_header import FixedHeader
 from dqforge.optimizer.yields.reference_yield import Machines, ReferencePoints, reference_points

@@ -12,13 +12,14 @@ of the same machine for the torque T that it makes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.scaled_machines import ScaledMachines
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.optimizer.machine_batch.batch_currents import strategy_currents
 from dqforge.optimizer.machine_batch.scaled_loci import currents_on_loci, scaled_loci

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.design import Design
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import parse_option
 from dqforge.optimizer.waveforms.comparison import compare_waveforms, with_point
 from dqforge.reports.flashing_choice.question import what_to_flash

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import DqforgeError, InputError
+from dqforge.machines.records import dataclass
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.console import stage
 from dqforge.reports.pages.table import Table

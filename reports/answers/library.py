@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from dqforge.machines.errors import InputError
@@ -14,6 +14,7 @@ from dqforge.machines.files.library_files import (
     schema_bytes,
     with_modeline,
 )
+from dqforge.machines.records import dataclass
 from dqforge.reports.command_line.designs import NEW_DESIGN, NEW_STUDY, new_file
 from dqforge.reports.pages.answer import Answer, Files
 

@@ -17,10 +17,12 @@ if TYPE_CHECKING:
 
 def answer_run(design: Design, *, verify: bool) -> Answer:
     """Do everything that the design asks for; raises as `run_design`."""
+    from dqforge.reports.operating_system.own_process import prepare_drawing
     from dqforge.reports.output.folder import RUN
     from dqforge.reports.run import run_design
     from dqforge.reports.summary import run_tables
 
+    prepare_drawing()
     output = run_design(design, verify=verify)
     tables = run_tables(output.solution, output.verification)
     plain = {"verification": plain_verification(output.verification)}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from dqforge.machines.back_emf.result import BemfResult
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.files.text_blocks import Progress
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity, parse_option, read_quantity
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 
 if TYPE_CHECKING:

@@ -91,9 +91,11 @@ def _listed(files: Files | None, out: Path | None) -> PlainData:
 def _draw(answer: Answer, plot: Path | None) -> None:
     if plot is None or answer.figure is None:
         return
+    from dqforge.reports.operating_system.own_process import prepare_drawing
     from dqforge.reports.pages.figures_style import save
 
     stage("drawing")
+    prepare_drawing()
     save(answer.figure(), plot)
 
 

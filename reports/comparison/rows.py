@@ -5,9 +5,9 @@ gains and phase currents.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Quantity, Value
 from dqforge.reports.comparison.sources import Side

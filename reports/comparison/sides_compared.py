@@ -7,9 +7,9 @@ bytes of constants and checksums.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities
 from dqforge.reports.comparison.rows import Row, code_row, quantity_rows

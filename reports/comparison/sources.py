@@ -7,12 +7,12 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities
 from dqforge.reports.current_reference.plain import from_plain

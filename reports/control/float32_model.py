@@ -8,7 +8,6 @@ sums (-ffp-contract=off).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,6 +17,7 @@ from dqforge.machines.modulation.hexagon import overmodulated
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.modulation.zero_sequence import load_turn, zero_sequence_of
 from dqforge.machines.names import ModulationName, OvermodulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.current_reference.forms import FloatReference
 from dqforge.optimizer.curves.single_precision import SingleArray

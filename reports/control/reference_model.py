@@ -5,11 +5,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.reports.c_code.read_back import single_from
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
 
+from dqforge.machines.records import dataclass
 from dqforge.reports.pages.figures_style import BLUE, RED, SKY
 
 WIDTH = 420.0

@@ -11,12 +11,12 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dqforge import __version__
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.row_block import OUTPUT_COLUMN, STATES, ColumnSpec
 from dqforge.optimizer.study_results.acceptance import NamedRow
 from dqforge.reports.exploration.bars import Bar, BarChart, HistogramChart

@@ -5,12 +5,12 @@ some of its rows for pictures.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, ColumnSpec
 from dqforge.optimizer.study_results.summary import StudyQuestion, StudySummary

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+
+from dqforge.machines.records import dataclass
 
 _LETTERS = {
     "\u00b5": "u",

@@ -8,10 +8,11 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
+from dqforge.machines.records import dataclass
 from dqforge.reports.figure_data.axis_words import NO_UNIT, plain
 from dqforge.reports.figure_data.drawn_artists import (
     Column,

@@ -4,11 +4,11 @@ were drawn from.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

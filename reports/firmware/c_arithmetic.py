@@ -10,7 +10,8 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+
+from dqforge.machines.records import dataclass
 
 Number = float | int
 Functions = Mapping[str, Callable[..., float]]

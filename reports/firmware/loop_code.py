@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, get_args
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.profile import (
     AntiWindup,
     LimitOrder,

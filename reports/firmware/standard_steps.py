@@ -5,12 +5,12 @@ at half of the base speed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dqforge.machines.plants.scenario import ControlMode, Profile, Scenario
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from dqforge.machines.dq_machines.synchronous import Machine

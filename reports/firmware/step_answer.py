@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from dqforge.machines.arrays import FloatArray

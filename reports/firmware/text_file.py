@@ -5,12 +5,12 @@ from __future__ import annotations
 import codecs
 import math
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from dqforge.optimizer.firmware.configuration import OwnValue

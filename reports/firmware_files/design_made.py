@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from dqforge.machines.design.loader import load_text
@@ -11,6 +10,7 @@ from dqforge.machines.design.overrides import overridden, read_override
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.positioned_yaml import parse_yaml
 from dqforge.machines.places import leading_path
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
 from dqforge.optimizer.firmware.explained import explain
 from dqforge.reports.firmware_files.design_text import MadeDesign, design_of

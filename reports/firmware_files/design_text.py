@@ -7,10 +7,10 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from decimal import Decimal
 
 from dqforge.machines.files.yaml_edit import written
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import parse_quantity
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.frame_tables.exact_frames import COLUMNS
 from dqforge.optimizer.frame_tables.fit import FrameTable

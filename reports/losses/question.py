@@ -4,7 +4,6 @@ plain data and a figure out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,6 +17,7 @@ from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.losses.mission import MOST_BYTES, Mission, read_mission
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import parse_quantity
 from dqforge.optimizer.losses.drive_comparison import (
     Alternatives,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
+from dqforge.machines.records import dataclass
 from dqforge.reports.c_code.header_constant import Constant, ConstantGroup
 from dqforge.reports.plain_data import PlainData
 

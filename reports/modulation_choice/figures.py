@@ -5,13 +5,13 @@ and mean losses.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.modulation_choice.rule import Leaf, Rule
 from dqforge.optimizer.modulation_choice.solve import ModulationChoice, PricedRule
 from dqforge.reports.modulation_choice.text import alternative_text, hertz, question_text

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.optimizer.modulation_choice.rule import Leaf, Question, Rule, decide
 from dqforge.reports.plain_data import PlainData, shortest

@@ -6,11 +6,12 @@ import math
 import re
 import struct
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, SPEED_LIMIT
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED

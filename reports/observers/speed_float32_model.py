@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import park
 from dqforge.optimizer.observers.parts import cast
 from dqforge.reports.c_code.float32_functions import SINGLE, rotation, wrap

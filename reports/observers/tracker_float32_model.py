@@ -4,11 +4,11 @@ numbers of the C code.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.parts import cast
 from dqforge.reports.c_code.float32_functions import SINGLE, wrap
 

@@ -5,7 +5,6 @@ plain data and a figure out.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.modulation.dead_time import dead_time_factor
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.linear_range import contradiction
 from dqforge.machines.units.quantities import parse_option
 from dqforge.optimizer.operating_points.drive_points import (

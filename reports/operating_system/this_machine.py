@@ -8,11 +8,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
 from dqforge import __version__
+from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system.host_compiler import NO_COMPILER
 from dqforge.reports.operating_system.system import processors
 from dqforge.reports.operating_system.trial import Trial, try_compiler

@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import subprocess
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system.host_compiler import (
     Language,
     compile_program,

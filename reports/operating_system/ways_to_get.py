@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
 
+from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system import system
 
 EXTRA_CC = "python -m pip install 'dqforge[cc]'"

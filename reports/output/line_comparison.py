@@ -7,9 +7,10 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
+
+from dqforge.machines.records import dataclass
 
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 

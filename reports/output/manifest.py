@@ -9,7 +9,7 @@ import json
 import platform
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from importlib import metadata
 from pathlib import Path, PurePosixPath
@@ -18,6 +18,7 @@ from typing import Any
 from dqforge import __version__
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
+from dqforge.machines.records import dataclass
 from dqforge.reports.pages.files import LARGEST_JSON, read_output
 from dqforge.reports.run_folder import MANIFEST
 

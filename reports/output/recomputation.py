@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from dqforge import __version__
@@ -14,6 +13,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.reading import MAX_FILE_BYTES
 from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.output.folder import RUN
 from dqforge.reports.output.folder_swap import PENDING, files_below

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
+from dqforge.machines.records import dataclass
 from dqforge.reports.pages.html_table import HtmlTable, Row
 from dqforge.reports.pages.html_text import count
 

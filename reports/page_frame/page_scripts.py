@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dqforge.machines.records import dataclass
 from dqforge.reports.pages.templating import render
 
 if TYPE_CHECKING:

@@ -5,8 +5,9 @@ and files.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.forms import ReferenceErrors
 from dqforge.reports.pages.html_text import (
     ceiling,

@@ -7,10 +7,10 @@ from __future__ import annotations
 import base64
 import html
 import json
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+from dqforge.machines.records import dataclass
 from dqforge.reports.figure_data.figure_sheet import read_figure
 from dqforge.reports.pages.figures_style import to_svg
 

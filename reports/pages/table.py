@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
+
+from dqforge.machines.records import dataclass
 
 # What stands between two columns, and beside the first and the last, in characters.
 _BETWEEN, _EDGES = 3, 2

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.plants.scenario import Scenario
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import gain_bytes, plain_control
 from dqforge.reports.plain_data import PlainData

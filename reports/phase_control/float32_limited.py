@@ -5,12 +5,12 @@ same bits.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Triple, clarke
 from dqforge.reports.c_code.float32_functions import SINGLE
 from dqforge.reports.c_code.read_back import single_from

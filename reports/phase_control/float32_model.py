@@ -8,12 +8,13 @@ sums (-ffp-contract=off).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair, Triple, clarke, park, park_inverse
 from dqforge.optimizer.curves.single_precision import SingleArray
 from dqforge.reports.c_code.float32_functions import SINGLE, rotation, small_rotation, turned, wrap

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import CurrentFrame, Feedforward, ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.current_reference.integer_form import FixedReference
 from dqforge.reports.c_code.read_back import single_from

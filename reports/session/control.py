@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.gain_set import GainSet, solve_gains
 from dqforge.optimizer.control_design.observed_refusal import require_observed
 from dqforge.reports.loops.plain import plain_gains

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer import solution as solved
 from dqforge.reports.output.folder import RUN, write_output
 from dqforge.reports.output.line_comparison import first_difference

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.firmware.asked import drive_values
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues

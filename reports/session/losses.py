@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -15,6 +15,7 @@ from dqforge.machines.design.settings import AnyStrategy, LoadPoint, LossSetting
 from dqforge.machines.errors import InputError
 from dqforge.machines.modulation.registry import MODULATORS
 from dqforge.machines.names import ModulationName
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_comparison import Alternatives
 from dqforge.optimizer.losses.loss_map import LossMap as FoundMap
 from dqforge.optimizer.losses.loss_map import budget_options, solve_map

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points import characteristics as of_machines
 from dqforge.optimizer.operating_points.drive_points import (
     DriveMap,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.waveforms.comparison import (
     RuleCurrents,
     WaveformComparison,

@@ -11,7 +11,6 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
@@ -21,6 +20,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.names import NumberFormat, Topology
 from dqforge.machines.plants.scenario import Scenario
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.optimizer.estimators.registry import TRACKERS

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import io
 import zipfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import Firmware, NumberFormat, Topology
 from dqforge.machines.plants.scenario import Profile, Scenario
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.integer_form import FixedReference

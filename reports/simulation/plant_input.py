@@ -5,7 +5,7 @@ simulate_main.c.j2).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +19,7 @@ from dqforge.machines.errors import InputError
 from dqforge.machines.names import Topology
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.plants.scenario import ControlMode, Profile, Scenario
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.reports.simulation.phase_plant_input import (
     duty_table,

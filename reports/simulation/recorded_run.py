@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.plants.scenario import Scenario
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True, eq=False)

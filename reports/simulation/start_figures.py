@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.reports.simulation.recorded_run import Simulation, StartRecord
 from dqforge.reports.start_up.float32_model import Fault, State
 

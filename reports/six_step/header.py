@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import SIX_STEP_METHODS
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.six_step.control import FAULTS, STAGES, SixStepGains
 from dqforge.optimizer.six_step.estimator import BlockGains
 from dqforge.reports.c_code.harness import Programme

@@ -7,13 +7,13 @@ are made of these in the end.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.integer_form import FIXED_WIDTHS
 from dqforge.reports.c_code.read_back import single_from
 from dqforge.reports.plain_data import PlainData, shortest

@@ -7,12 +7,13 @@ in the order of the C code, a method per function. docs/methods/start-up.md has 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Pair, Triple, clarke, clarke_inverse, park, park_inverse
 from dqforge.optimizer.estimators.tracker import Tracker
 from dqforge.reports.c_code.float32_functions import SINGLE, rotation, wrap

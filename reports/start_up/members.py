@@ -7,8 +7,9 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:
     from dqforge.optimizer.start_up.plan import StartUpPlan

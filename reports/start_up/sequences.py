@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.reports.start_up.float32_model import F, StartUpModel, State, scalar
 from dqforge.reports.start_up.members import MEMBERS
 from dqforge.reports.start_up.model_step import StartUpRun

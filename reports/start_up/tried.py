@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.estimators.registry import TRACKERS
 from dqforge.optimizer.observers.parts import cast
 from dqforge.reports.c_code.float32_functions import SINGLE

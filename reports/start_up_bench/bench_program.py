@@ -6,13 +6,13 @@ import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.start_up.start_judgement import StartRecord
 from dqforge.reports.operating_system.host_compiler import compile_program, require_compiler
 from dqforge.reports.pages.templating import render

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
@@ -12,6 +12,7 @@ from dqforge.machines.design.settings import ObserverSettings, StartUpSettings
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import StartUpMethodName
 from dqforge.machines.random_drives.random_drive import RandomDrive, random_drives
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.saliency.injection import TRACKER
 from dqforge.optimizer.solution import solve
 from dqforge.optimizer.start_up.plan import LEAST_SALIENCY, StartUpPlan

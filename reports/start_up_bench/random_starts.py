@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from dqforge.machines.plants.scenario import (
     constant,
 )
 from dqforge.machines.random_drives.random_drive import RandomDrive
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.methods.flux import design as flux_gains
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.tuning_numbers import LARGEST_TURN, ObserverTuning

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from dqforge.machines.design.settings import StartUpSettings, ToleranceName
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import StartUpMethodName
 from dqforge.machines.plants.scenario import CurrentSensor, PlantErrors, Scenario, constant
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.conditions import lost_voltage
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.optimizer.start_up.plan import StartUpPlan

@@ -13,12 +13,13 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING
 
 from distributed import KilledWorker
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.row_block import RowSource
 from dqforge.reports.study_engine.contained_rows import counted
 from dqforge.reports.study_engine.engine_settings import PartWriter

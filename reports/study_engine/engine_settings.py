@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 
 _ADDRESS = re.compile(r"(?:(?:tcp|tls|ws|wss|ucx)://)?[^\s/:]+|(?:(?:tcp|tls)://)?\[[0-9a-f:.%]+\]")
 _MOST_PORT = 65535

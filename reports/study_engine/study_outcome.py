@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.row_block import STATES
 from dqforge.reports.study_store.part_store import PartStore
 

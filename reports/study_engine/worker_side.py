@@ -14,12 +14,12 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
 from distributed import Worker, WorkerPlugin, get_worker
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.row_block import RowBlock, RowSource
 from dqforge.reports.study_engine.contained_rows import contained_rows, counted
 from dqforge.reports.study_engine.worker_facts import first_difference, worker_facts

@@ -10,7 +10,7 @@ import mmap
 import tempfile
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.row_block import (
     KEY_BYTES,
     OUTPUT_COLUMN,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.study_store.part_columns import PartColumns, part_columns
 from dqforge.reports.study_store.part_file import KEY, MESSAGE, PartAbout, PartError, part_about

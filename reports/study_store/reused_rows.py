@@ -9,13 +9,14 @@ and not the same bytes.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.block_rows import BlockRows
 from dqforge.optimizer.exploration.row_block import (
     INPUT_COLUMN,

@@ -8,7 +8,7 @@ import hashlib
 import json
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from importlib import import_module, metadata
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 from dqforge import __version__
 from dqforge.machines.exploration.study import Study
 from dqforge.machines.exploration.study_digest import asked_of
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.row_block import ColumnKind, ColumnSpec, RowSource
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.study_store.plain_study import plain_study

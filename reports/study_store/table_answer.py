@@ -6,13 +6,13 @@ import csv
 import io
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.table import Table
 from dqforge.reports.plain_data import PlainData

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Literal
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import parse_quantity
 from dqforge.machines.units.registry import DIMENSIONS
 from dqforge.machines.wording import close_matches, shown

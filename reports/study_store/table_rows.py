@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from dqforge.machines.arrays import BoolArray
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.reports.study_store.part_columns import PartColumns
 from dqforge.reports.study_store.part_file import INDEX, KEY, MESSAGE, STATE
 from dqforge.reports.study_store.part_store import PartStore

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from dqforge.machines.design.loader import load_text
 from dqforge.machines.errors import DqforgeError, InputError
 from dqforge.machines.exploration.row_designs import design_text_of
 from dqforge.machines.exploration.study import Study
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.exploration.row_block import INPUT_COLUMN, OUTPUT_COLUMN
 from dqforge.optimizer.exploration.row_inputs import row_assignments
 from dqforge.optimizer.exploration.row_keys import row_keys

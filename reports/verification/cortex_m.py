@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.records import dataclass
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.cross_tools import TARGETS, build, emulate, target_of
 from dqforge.reports.verification.host import WARNINGS

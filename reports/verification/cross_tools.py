@@ -8,10 +8,10 @@ import os
 import shutil
 import subprocess
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system.ways_to_get import WAYS
 from dqforge.reports.pages.templating import render
 

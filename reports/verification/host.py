@@ -8,11 +8,11 @@ import platform
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.records import dataclass
 from dqforge.reports.current_reference.programme import reference_programme
 from dqforge.reports.operating_system.host_compiler import (
     NO_COMPILER,

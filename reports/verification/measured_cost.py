@@ -7,7 +7,6 @@ from __future__ import annotations
 import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.records import dataclass
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.block_trace import (
     LOGGED,

@@ -7,11 +7,11 @@ from __future__ import annotations
 import re
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.records import dataclass
 from dqforge.reports.pages.templating import render
 from dqforge.reports.verification.cross_tools import build, emulate
 from dqforge.reports.verification.host import WARNINGS

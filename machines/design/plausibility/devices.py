@@ -8,13 +8,13 @@ ratios are free of the size. Ranges and reasons: docs/methods/devices.md.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from dqforge.machines.design.plausibility.figures import Figure, sentences
 from dqforge.machines.devices.device import DeviceModel
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.devices.switch import DeviceKind, SwitchDevice
 from dqforge.machines.devices.thermal_network import CauerNetwork, ThermalNetwork
+from dqforge.machines.records import dataclass
 
 _WARM = 100.0
 

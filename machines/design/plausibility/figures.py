@@ -5,8 +5,8 @@ and the sentences on those that are not.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
 MARK = "implausible: "

@@ -69,7 +69,7 @@ class ControlSection(Section):
         description="sampling of the current control (Hz); default the switching frequency",
     )
     current_loop: CurrentLoopSection = Field(
-        default=CurrentLoopSection(), description="current controllers"
+        default_factory=CurrentLoopSection, description="current controllers"
     )
     speed_loop: SpeedLoopSection | None = Field(
         default=None, description="speed controller, if one is wanted"
@@ -78,7 +78,7 @@ class ControlSection(Section):
         default=None, description="speed observer, if one is wanted"
     )
     per_unit: PerUnitSection = Field(
-        default=PerUnitSection(), description="bases of the per-unit gains"
+        default_factory=PerUnitSection, description="bases of the per-unit gains"
     )
     tolerances: TolerancesSection | None = Field(
         default=None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import get_args
 
 from dqforge.machines.design.sections.control import ControlSection
@@ -13,6 +12,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import FeedbackMethod
 from dqforge.machines.places import KeyPath
+from dqforge.machines.records import dataclass
 
 _PATH = ("control", "current_loop")
 

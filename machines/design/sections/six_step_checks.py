@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from dqforge.machines.design.sections.control import ControlSection
 from dqforge.machines.design.sections.export import ExportSection
 from dqforge.machines.design.sections.inverter import InverterSection
@@ -11,6 +9,7 @@ from dqforge.machines.design.sections.simulation.schema import SimulationSection
 from dqforge.machines.files.positioned_yaml import YamlDocument
 from dqforge.machines.names import SIX_STEP_METHODS
 from dqforge.machines.places import KeyPath
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,13 +16,13 @@ pp. 1048-1057. The sums here were derived anew.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 
 _HIGHEST = 151
 

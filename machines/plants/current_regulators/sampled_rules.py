@@ -14,7 +14,6 @@ table: `state_table`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,7 @@ from dqforge.machines.plants.current_regulators.state_table import (
     switching_table,
     unit_vectors,
 )
+from dqforge.machines.records import dataclass
 
 Reals = NDArray[Any]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from dqforge.machines.plants.current_regulators.trajectory import (
 )
 from dqforge.machines.plants.fed_machine import BridgeDrive, Plant
 from dqforge.machines.plants.switching_events import Controller
+from dqforge.machines.records import dataclass
 
 
 @dataclass(frozen=True, slots=True)

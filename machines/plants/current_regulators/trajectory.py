@@ -17,7 +17,6 @@ stator.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +28,7 @@ from dqforge.machines.plants.current_regulators.pulse_patterns import (
     optimal_pattern,
 )
 from dqforge.machines.plants.fed_machine import I_D, I_Q, Plant, evaluate
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import dq_to_phases
 
 _SHIFTS = np.array([0.0, 2.0, 4.0]) * math.pi / 3.0

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import get_args
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.names import VendorMethod
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import Configuration
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
 from dqforge.optimizer.firmware.gain_search.structure_box import Bounds

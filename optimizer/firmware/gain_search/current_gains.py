@@ -13,12 +13,13 @@ the bound of M_s in this structure.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dqforge.machines.design.settings import CurrentLoopSettings
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
 from dqforge.optimizer.firmware.gain_search.chosen import (

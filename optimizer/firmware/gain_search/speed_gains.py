@@ -7,10 +7,11 @@ that; else its poles are put together, and then kp is raised.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from dqforge.machines.design.settings import SpeedLoopSettings
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
 from dqforge.optimizer.firmware.gain_search.chosen import (

@@ -5,11 +5,12 @@ data themselves.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.profile import CurrentLoops, PiController, SpeedController
 from dqforge.optimizer.firmware.sampled_structure import (
     Mechanics,

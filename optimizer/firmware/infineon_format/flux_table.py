@@ -4,13 +4,12 @@ motor-ctrl-lib joins by lines, from the machine as it is instead of a constant r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.infineon_format.infineon_keys import TABLE_POINTS, as_printed
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 from dqforge.optimizer.operating_points.mtpa import mtpa_currents

@@ -8,9 +8,9 @@ Names and units are those of ``Params.h`` and ``ParamsDefault.c`` of the library
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Literal
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware import own_values
 from dqforge.optimizer.firmware.configuration import OwnValue
 from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS, float32_value, rounded

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import Configuration, Origin, OwnValue
 from dqforge.optimizer.firmware.nxp_mcat.mcat_constants import SPEED_I, constants
 from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import (

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware import own_values
 from dqforge.optimizer.firmware.configuration import (
     Configuration,

@@ -7,12 +7,11 @@ current flows. The fit makes the largest error over 0..i_max as small as it can.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS, rounded
 
 NEVER = 10000.0

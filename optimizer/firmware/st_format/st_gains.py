@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import OwnValue, PiGains
 from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.st_format.st_scales import LARGEST, SPEED_UNIT, Scales

@@ -6,12 +6,11 @@ The firmware works out i_d = ((ANGC[s] |i_q|) >> 15) + OFST[s] with s = min(|i_q
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 
 SEGMENTS = 8
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import Number, OwnValue
 from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.st_format.st_gains import shift

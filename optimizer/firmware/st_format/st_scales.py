@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import OwnValue
 from dqforge.optimizer.firmware.own_values import number, rounded
 

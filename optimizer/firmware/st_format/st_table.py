@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.firmware_method import Asked
 from dqforge.optimizer.firmware.st_format.st_mtpa import (
     MtpaTable,

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
     DriveValues,

@@ -8,9 +8,9 @@ tidm_02018_universal_motorcontrol); a name ends in the unit of its value.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Literal
 
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware import own_values
 from dqforge.optimizer.firmware.configuration import Number, OwnValue
 from dqforge.optimizer.firmware.own_values import FLOAT32_DIGITS, float32_value, rounded

@@ -7,10 +7,10 @@ Names, kinds and permitted values are those of VESC Tool's ``res/config/7.01/par
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Literal
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.firmware.configuration import Number, OwnValue
 from dqforge.optimizer.firmware.own_values import number, rounded
 

@@ -8,7 +8,7 @@ says why.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import TypeVar
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.design.settings import CurrentLoopSettings, SpeedLoopSettings
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.closed_margins import (
     CurrentMargins,
     current_loops,

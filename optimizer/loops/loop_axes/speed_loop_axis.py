@@ -9,7 +9,7 @@ Rows with their own are brought to it by taking their period as the unit of time
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,7 @@ from dqforge.machines.design.settings import SpeedLoopSettings
 from dqforge.machines.dq_machines.machine_batch import MachineBatch
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.gains import small_delays
 from dqforge.optimizer.loops.loop_axes.current_loop_axis import (
     BY_SEARCH,

@@ -8,14 +8,13 @@ inductances l_dd and l_qq. The design's method gives gains for each, which becom
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.fitting import Curve
 from dqforge.optimizer.loops.loop_batch import (
     BatchMargins,

@@ -5,13 +5,14 @@ fewer bytes on the controller.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.fitting import Curve, SideConditions, fit_curve
 from dqforge.optimizer.curves.single_precision import MultiplyAdd, SingleArray, multiply_add
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park
 from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.methods.ekf_tuning import tuned_ekf, usual_noise

@@ -24,13 +24,14 @@ IEEE Trans. Automatic Control 15, 1970.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine, linearised
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.models.kalman_model import Ekf, ekf, run
 from dqforge.optimizer.observers.trials import (
     CurrentSensor,

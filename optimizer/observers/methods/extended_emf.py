@@ -31,14 +31,13 @@ of interior permanent-magnet synchronous motors", IEEE Trans. Industrial Electro
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park, park_inverse
 from dqforge.optimizer.observers.method import ObserverMethod, loop_scale
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, at_least

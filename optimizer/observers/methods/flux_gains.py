@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.pll import PllGains
 
 

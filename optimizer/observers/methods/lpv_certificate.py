@@ -40,7 +40,6 @@ chapter 5 (polytopic inclusions).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise, product
 from typing import Any
 
@@ -48,6 +47,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 
 _PIECES = 16

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park
 from dqforge.optimizer.observers.models.matsui_model import Matsui
 from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair

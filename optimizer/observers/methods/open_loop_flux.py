@@ -28,12 +28,11 @@ flux estimation for speed sensorless stator flux orientation control", IEEE Tran
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.method import ObserverMethod, flux_in_words, loop_scale
 from dqforge.optimizer.observers.methods.flux import (

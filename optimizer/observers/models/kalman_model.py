@@ -37,13 +37,12 @@ Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, se
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.sampled_machine import (
     SampledMachine,
     applied,

@@ -21,13 +21,14 @@ equations without approximation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.models.matsui_model import Matsui, MatsuiState, step
 from dqforge.optimizer.observers.sampled_machine import exact_entries, turned
 from dqforge.optimizer.sampled_systems import ComplexArray

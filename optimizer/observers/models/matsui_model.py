@@ -56,7 +56,6 @@ EMF in rotating reference frame", IEEE Trans. Ind. Applications 38, 2002 (psi_a)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -64,6 +63,7 @@ import numpy as np
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine, Machine
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.sampled_machine import (
     SampledMachine,
     applied,

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import Machine, torque_from_flux
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.local_terms import Terms, newton_step, voltage_terms
 
 RAYS = 31

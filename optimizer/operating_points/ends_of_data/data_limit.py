@@ -9,12 +9,11 @@ to come in; and a most torque inside would have been found.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.current_region import CurrentRegion
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.local_terms import loss_terms, voltage_terms
 from dqforge.optimizer.operating_points.point_problem import (
     Active,

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.machines.wording import shown
 
 _SET = re.compile(r"(?P<lead>\s*(?:conf\s+set\s+)?)(?P<key>[A-Za-z]\w*(?:\.\w+)+)(?P<rest>.*)")

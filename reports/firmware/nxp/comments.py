@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.nxp_mcat.mcat_names import FLAGS, INPUTS, SPELLINGS
 from dqforge.reports.firmware.json_text import JsonText, parsed_json

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NoReturn
 
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.configuration import Number, Origin
 from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import LOOP_PERIOD, MEMBERS, V_DC

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dqforge.machines.records import dataclass
 
 MILLI = 1e-3
 

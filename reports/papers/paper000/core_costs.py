@@ -12,13 +12,13 @@ import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.operating_points.mtpa import per_unit_base
 from dqforge.reports.pages.templating import render
 from dqforge.reports.papers.paper000.ipmsm_tables import PRINTED_TABLE_1, PRINTED_TABLE_2

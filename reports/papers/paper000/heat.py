@@ -9,7 +9,6 @@ time constant is assumed, and how far Table 4's instant depends on it is told.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
 from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.errors import InputError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import drive_budget
 from dqforge.reports.papers.paper000.load_test import ALTERNATIVES, LoadTest
 from dqforge.reports.papers.paper000.loss_columns import PRINTED_TABLE_4, calibrated_inverter

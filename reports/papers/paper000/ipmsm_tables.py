@@ -6,14 +6,13 @@ notes say how they are read.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import linearised
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.breakpoints import search
 from dqforge.optimizer.curves.fitting import SideConditions, fit_curve, squared_error_integral
 from dqforge.optimizer.operating_points.mtpa import mtpa_currents, mtpa_per_unit, per_unit_base

@@ -8,13 +8,14 @@ so that transients are ours and steady currents the paper's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.names import ModulationName, Strategy
 from dqforge.machines.plants.scenario import Profile, Scenario
+from dqforge.machines.records import dataclass
 from dqforge.reports.papers.transients import bench
 from dqforge.reports.simulation.recorded_run import Simulation
 

@@ -8,7 +8,7 @@ both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from dqforge.machines.devices.inverter import Inverter
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.modulation.ripple import ripple
 from dqforge.machines.names import ModulationName, Strategy
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.losses.drive_budget import DriveBudget, drive_budget
 from dqforge.optimizer.losses.switching_calibration import calibrate_switching
 from dqforge.optimizer.operating_points.mtpa import id0_currents, mtpa_currents

@@ -7,12 +7,13 @@ paper prints, become those of the distance by a shift that changes no value.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.current_reference.fit import fit_reference
 from dqforge.optimizer.current_reference.forms import (
     CurrentReference,

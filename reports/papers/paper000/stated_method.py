@@ -8,12 +8,11 @@ flux that this has.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.curves.fitting import SideConditions, fit_curve, squared_error_integral
 from dqforge.optimizer.curves.piecewise import PiecewisePolynomial
 from dqforge.optimizer.operating_points.mtpa import mtpa_currents, mtpa_per_unit, per_unit_base

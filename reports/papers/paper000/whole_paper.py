@@ -4,11 +4,10 @@ polynomials as a header.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from dqforge.machines.design import catalogue
 from dqforge.machines.dq_machines.synchronous import linearised
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.records import dataclass
 from dqforge.reports.papers.paper000.core_costs import CoreCosts, core_costs
 from dqforge.reports.papers.paper000.heat import HeatCurve, heat_curves
 from dqforge.reports.papers.paper000.ipmsm_tables import (

@@ -8,12 +8,11 @@ long the loop takes its compiler decides; ten to twenty clock periods a turn are
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.plants.scenario import Profile
+from dqforge.machines.records import dataclass
 from dqforge.reports.papers.paper001.program_runs import BAND, TARGET, phase_current
 from dqforge.reports.papers.paper001.thesis_program import ProgramBench, program_bench
 from dqforge.reports.papers.transients import RPM, settling_time

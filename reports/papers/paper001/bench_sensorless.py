@@ -10,7 +10,7 @@ position was read out.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.settings import ObserverSettings
 from dqforge.machines.plants.scenario import Encoder, PlantErrors, Profile, Scenario, Sensorless
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.reduced_order import reduced_order_observer
 from dqforge.optimizer.solution import solve
 from dqforge.reports.control.header import plain_control

@@ -9,7 +9,7 @@ of the velocity form is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.scenario import Encoder, Profile, Scenario
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.integer_gains import to_q
 from dqforge.optimizer.loops.loop_gains import LoopGains, per_unit
 from dqforge.optimizer.observers.reduced_order import ObserverError, steady_state_error

@@ -6,7 +6,7 @@ those of its bench. Beside the program of the thesis this shows what the roundin
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from dqforge.machines.design import catalogue
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import NumberFormat
 from dqforge.machines.plants.scenario import Encoder, Profile, Scenario
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.control.header import gain_bytes, plain_control
 from dqforge.reports.papers.paper001.thesis_program import CONVERTER

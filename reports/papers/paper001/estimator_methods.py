@@ -4,13 +4,13 @@ its bench.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import degrees
 
 import numpy as np
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.estimator_comparison.candidate import (
     Candidate,
     EstimatorFigures,

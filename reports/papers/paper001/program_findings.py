@@ -5,12 +5,12 @@ what the thesis states in words.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.design.design import Design
+from dqforge.machines.records import dataclass
 from dqforge.reports.papers.paper001.program_runs import (
     BAND,
     REVERSAL,

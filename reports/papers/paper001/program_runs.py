@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.plants.scenario import InverterModel, Profile
+from dqforge.machines.records import dataclass
 from dqforge.reports.papers.paper001.thesis_program import (
     BASE_CURRENT,
     LISTED_LINE,

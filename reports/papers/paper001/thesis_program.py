@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from dqforge.machines.plants.scenario import (
     Scenario,
     constant,
 )
+from dqforge.machines.records import dataclass
 from dqforge.reports.pages.templating import render
 from dqforge.reports.simulation.compiled_plant import Simulator, simulate, simulator
 from dqforge.reports.simulation.design_run import drive_of

@@ -7,7 +7,7 @@ volts or revolutions here rests on the inferred data of the shipped drive.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dqforge.machines.records import dataclass
 
 PRINTED_CONDITIONS = {
     "poles": (4.0, "", "Table 6.1"),

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.errors import VerificationError
+from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system.host_compiler import require_compiler
 from dqforge.reports.papers.paper002.figure_list import PRINTED_CONDITIONS
 from dqforge.reports.papers.paper002_definitions.back_emf_components import ComponentRow, table_3_1

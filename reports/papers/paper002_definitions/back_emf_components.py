@@ -6,8 +6,6 @@ notes say how they are read.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
@@ -18,6 +16,7 @@ from dqforge.machines.phase_machines.frames import (
     thesis_shapes,
     transform,
 )
+from dqforge.machines.records import dataclass
 
 ANGLES = 7200
 

@@ -4,8 +4,6 @@ the torque of the bench: back-EMF, frames, and the currents of dqx and dqy in ev
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
@@ -15,6 +13,7 @@ from dqforge.machines.phase_machines.frame_transforms import to_frame
 from dqforge.machines.phase_machines.frames import FrameAngles, frame_angles, loss_ratio_x_over_y
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.phase_machines.salient_phase_machine import SalientPhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import POWER_INVARIANT
 from dqforge.optimizer.waveforms.comparison import require_phases
 from dqforge.optimizer.waveforms.phase_currents import spectrum, unit_currents

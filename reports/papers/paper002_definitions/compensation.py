@@ -10,14 +10,13 @@ At a constant torque i_qy is constant and i_dy = i_0y = 0, so that these terms a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.frame_transforms import spectral_derivative, to_frame
 from dqforge.machines.phase_machines.frames import thesis_shapes
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import POWER_INVARIANT
 from dqforge.reports.papers.paper002_definitions.model_equations import (
     FrameQuantities,

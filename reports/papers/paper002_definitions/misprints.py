@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import POWER_INVARIANT
 from dqforge.reports.papers.paper002_definitions.model_equations import (
     BLOCKS,

@@ -12,13 +12,12 @@ carried into dqy by unit vectors of the back-EMF alone, without its angles.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.phase_machines.frame_transforms import frame_rates, to_frame
 from dqforge.machines.phase_machines.frames import CLARKE
+from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import POWER_INVARIANT
 
 BLOCKS = ("A", "B", "C", "D", "E", "F", "G", "H", "I")

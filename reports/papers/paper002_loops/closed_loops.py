@@ -5,7 +5,7 @@ simulated: the circuit of the thesis beside circuits that can carry its neutral 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.phase_machines.frame_transforms import to_frame
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import Profile, Scenario, constant
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.waveforms.phase_currents import spectrum
 from dqforge.reports.papers.paper002_definitions.bench_currents import BENCH_TORQUE, bench_machine
 from dqforge.reports.papers.paper002_loops.loop_cases import (

@@ -10,11 +10,10 @@ voltage above 0 to drive its current.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.optimizer.waveforms.phase_currents import unit_currents
 
 

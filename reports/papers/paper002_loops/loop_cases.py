@@ -10,13 +10,14 @@ does not move, on the plant with the diodes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import SpeedLoopSettings
 from dqforge.machines.names import CurrentFrame, Feedforward, Topology
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
+from dqforge.machines.records import dataclass
 from dqforge.machines.topologies.topology import TOPOLOGIES
 from dqforge.optimizer.current_reference.solve import solve_fit
 from dqforge.optimizer.loops.gains import tune_current_loop, tune_speed_loop

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -13,6 +13,7 @@ from dqforge.machines.names import CurrentFrame, Topology
 from dqforge.machines.phase_machines.frames import thesis_shapes
 from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import Scenario
+from dqforge.machines.records import dataclass
 from dqforge.reports.papers.paper002_definitions.bench_currents import bench_machine
 from dqforge.reports.papers.paper002_definitions.compensation import TRAPEZOID_FLUX
 from dqforge.reports.papers.paper002_loops.closed_loops import AVERAGED, TAIL

@@ -4,7 +4,6 @@ and what the map itself says to that.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +18,7 @@ from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError
 from dqforge.machines.places import KeyPath
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
 if TYPE_CHECKING:  # the readers are needed for maps only

@@ -126,10 +126,10 @@ class FluxMapSection(Section):
         ),
     )
     columns: ColumnsSection = Field(
-        default=ColumnsSection(), description="names in the file, where they are unusual"
+        default_factory=ColumnsSection, description="names in the file, where they are unusual"
     )
     at: FluxMapPointsSection = Field(
-        default=FluxMapPointsSection(),
+        default_factory=FluxMapPointsSection,
         description="which temperature or speed, where the file holds several",
     )
     torque: FluxTorque = Field(

@@ -5,7 +5,6 @@ coefficients.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,6 +31,7 @@ from dqforge.machines.errors import DqforgeError
 from dqforge.machines.names import MachineModel
 from dqforge.machines.phase_machines.salient_phase_machine import AnyPhaseMachine
 from dqforge.machines.places import about
+from dqforge.machines.records import dataclass
 from dqforge.machines.units.quantities import format_quantity
 
 _COPPER = 0.00393

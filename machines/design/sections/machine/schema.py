@@ -309,7 +309,7 @@ class MachineSection(Section):
         default=None, description="loss in the magnets, if it is known"
     )
     temperature: TemperatureSection = Field(
-        default=TemperatureSection(), description="operating temperatures"
+        default_factory=TemperatureSection, description="operating temperatures"
     )
     max_current: MachineCurrent = Field(
         description=(
@@ -327,5 +327,5 @@ class MachineSection(Section):
         default=None, description="viscous friction (N m s/rad); default 0"
     )
     rated: RatedSection = Field(
-        default=RatedSection(), description="name plate, for cross-checks only"
+        default_factory=RatedSection, description="name plate, for cross-checks only"
     )

@@ -273,7 +273,7 @@ class SimulationSection(Section):
     torque: TorqueProfileSection | None = Field(default=None, description="torque reference")
     current: CurrentProfileSection | None = Field(default=None, description="current references")
     load: LoadSection = Field(
-        default=LoadSection(), description="load torque, against positive speed"
+        default_factory=LoadSection, description="load torque, against positive speed"
     )
     shaft: SpeedProfileSection | None = Field(
         default=None, description="speed that a load machine imposes; default: the shaft is free"
@@ -289,7 +289,7 @@ class SimulationSection(Section):
         default=None, description="dead time (s); default inverter.dead_time"
     )
     encoder: Annotated[EncoderSection, BeforeValidator(_no_encoder)] = Field(
-        default=EncoderSection(), description="position sensor, or none"
+        default_factory=EncoderSection, description="position sensor, or none"
     )
     sensorless: SensorlessSection | None = Field(
         default=None,
@@ -298,12 +298,14 @@ class SimulationSection(Section):
         ),
     )
     current_sensor: CurrentSensorSection = Field(
-        default=CurrentSensorSection(), description="current sensors"
+        default_factory=CurrentSensorSection, description="current sensors"
     )
     errors: PlantErrorsSection = Field(
-        default=PlantErrorsSection(), description="differences from the data"
+        default_factory=PlantErrorsSection, description="differences from the data"
     )
-    initial: InitialSection = Field(default=InitialSection(), description="state at the start")
+    initial: InitialSection = Field(
+        default_factory=InitialSection, description="state at the start"
+    )
     open_phase: PhaseOpeningSection | None = Field(
         default=None, description="a phase that opens (machines of model: waveform); default: none"
     )
