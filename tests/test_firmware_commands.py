@@ -77,7 +77,8 @@ def test_export_writes_what_its_reader_reads(call: Call, name: Any, tmp_path: Pa
     document = answered(call, "export", "scooter.yaml", "--for", name, "-o", "e", "--no-verify")
     files = [entry["name"] for entry in document["files"]]
     assert files == document["firmware"][name]["files"] == list(scooter_files(name))
-    assert {path.name for path in (tmp_path / "e").iterdir()} == set(files)
+    beside = {"dqforge-input", "dqforge-manifest.json"}
+    assert {path.name for path in (tmp_path / "e").iterdir()} == {*files, *beside}
     for file, content in scooter_files(name).items():
         assert (tmp_path / "e" / file).read_bytes() == content
     known = [
@@ -108,7 +109,8 @@ def test_several_firmwares_are_written_at_once(call: Call, tmp_path: Path) -> No
     words = ("--for", "vesc", "--for", "moteus", "--for", "vesc", "--no-verify")
     document = answered(call, "export", "scooter.yaml", *words)
     assert list(document["firmware"]) == ["vesc", "moteus"]
-    assert (tmp_path / "out" / "scooter.moteus.cfg").is_file()
+    assert (tmp_path / "out" / "scooter" / "scooter.moteus.cfg").is_file()
+    assert answered(call, "verify", "out/scooter")["recomputation"]["files"] == 3
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
