@@ -6,6 +6,7 @@ import io
 import re
 import struct
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from itertools import zip_longest
 from typing import Any
@@ -18,10 +19,23 @@ from dqforge.reports.output.line_comparison import Difference, difference_of_lin
 RELATIVE = 1e-6
 """Relative difference of numbers that counts as one of the last digits: eight units of float32."""
 
-NOISE = 1e-14
+NOISE = 1e-12
 """Magnitude below which a number is what rounding left of zero."""
 
 BOUND = f"the last digits ({RELATIVE:g} of a number, {NOISE:g} of zero)"
+
+_DAMAGED = (
+    ValueError,
+    OSError,
+    EOFError,
+    KeyError,
+    AttributeError,
+    NotImplementedError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What reading an archive raises that was tampered with."""
 
 _FRACTION = re.compile(r"[-+]?(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?(?=[Ff]?$)")
 _CODE = re.compile(r"[-+]?\d+$")
@@ -78,7 +92,7 @@ def _arrays(content: bytes) -> Mapping[str, NDArray[Any]] | None:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
-    except (ValueError, OSError, EOFError, KeyError, AttributeError, zipfile.BadZipFile):
+    except _DAMAGED:
         return None
 
 

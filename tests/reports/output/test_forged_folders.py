@@ -11,6 +11,7 @@ import re
 import shutil
 import zipfile
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -28,7 +29,7 @@ from dqforge.reports.output.folder_swap import files_below
 from dqforge.reports.output.manifest import Manifest, Part, find_manifest, sha256, to_bytes
 from dqforge.reports.output.recomputation import recompute
 from dqforge.reports.run import RunOutput, run_again
-from dqforge.reports.run_folder import INPUT_DESIGN, MANIFEST
+from dqforge.reports.run_folder import INPUT, INPUT_DESIGN, MANIFEST
 
 BENCH = "paper001-pmsm-bench"
 BOX = "control:\n  tolerances: {r_s: 30 %, l_d: 20 %, l_q: 20 %, v_dc: 10 %}\n"
@@ -80,7 +81,11 @@ class Made:
         unlisted = altered.pop("unlisted", ())
         assert isinstance(unlisted, tuple)
         hashes = {name: sha256(content) for name, content in files.items() if name not in unlisted}
-        digest = hashes.get(INPUT_DESIGN, self.part.digest)
+        digest = self.part.digest
+        if any(name.startswith(INPUT) for name in changed) and INPUT_DESIGN in files:
+            with suppress(DqforgeError):
+                base = folder / INPUT / "files"
+                digest = load_text(files[INPUT_DESIGN], "design.yaml", base).digest
         part = replace(self.part, files=hashes, digest=digest, **altered)  # type: ignore[arg-type]
         (folder / MANIFEST).write_bytes(to_bytes(Manifest({RUN: part})))
 
@@ -159,6 +164,9 @@ def lines_changed(content: bytes, chance: random.Random) -> bytes:
 def json_changed(content: bytes, chance: random.Random) -> bytes:
     """A key twice, an entry more, other white space, or a value anywhere, simulation included."""
     text, kind = content.decode(), chance.randrange(5)
+    if '\n "header"' not in text:
+        # the certificate: a line per cell
+        return chance.choice((text.replace("{", '{"more": 1, ', 1), text + " ")).encode()
     if kind == 0:
         key = chance.choice(re.findall(r'\n +"[a-z_]+": [0-9.e-]+,', text))
         return text.replace(key, re.sub(r": .*", ": 1.25,", key) + key, 1).encode()
