@@ -5,15 +5,19 @@ gather the files to be written.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
+from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.control_design.observed_refusal import require_observed
+from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Outcome, asked_for
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
+from dqforge.reports.firmware.text_file import TextFile
+from dqforge.reports.firmware_files.exported import firmware_files
 from dqforge.reports.firmware_files.settled import settling_verdicts
 from dqforge.reports.main_header.dialect import Dialect
 from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
@@ -185,6 +189,22 @@ def run_again(
     _, further = programmes(output.plain, capabilities)
     stated = stated_verification(output.solution.reference, export.vectors, further, languages)
     return _finished(output, stated, capabilities, NEUTRAL, there)
+
+
+def solved_files(
+    design: Design, names: Sequence[str], existing: TextFile | None = None
+) -> list[tuple[FirmwareFit, dict[str, bytes]]]:
+    """What a design amounts to in each of these firmwares, and the files that hold it; as
+    `firmware_files`.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        A firmware needs what the design does not say, or has no gains for it.
+    """
+    wanted = replace(design, export=replace(design.export, firmware=tuple(names)))
+    fits = solve_firmware(wanted, solve_gains(wanted))
+    return [(fit, firmware_files(wanted, fit, existing)) for fit in fits]
 
 
 def _finished(

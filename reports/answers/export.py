@@ -15,7 +15,6 @@ from dqforge.reports.firmware.text_file import MOST_BYTES, decoded_file
 from dqforge.reports.firmware_files.exported import (
     check_existing,
     read_files,
-    solved_files,
     target_named,
 )
 from dqforge.reports.firmware_files.plain import plain_fit
@@ -23,6 +22,7 @@ from dqforge.reports.firmware_files.tables import fit_tables
 from dqforge.reports.output.folder import EXISTING, FIRMWARE, FIRMWARES
 from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import stage
+from dqforge.reports.run import solved_files
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design

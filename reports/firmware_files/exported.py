@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 from dqforge import __version__
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
-from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
 from dqforge.reports.firmware.registry import TARGETS
 from dqforge.reports.firmware.target import FileTitle, Target
 from dqforge.reports.firmware.text_file import TextFile, decoded_file
@@ -20,6 +18,7 @@ from dqforge.reports.firmware_files.recognised import Targets, read_file, togeth
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
+    from dqforge.optimizer.firmware.solve import FirmwareFit
 
 
 def file_title(design: Design, fit: FirmwareFit) -> FileTitle:
@@ -75,22 +74,6 @@ def firmware_files(
         files = _into(design, fit, existing, target)
     read_back(files, fit.configuration, target, whole=existing is None)
     return files
-
-
-def solved_files(
-    design: Design, names: Sequence[str], existing: TextFile | None = None
-) -> list[tuple[FirmwareFit, dict[str, bytes]]]:
-    """What a design amounts to in each of these firmwares, and the files that hold it; as
-    `firmware_files`.
-
-    Raises
-    ------
-    InputError, NoSolutionError
-        A firmware needs what the design does not say, or has no gains for it.
-    """
-    wanted = replace(design, export=replace(design.export, firmware=tuple(names)))
-    fits = solve_firmware(wanted, solve_gains(wanted))
-    return [(fit, firmware_files(wanted, fit, existing)) for fit in fits]
 
 
 def _into(design: Design, fit: FirmwareFit, existing: TextFile, target: Target) -> dict[str, bytes]:

@@ -18,7 +18,6 @@ from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.firmware.text_file import decoded_file
-from dqforge.reports.firmware_files.exported import solved_files
 from dqforge.reports.output.folder import (
     COMMAND,
     EXISTING,
@@ -37,7 +36,7 @@ from dqforge.reports.output.line_comparison import Tally, first_difference, tall
 from dqforge.reports.output.manifest import Manifest, Part, computed_with, read_manifest, sha256
 from dqforge.reports.pages.console import stage
 from dqforge.reports.pages.files import read_output
-from dqforge.reports.run import export_design, run_again
+from dqforge.reports.run import export_design, run_again, solved_files
 from dqforge.reports.run_folder import INPUT, MANIFEST, REPORT, RESULT
 from dqforge.reports.simulation.design_run import simulation_files
 

@@ -17,13 +17,13 @@ from dqforge.optimizer.firmware.judge import JudgedFirmware
 from dqforge.optimizer.firmware.solve import FirmwareFit, method_of
 from dqforge.reports.firmware.text_file import read_text_file
 from dqforge.reports.firmware_files.design_made import design_from_files
-from dqforge.reports.firmware_files.exported import solved_files
 from dqforge.reports.firmware_files.plain import plain_explained, plain_fit
 from dqforge.reports.firmware_files.recognised import read_configuration
 from dqforge.reports.firmware_files.settled import require_settling
 from dqforge.reports.output.manifest import sha256
 from dqforge.reports.pages.files import write_all
 from dqforge.reports.plain_data import PlainData
+from dqforge.reports.run import solved_files
 from dqforge.reports.session.result import Result
 
 Places = str | Path | Sequence[str | Path]
