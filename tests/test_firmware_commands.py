@@ -148,6 +148,11 @@ def test_with_a_folder_the_old_file_stays(call: Call, tmp_path: Path) -> None:
     new = (tmp_path / "new" / old.name).read_text()
     assert "conf set id.id 7" in new
     assert "servo.inertia_feedforward 0.02" in new
+    assert answered(call, "verify", "new")["recomputation"]["listed"] == []
+    (tmp_path / "new" / old.name).write_text(new.replace("id.id 7", "id.id 8"))
+    code, _, err = call("verify", "new")
+    assert code == 1
+    assert "8, the design gives 7" in err
 
 
 def test_what_does_not_settle_is_not_written(call: Call, tmp_path: Path) -> None:
