@@ -114,7 +114,7 @@ def local_workers(workers: int) -> Iterator[Client]:
             resource_tracker.ensure_running()
     with quiet(), dask.config.set(_SETTINGS):
         from distributed import Client, LocalCluster
-        from distributed.comm import CommClosedError
+        from distributed.comm.core import CommClosedError
 
         with deaf_to_the_terminal():
             try:
