@@ -8,7 +8,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import typer
@@ -24,8 +23,6 @@ from dqforge.reports.command_line.sheet_options import Sheet, with_sheet
 from dqforge.reports.operating_system.own_process import prepare_process
 
 app = application()
-
-_OUT = Path("out")
 
 
 @app.command()
@@ -63,7 +60,7 @@ def check(design: given.Design, sets: given.Set = None, json: given.Json = False
 @app.command()
 def run(
     design: given.Design,
-    out: given.Out = _OUT,
+    out: given.Out = None,
     no_verify: given.NoVerify = False,
     sets: given.Set = None,
     json: given.Json = False,
@@ -73,7 +70,7 @@ def run(
     Everything that it requests: headers, test vectors, verification, report, result.json.
     """
     ask = partial(answers.run.answer_run, verify=not no_verify)
-    respond("run", lambda: ask(load(design, sets)), json, out=out)
+    respond("run", lambda: ask(load(design, sets)), json, out=out, default=True)
 
 
 @app.command()
@@ -90,9 +87,15 @@ def export(
 
     Headers with their test vectors, or with --for the file that another firmware imports.
     """
-    place = out or (_OUT if into is None else into.parent)
-    ask = partial(answers.run.answer_export, verify=not no_verify, firmware=firmware, into=into)
-    respond("export", lambda: ask(load(design, sets)), json, out=place)
+    place = into.parent if out is None and into is not None else out
+    ask = partial(
+        answers.run.answer_export,
+        verify=not no_verify,
+        firmware=firmware,
+        into=into,
+        elsewhere=out is not None,
+    )
+    respond("export", lambda: ask(load(design, sets)), json, out=place, default=True)
 
 
 @app.command()
@@ -231,7 +234,7 @@ def dqy(
 @app.command()
 def simulate(
     design: given.Design,
-    out: given.Out = _OUT,
+    out: given.Out = None,
     sets: given.Set = None,
     json: given.Json = False,
     plot: given.Plot = None,
@@ -242,7 +245,8 @@ def simulate(
     In the time domain, with the emitted controller compiled and in the loop.
     """
     ask = partial(answers.simulate.answer_simulate, out=out, switched=switched)
-    respond("simulate", lambda: ask(load(design, sets)), json, plot, out, bar="simulating")
+    bar = "simulating"
+    respond("simulate", lambda: ask(load(design, sets)), json, plot, out, default=True, bar=bar)
 
 
 @app.command()

@@ -51,6 +51,10 @@ class InputError(DqforgeError, ValueError):
     exit_code = 2
 
 
+class WritingError(InputError):
+    """A file or folder cannot be written; the design is not at fault."""
+
+
 class NoSolutionError(DqforgeError):
     """The design is valid, but what it asks for cannot be had.
 

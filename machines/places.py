@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import field
 from typing import NamedTuple
 
-from dqforge.machines.errors import DqforgeError, VerificationError
+from dqforge.machines.errors import DqforgeError, VerificationError, WritingError
 from dqforge.machines.records import dataclass
 from dqforge.machines.wording import shown
 
@@ -128,7 +128,7 @@ class Places:
         ----------
         error:
             Left as it is where it has a position, where it is about another file or an option of
-            the command line, and where it is about compiled C.
+            the command line, about compiled C or about what is written.
         section:
             The dotted key to name where the message names none.
         """
@@ -137,7 +137,7 @@ class Places:
             error.line is not None
             or error.source is not None
             or option
-            or isinstance(error, VerificationError)
+            or isinstance(error, (VerificationError, WritingError))
         ):
             return
         path = leading_path(error.message)

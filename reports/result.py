@@ -12,15 +12,6 @@ from dqforge.reports.capability import Capabilities, Outcome
 from dqforge.reports.current_reference.plain import to_plain
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.plain_design import plain_design
-from dqforge.reports.simulation.capability import SIMULATION
-
-
-def without_simulation(text: str) -> str:
-    """The text of a result less what its simulation found, its last key, which no solving again
-    gives.
-    """
-    before, found, _ = text.partition(f',\n "{SIMULATION.name}": {{')
-    return f"{before}\n}}\n" if found else text
 
 
 def plain_drive(design: Design) -> PlainData:

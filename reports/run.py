@@ -4,17 +4,21 @@ gather the files to be written.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field, replace
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.control_design.observed_refusal import require_observed
+from dqforge.optimizer.firmware.solve import FirmwareFit, solve_firmware
 from dqforge.optimizer.solution import Solution, solve
 from dqforge.reports.capabilities import CAPABILITIES
 from dqforge.reports.capability import Capabilities, Outcome, asked_for
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
+from dqforge.reports.firmware.text_file import TextFile
+from dqforge.reports.firmware_files.exported import firmware_files
 from dqforge.reports.firmware_files.settled import settling_verdicts
 from dqforge.reports.main_header.dialect import Dialect
 from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
@@ -24,8 +28,8 @@ from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.report import render_report
 from dqforge.reports.result import plain_outcome, plain_solution
-from dqforge.reports.run_folder import RESULT, listed_files
-from dqforge.reports.verification.host import Verification, verify_files
+from dqforge.reports.run_folder import REPORT, RESULT, listed_files
+from dqforge.reports.verification.host import Verification, stated_verification, verify_files
 from dqforge.reports.written_headers import programmes
 
 
@@ -152,11 +156,71 @@ def run_design(
         As `export_design`.
     """
     output = export_design(design, verify=verify, capabilities=capabilities, dialect=dialect)
-    simulation = None
-    if verify and design.simulation is not None:
+    return _finished(output, output.verification, capabilities, dialect)
+
+
+def run_again(
+    design: Design,
+    languages: Sequence[str],
+    there: Mapping[str, bytes],
+    capabilities: Capabilities = CAPABILITIES,
+) -> RunOutput:
+    """What `run_design` makes; nothing is compiled but what the simulation runs.
+
+    Parameters
+    ----------
+    design:
+        What is solved.
+    languages:
+        Standards in which the headers were verified, none for a run without verification.
+    there:
+        The files that lie beside the report, which lists them with their hashes.
+    capabilities:
+        As of `export_design`.
+
+    Raises
+    ------
+    InputError, NoSolutionError, VerificationError
+        As `run_design`.
+    """
+    output = export_design(design, verify=False, capabilities=capabilities)
+    if not languages:
+        return _finished(output, None, capabilities, NEUTRAL, there)
+    export = design.export
+    _, further = programmes(output.plain, capabilities)
+    stated = stated_verification(output.solution.reference, export.vectors, further, languages)
+    return _finished(output, stated, capabilities, NEUTRAL, there)
+
+
+def solved_files(
+    design: Design, names: Sequence[str], existing: TextFile | None = None
+) -> list[tuple[FirmwareFit, dict[str, bytes]]]:
+    """What a design amounts to in each of these firmwares, and the files that hold it; as
+    `firmware_files`.
+
+    Raises
+    ------
+    InputError, NoSolutionError
+        A firmware needs what the design does not say, or has no gains for it.
+    """
+    wanted = replace(design, export=replace(design.export, firmware=tuple(names)))
+    fits = solve_firmware(wanted, solve_gains(wanted))
+    return [(fit, firmware_files(wanted, fit, existing)) for fit in fits]
+
+
+def _finished(
+    output: RunOutput,
+    verification: Verification | None,
+    capabilities: Capabilities,
+    dialect: Dialect,
+    there: Mapping[str, bytes] | None = None,
+) -> RunOutput:
+    """What was exported with simulation and report."""
+    design, simulation = output.solution.design, None
+    if verification is not None and design.simulation is not None:
         stage("simulating")
         simulation = simulate_with_firmware(design, solution=output.solution, progress=shares())
-    outcome = Outcome(output.solution, output.verification is not None, simulation)
+    outcome = Outcome(output.solution, verification is not None, simulation)
     if simulation is not None:
         plain = output.plain | plain_outcome(outcome, capabilities)
         output.files[RESULT] = _result(design, plain)
@@ -167,8 +231,9 @@ def run_design(
     output.files.update(further)
     output.told.update(told)
     stage("writing the report")
-    listed = listed_files(output.files, output.told, design.given)
-    output.files["report.html"] = render_report(
-        output.solution, output.verification, simulation, capabilities, dialect, listed
+    beside = {name: (there or {}).get(name, content) for name, content in output.files.items()}
+    listed = listed_files(beside, output.told, design.given)
+    output.files[REPORT] = render_report(
+        output.solution, verification, simulation, capabilities, dialect, listed
     ).encode("utf-8")
     return output

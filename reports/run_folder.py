@@ -19,17 +19,15 @@ those that it names."""
 
 INPUT_DESIGN = f"{INPUT}/design.yaml"
 
-INPUT_FILES = f"{INPUT}/files"
-
-RESULT = "result.json"
+RESULT, REPORT = "result.json", "report.html"
 
 
-def input_files(given: DesignFiles | None) -> dict[str, bytes]:
+def input_files(given: DesignFiles | None, root: str = INPUT) -> dict[str, bytes]:
     """The files from which a design can be read again, by their names in the output folder."""
     if given is None:
         return {}
-    named = {f"{INPUT_FILES}/{posixpath.normpath(name)}": content for name, content in given.named}
-    return {INPUT_DESIGN: given.text} | named
+    named = {f"{root}/files/{posixpath.normpath(name)}": content for name, content in given.named}
+    return {f"{root}/design.yaml": given.text} | named
 
 
 def listed_files(

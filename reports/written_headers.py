@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from dqforge.reports.capability import Capabilities, header_kinds
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.current_reference.programme import reference_programme
 from dqforge.reports.pages.files import LARGEST_FILE, LARGEST_JSON, read_output
+from dqforge.reports.pages.strict_json import strict_json
 from dqforge.reports.verification.host import Verification, verify_files
 
 
@@ -30,7 +30,7 @@ def _load_result(path: Path) -> dict[str, Any]:
     """A result that describes a header."""
     content = _read(path, LARGEST_JSON)
     try:
-        loaded = json.loads(content)
+        loaded = strict_json(content)
     except (ValueError, RecursionError) as error:
         raise InputError("is not JSON; run the design again", source=str(path)) from error
     if not isinstance(loaded, dict) or not isinstance(loaded.get("header"), dict):

@@ -11,7 +11,12 @@ import drawn_cases
 import pytest
 from hypothesis import settings
 
-from dqforge.machines.dq_machines.synchronous import LinearMachine
+from dqforge.reports.operating_system.own_process import fix_kernels
+
+# As in a process of dqforge, before numpy is there.
+fix_kernels()
+
+from dqforge.machines.dq_machines.synchronous import LinearMachine  # noqa: E402
 
 # No test may depend on the speed of the machine; in CI every run tries the same examples.
 settings.register_profile("dqforge", deadline=None, derandomize=bool(os.environ.get("CI")))

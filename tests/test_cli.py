@@ -129,7 +129,7 @@ def test_run_writes_everything_and_verify_agrees(
     assert verified.code == 0
     assert "60608 results equal the model bit for bit" in verified.out
     assert re.search(
-        r"6 files equal what dqforge-input/design\.yaml .*: \d+ macros, \d+ literals", verified.out
+        r"7 files equal what dqforge-input/design\.yaml .*: \d+ macros, \d+ literals", verified.out
     )
 
 
@@ -789,7 +789,13 @@ def test_simulation_is_in_the_report(run: Run, tmp_path: Path) -> None:
     assert list(written)[-1] == "simulation"
     simulated = run("simulate", BENCH, "-o", "simulated", "--json")
     assert written["simulation"] == json.loads(simulated.out)["simulation"]
-    assert "as they were written" in run("verify", "out").out
+    assert "not computed again" not in run("verify", "out").out
+    # One folder for both: the samples are those of the run, and verify knows them.
+    assert run("simulate", BENCH, "-o", "out").code == 0
+    assert run("simulate", BENCH, "-o", "out", "--switched").code == 0
+    verified = run("verify", "out")
+    assert (verified.code, verified.err) == (0, "")
+    assert (tmp_path / "out" / "bench001_simulation_switched.npz").is_file()
 
 
 @pytest.mark.slow
@@ -800,6 +806,36 @@ def test_a_run_that_compiles_nothing_simulates_nothing(run: Run, tmp_path: Path)
     )
     assert not (tmp_path / "other" / "bench001_simulation.npz").exists()
     assert 'id="simulation"' not in (tmp_path / "other" / "report.html").read_text(encoding="utf-8")
+
+
+def test_two_designs_have_a_folder_each(run: Run, tmp_path: Path) -> None:
+    """The default folder has the name of the prefix; a folder that is named is one design's."""
+    other = "abb-syrm-6k7"
+    assert run("export", BENCH, "--no-verify").code == 0
+    (header,) = (tmp_path / "out" / "bench001").glob("bench001.h")
+    first = header.read_bytes()
+    assert run("export", other, "--no-verify").code == 0
+    assert header.read_bytes() == first
+    assert len(list((tmp_path / "out").iterdir())) == 2
+    line = one_line(run("export", other, "--no-verify", "-o", "out/bench001"), 2)
+    assert "holds what dqforge made of PMSM bench (paper 001) (bench001), this is" in line
+    assert header.read_bytes() == first
+    changed = run("export", BENCH, "--no-verify", "--set", "machine.resistance=2.4 Ohm")
+    assert changed.code == 0
+    assert "replaced: bench001.h " in changed.out
+    document = json.loads(run("export", BENCH, "--no-verify", "--json").out)
+    assert "bench001.h" in document["replaced"]
+
+
+def test_a_disk_that_is_full_is_not_a_fault_of_the_design(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("dqforge.reports.output.folder_swap.replace_content", full)
+    line = one_line(run("export", BENCH, "--no-verify", "-o", "there"), 2)
+    assert line.startswith("dqforge: cannot write the folder there: No space left on device;")
 
 
 def test_simulation_that_cannot_be_had(

@@ -77,7 +77,8 @@ def test_export_writes_what_its_reader_reads(call: Call, name: Any, tmp_path: Pa
     document = answered(call, "export", "scooter.yaml", "--for", name, "-o", "e", "--no-verify")
     files = [entry["name"] for entry in document["files"]]
     assert files == document["firmware"][name]["files"] == list(scooter_files(name))
-    assert {path.name for path in (tmp_path / "e").iterdir()} == set(files)
+    beside = {"dqforge-input", "dqforge-manifest.json"}
+    assert {path.name for path in (tmp_path / "e").iterdir()} == {*files, *beside}
     for file, content in scooter_files(name).items():
         assert (tmp_path / "e" / file).read_bytes() == content
     known = [
@@ -108,7 +109,8 @@ def test_several_firmwares_are_written_at_once(call: Call, tmp_path: Path) -> No
     words = ("--for", "vesc", "--for", "moteus", "--for", "vesc", "--no-verify")
     document = answered(call, "export", "scooter.yaml", *words)
     assert list(document["firmware"]) == ["vesc", "moteus"]
-    assert (tmp_path / "out" / "scooter.moteus.cfg").is_file()
+    assert (tmp_path / "out" / "scooter" / "scooter.moteus.cfg").is_file()
+    assert answered(call, "verify", "out/scooter")["recomputation"]["files"] == 3
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
@@ -146,6 +148,11 @@ def test_with_a_folder_the_old_file_stays(call: Call, tmp_path: Path) -> None:
     new = (tmp_path / "new" / old.name).read_text()
     assert "conf set id.id 7" in new
     assert "servo.inertia_feedforward 0.02" in new
+    assert answered(call, "verify", "new")["recomputation"]["listed"] == []
+    (tmp_path / "new" / old.name).write_text(new.replace("id.id 7", "id.id 8"))
+    code, _, err = call("verify", "new")
+    assert code == 1
+    assert "8, the design gives 7" in err
 
 
 def test_what_does_not_settle_is_not_written(call: Call, tmp_path: Path) -> None:

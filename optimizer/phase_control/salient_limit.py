@@ -20,6 +20,9 @@ from dqforge.optimizer.waveforms.salient_reference import largest_torque
 
 _TORQUES = 65
 
+_ROUNDING = 1e-12
+"""Share of a bound by which rounding alone may exceed it."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ladder:
@@ -98,7 +101,7 @@ def salient_torques(
     at_rest = machine.voltage(currents, np.zeros(len(currents)))
     per_speed = machine.voltage(currents, np.ones(len(currents))) - at_rest
     still, moving = (np.einsum("rk,jkn->jrn", rows, v[..., :part]) for v in (at_rest, per_speed))
-    low, high = low[:, np.newaxis], high[:, np.newaxis]
+    low, high = (1.0 + _ROUNDING) * low[:, np.newaxis], (1.0 + _ROUNDING) * high[:, np.newaxis]
 
     def largest(omega_e: FloatArray, v_dc: float) -> FloatArray:
         if v_dc <= 0.0:

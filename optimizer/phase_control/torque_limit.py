@@ -57,6 +57,9 @@ _SAFE = 1e-3
 _SCAN = 241
 
 
+_TIE = 1e-9
+
+
 def steady_voltages(control: PhaseControl, omega_e: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Phase voltages of the control law in the steady state: per torque in V/(N m), and at none
     in V, both of shape (W, A, 3), at the angles of `voltage_angles`.
@@ -267,7 +270,9 @@ def _speeds(links: FloatArray, last: float, largest: Largest) -> FloatArray:
     while len(chosen) < SPEEDS:
         lines = [np.interp(scan, scan[chosen], column[chosen]) for column in torques.T]
         off = np.max(np.abs(torques - np.stack(lines, axis=1)), axis=1)
-        chosen = sorted({*chosen, int(np.argmax(off))})
+        # Steps of a ladder are off by the same: the first of them, whatever rounding makes of it.
+        first = int(np.argmax(off >= (1.0 - _TIE) * np.max(off)))
+        chosen = sorted({*chosen, first})
     return np.asarray(scan[chosen])
 
 

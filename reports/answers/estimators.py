@@ -9,6 +9,7 @@ from dqforge.reports.estimator_comparison.pair_files import pair_files
 from dqforge.reports.estimator_comparison.plain import plain_comparison
 from dqforge.reports.estimator_comparison.question import which_estimators
 from dqforge.reports.estimator_comparison.tables import estimator_tables
+from dqforge.reports.output.folder import ESTIMATORS
 from dqforge.reports.pages.answer import Answer, Files
 
 if TYPE_CHECKING:
@@ -34,6 +35,6 @@ def answer_estimators(
 
         return plot_comparison(found)
 
-    files = Files(pair_files(design, found), "", design) if write else None
+    files = Files(pair_files(design, found), ESTIMATORS, design) if write else None
     tables = estimator_tables(design, found)
     return Answer(design.name, tables, {"estimators": plain_comparison(found)}, figure, files)

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
-from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.firmware.solve import FirmwareFit, check_drivable, method_of, solve_firmware
+from dqforge.machines.files.input_files import read_regular_file
+from dqforge.optimizer.firmware.solve import FirmwareFit, check_drivable, method_of
 from dqforge.reports.firmware.registry import TARGETS
-from dqforge.reports.firmware.text_file import read_text_file
+from dqforge.reports.firmware.text_file import MOST_BYTES, decoded_file
 from dqforge.reports.firmware_files.exported import (
     check_existing,
-    firmware_files,
     read_files,
     target_named,
 )
 from dqforge.reports.firmware_files.plain import plain_fit
 from dqforge.reports.firmware_files.tables import fit_tables
+from dqforge.reports.output.folder import EXISTING, FIRMWARE, FIRMWARES
 from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import stage
+from dqforge.reports.run import solved_files
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -32,7 +32,12 @@ if TYPE_CHECKING:
 
 @on_design("export")
 def answer_export_for(
-    design: Design, names: Sequence[str], into: Path | None, *, verify: bool
+    design: Design,
+    names: Sequence[str],
+    into: Path | None,
+    *,
+    verify: bool,
+    elsewhere: bool = False,
 ) -> Answer:
     """Write a design as the files of other firmware.
 
@@ -46,6 +51,8 @@ def answer_export_for(
         An existing file whose other fields are kept; of one firmware only.
     verify:
         Whether the loops of each firmware are simulated, and refused where they do not settle.
+    elsewhere:
+        Whether the existing file stays as it is.
 
     Raises
     ------
@@ -58,20 +65,19 @@ def answer_export_for(
     chosen = tuple(dict.fromkeys(method_of(name, option="--for").name for name in names))
     if into is not None and len(chosen) != 1:
         raise InputError("--into: a file is one firmware's; write a single --for NAME with it")
-    existing = None if into is None else read_text_file(into)
+    original = b"" if into is None else read_regular_file(into, MOST_BYTES)
+    existing = None if into is None else decoded_file(original, str(into))
     for name in chosen:
         check_drivable(design, name)
     if existing is not None:
         check_existing(existing, TARGETS[chosen[0]])
-    wanted = replace(design, export=replace(design.export, firmware=chosen))
     stage("tuning")
-    fits = solve_firmware(wanted, solve_gains(wanted))
+    made_files = solved_files(design, chosen, existing)
     files: dict[str, bytes] = {}
     tables: list[Table] = []
     plain: PlainData = {}
     notes: list[str] = []
-    for fit in fits:
-        made = firmware_files(wanted, fit, existing)
+    for fit, made in made_files:
         _check_names(files, made, fit)
         files |= made
         read = read_files(made, target_named(fit))
@@ -81,9 +87,15 @@ def answer_export_for(
     if verify:
         from dqforge.reports.firmware_files.settled import settling_text, settling_verdicts
 
-        verdicts = settling_verdicts(wanted, fits, _running)
+        fits = [fit for fit, _ in made_files]
+        verdicts = settling_verdicts(design, fits, _running)
         notes = [settling_text(verdict) for verdict in verdicts]
-    written = Files(files, "", design)
+    options, given = {FIRMWARES: ",".join(chosen)}, {}
+    if into is not None:
+        options[EXISTING], given[into.name] = into.name, original
+    # A project of others that is rewritten in place gets nothing that is not its own.
+    part = FIRMWARE if into is None or elsewhere else ""
+    written = Files(files, part, design, options=options, given=given)
     return Answer(design.name, tables, {"firmware": plain}, files=written, notes=tuple(notes))
 
 

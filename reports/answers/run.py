@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def answer_run(design: Design, *, verify: bool) -> Answer:
     """Do everything that the design asks for; raises as `run_design`."""
     from dqforge.reports.operating_system.own_process import prepare_drawing
-    from dqforge.reports.output.folder import RUN
+    from dqforge.reports.output.folder import COMMAND, RUN, VERIFIED
     from dqforge.reports.run import run_design
     from dqforge.reports.summary import run_tables
 
@@ -26,7 +26,11 @@ def answer_run(design: Design, *, verify: bool) -> Answer:
     output = run_design(design, verify=verify)
     tables = run_tables(output.solution, output.verification)
     plain = {"verification": plain_verification(output.verification)}
-    return Answer(design.name, tables, plain, files=Files(output.files, RUN, design))
+    verified = () if output.verification is None else output.verification.languages
+    options = {COMMAND: "run", VERIFIED: ",".join(verified)}
+    return Answer(
+        design.name, tables, plain, files=Files(output.files, RUN, design, options=options)
+    )
 
 
 def answer_export(
@@ -35,6 +39,7 @@ def answer_export(
     verify: bool,
     firmware: Sequence[str] | None = None,
     into: Path | None = None,
+    elsewhere: bool = False,
 ) -> Answer:
     """Write and verify the headers, or the files of other firmware.
 
@@ -43,15 +48,15 @@ def answer_export(
     if firmware:
         from dqforge.reports.answers.export import answer_export_for
 
-        return answer_export_for(design, firmware, into, verify=verify)
+        return answer_export_for(design, firmware, into, verify=verify, elsewhere=elsewhere)
     if into is not None:
         raise InputError("--into: say whose file it is; write --for NAME with it")
-    from dqforge.reports.output.folder import RUN
+    from dqforge.reports.output.folder import COMMAND, RUN
     from dqforge.reports.run import export_design
 
     output = export_design(design, verify=verify)
     plain = {"verification": plain_verification(output.verification)}
-    files = Files(output.files, RUN, design)
+    files = Files(output.files, RUN, design, options={COMMAND: "export"})
     return Answer(
         design.name, (), plain, files=files, notes=(verification_text(output.verification),)
     )

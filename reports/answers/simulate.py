@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.design import Design
 from dqforge.reports.current_feedback.question import answer_regulator
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
-from dqforge.reports.output.folder import SIMULATION, refuse_other_design
+from dqforge.reports.output.folder import SIMULATION, SWITCHED, default_folder, refuse_other_design
 from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import shares, stage
 from dqforge.reports.simulation.design_run import require_scenario, simulation_files
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def answer_simulate(design: Design, out: Path, *, switched: bool) -> Answer:
+def answer_simulate(design: Design, out: Path | None, *, switched: bool) -> Answer:
     """Simulate a design.
 
     A current loop that switches the bridge itself is run at constant speed. Raises as
@@ -28,7 +28,9 @@ def answer_simulate(design: Design, out: Path, *, switched: bool) -> Answer:
     """
     if design.control.current_loop.switches:
         return answer_regulator(design)
+    scenario = require_scenario(design)
     require_scenario(design, switched=switched)
+    out = out or default_folder(design)
     refuse_other_design(out, design.digest, design.export.prefix)
     stage("simulating")
     found = simulate_with_firmware(design, switched=switched, progress=shares())
@@ -39,5 +41,12 @@ def answer_simulate(design: Design, out: Path, *, switched: bool) -> Answer:
         return plot_simulation(found)
 
     plain = {"simulation": plain_simulation(found)}
-    files = Files(simulation_files(found), SIMULATION, design)
+    # The samples of the scenario as it stands are those of a run, under the same name.
+    other = switched and scenario.inverter != "switched"
+    files = Files(
+        simulation_files(found, SWITCHED if other else ""),
+        SIMULATION,
+        design,
+        options={SWITCHED: "yes"} if other else {},
+    )
     return Answer(design.name, simulation_tables(found), plain, figure, files)

@@ -7,7 +7,9 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
+from dqforge.machines.errors import InputError
 from dqforge.reports.firmware_files.folder_files import read_back_text, written_firmware
+from dqforge.reports.operating_system.host_compiler import require_compiler
 from dqforge.reports.output.recomputation import Recomputation, recompute
 from dqforge.reports.output.recomputation_text import recomputation_text
 from dqforge.reports.output.stored_proof import check_stored_proof, stored_proof_text
@@ -34,21 +36,27 @@ def answer_verify(folder: Path, target: str | None) -> Answer:
     """
     if target is not None:
         target_of(target)
+    # All that follows needs it; better said before the rest is computed than after.
+    require_compiler()
     stage("computing again")
     recomputed = recompute(folder)
+    notes, plain = [recomputation_text(recomputed)], _plain_recomputation(recomputed)
+    plain = {"recomputation": plain, "verification": None, "headers": []}
+    solution = recomputed.solution
+    if solution is None:
+        if target is not None:
+            raise InputError(f"--target: there are no headers in {folder}; name a folder of a run")
+        return Answer(str(folder), (), plain, notes=tuple(notes))
     found = read_folder(folder)
     stage("compiling and comparing")
     verified = verify_written(found)
-    proof = check_stored_proof(folder, recomputed.solution)
-    theirs = written_firmware(folder, recomputed.solution)
-    notes = [recomputation_text(recomputed), verification_text(verified)]
+    proof = check_stored_proof(folder, solution, own_inputs=bool(recomputed.digits))
+    theirs = written_firmware(folder, solution)
+    notes.append(verification_text(verified))
     notes += [read_back_text(name, files) for name, files in theirs.items()]
     notes += [] if proof is None else [stored_proof_text(proof)]
-    plain: PlainData = {
-        "recomputation": _plain_recomputation(recomputed),
-        "verification": plain_verification(verified),
-        "headers": _plain_headers(found, verified),
-    }
+    plain["verification"] = plain_verification(verified)
+    plain["headers"] = _plain_headers(found, verified)
     if theirs:
         plain["firmware"] = {name: list(files) for name, files in theirs.items()}
     if proof is not None:
@@ -69,6 +77,8 @@ def _plain_recomputation(found: Recomputation) -> PlainData:
         "listed": list(found.listed),
         "line_ends": list(found.line_ends),
         "foreign": list(found.foreign),
+        "digits": list(found.digits),
+        "stale": list(found.stale),
     }
 
 

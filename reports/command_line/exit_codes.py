@@ -18,6 +18,9 @@ from dqforge.reports.operating_system.console_encoding import spell_out
 
 INTERRUPTED = 130
 
+_OF_FILES = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EMFILE)
+"""What the system says of files and disks, and not of connections or processes."""
+
 
 def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], None]) -> int:
     """Run a command; what goes wrong becomes a line on stderr and an exit code.
@@ -120,6 +123,8 @@ def _system_line(error: OSError) -> str:
         sys.stdout.flush()
     except OSError:
         return f"standard output cannot be written: {reason}"
+    if error.filename is None and error.errno not in _OF_FILES:
+        return f"the system refuses what the command needs: {reason}; give it again"
     named = f" {error.filename!r}" if error.filename is not None else ""
     return (
         f"the system refuses a file{named}: {reason}; is the disk, or the folder that TMPDIR "

@@ -99,7 +99,10 @@ Plot = Annotated[
 ]
 
 
-Out = Annotated[Path, Option("-o", "--out", metavar="OUT", help="Folder to write into.")]
+Out = Annotated[
+    Path | None,
+    Option("-o", "--out", metavar="OUT", help="Folder to write into; default out/<prefix>."),
+]
 
 
 NoVerify = Annotated[bool, Option("--no-verify", help="Skip compiling and running the header.")]
@@ -128,7 +131,10 @@ Into = Annotated[
 OutOfExport = Annotated[
     Path | None,
     Option(
-        "-o", "--out", metavar="OUT", help="Folder to write into; default out, or that of --into."
+        "-o",
+        "--out",
+        metavar="OUT",
+        help="Folder to write into; default out/<prefix>, or that of --into.",
     ),
 ]
 

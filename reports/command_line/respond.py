@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 
 from dqforge.reports.pages.answer import Answer, Files
 from dqforge.reports.pages.console import LOADING, QUICK_S, progress, show, stage, status
-from dqforge.reports.pages.files import check_figure_path, write_all
+from dqforge.reports.pages.files import OUT, check_figure_path, write_all
 
 if TYPE_CHECKING:
+    from dqforge.reports.output.folder import Written
     from dqforge.reports.plain_data import PlainData
 
 
@@ -25,6 +26,7 @@ def respond(
     plot: Path | None = None,
     out: Path | None = None,
     *,
+    default: bool = False,
     bar: str = "",
     silent: bool = False,
 ) -> int:
@@ -41,7 +43,9 @@ def respond(
     plot:
         File to draw into; refused before anything is computed where it could not be written.
     out:
-        Folder for files, where the command writes any.
+        Folder for files, where the command writes any; None for none.
+    default:
+        Whether files go into the folder of their design where ``out`` is None.
     bar:
         Name of what moves a bar, for commands that tell the share that is done;
         else a spinner turns.
@@ -49,43 +53,63 @@ def respond(
         Whether nothing moves.
     """
     if plot is not None:
-        check_figure_path(plot, out)
+        check_figure_path(plot, Path(OUT) if default and out is None else out)
     moving: AbstractContextManager[object]
     moving = progress(bar) if bar else status(LOADING, after=QUICK_S)
     with nullcontext() if silent else moving:
         answer = ask()
-        paths = _write(answer.files, out)
+        out = _default(answer.files) if default and out is None else out
+        written = _write(answer.files, out)
         _draw(answer, plot)
     if json:
         from dqforge.reports.pages.envelope import to_text
 
-        sys.stdout.write(to_text(command, answer.name, answer.plain | _listed(answer.files, out)))
+        listed = _listed(answer.files, out, written)
+        sys.stdout.write(to_text(command, answer.name, answer.plain | listed))
     else:
-        _print(answer, paths)
+        _print(answer, written)
     sys.stdout.flush()
     return answer.exit_code
 
 
-def _write(files: Files | None, out: Path | None) -> list[Path]:
+def _default(files: Files | None) -> Path | None:
+    if files is None or files.design is None:
+        return None
+    from dqforge.reports.output.folder import default_folder
+
+    return default_folder(files.design)
+
+
+def _write(files: Files | None, out: Path | None) -> Written | None:
     if files is None or out is None:
-        return []
+        return None
     stage("writing the files")
-    if not files.part:
-        return write_all(out, files.contents)
-    from dqforge.reports.output.folder import write_output
+    from dqforge.reports.output.folder import Written, put_output
 
-    return write_output(out, files.part, files.contents, files.design)
+    if files.part:
+        return put_output(
+            out,
+            files.part,
+            files.contents,
+            files.design,
+            options=files.options,
+            given=files.given,
+        )
+    there = tuple(name for name in files.contents if (out / name).exists())
+    return Written(write_all(out, files.contents), there)
 
 
-def _listed(files: Files | None, out: Path | None) -> PlainData:
+def _listed(files: Files | None, out: Path | None, written: Written | None) -> PlainData:
     """What was written, with hashes; nothing for commands that write nothing."""
-    if files is None or out is None:
+    if files is None or out is None or written is None:
         return {}
     from dqforge.reports.output.manifest import sha256
 
     contents = files.contents.items()
     listed = [{"name": name, "sha256": sha256(content)} for name, content in contents]
-    return {"out": str(out), "files": listed}
+    changed = {"replaced": written.replaced, "removed": written.removed, "kept": written.kept}
+    named = {key: list(names) for key, names in changed.items() if names}
+    return {"out": str(out), "files": listed} | named
 
 
 def _draw(answer: Answer, plot: Path | None) -> None:
@@ -99,9 +123,16 @@ def _draw(answer: Answer, plot: Path | None) -> None:
     save(answer.figure(), plot)
 
 
-def _print(answer: Answer, paths: list[Path]) -> None:
+def _print(answer: Answer, written: Written | None) -> None:
     show(answer.tables)
     lines = list(answer.notes)
-    if answer.files is not None and answer.files.named:
-        lines.append("written: " + " ".join(str(path) for path in paths))
+    if written is not None:
+        if answer.files is not None and answer.files.named:
+            lines.append("written: " + " ".join(str(path) for path in written.paths))
+        changed = (
+            ("replaced", written.replaced),
+            ("removed, as this run no longer writes it", written.removed),
+            ("kept, of the design as it was before", written.kept),
+        )
+        lines += [f"{what}: {' '.join(names)}" for what, names in changed if names]
     sys.stdout.write("".join(f"{line}\n" for line in lines))

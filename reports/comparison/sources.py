@@ -20,6 +20,7 @@ from dqforge.reports.current_reference.quantities import CONSTANTS
 from dqforge.reports.pages.console import stage
 from dqforge.reports.pages.envelope import FORMAT, to_text
 from dqforge.reports.pages.files import LARGEST_FILE, LARGEST_JSON, read_output
+from dqforge.reports.pages.strict_json import strict_json
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.result import plain_solution
 
@@ -200,7 +201,7 @@ def _read(path: Path, most_bytes: int = LARGEST_FILE) -> bytes:
 def _from_result(text: str, path: Path) -> Side:
     source, content = str(path), _read(path, LARGEST_JSON)
     try:
-        result = json.loads(content)
+        result = strict_json(content)
     except (ValueError, RecursionError) as error:
         raise InputError(
             "is not JSON; give the result.json of 'dqforge run'", source=source

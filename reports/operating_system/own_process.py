@@ -1,29 +1,56 @@
-"""What a process of dqforge spends beside its work: threads of linear algebra, the search for
-garbage, and help on classes that nobody reads.
+"""What a process of dqforge runs on: threads and kernels of linear algebra, the search for garbage,
+and help on classes that nobody reads.
 """
 
 from __future__ import annotations
 
 import gc
 import os
+import platform
+import sys
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+KERNEL = "OPENBLAS_CORETYPE"
+"""Environment variable that names the kernels of the linear algebra."""
+
+_KERNELS = {"x86_64": "Prescott", "amd64": "Prescott", "aarch64": "ARMV8", "arm64": "ARMV8"}
+"""Those that every 64-bit processor of a kind can run. On matrices of this size they are as fast as
+the widest ones."""
+
+_WIDE = "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"
+"""Instructions that some x86 processors have, by numpy's names."""
 
 _OBJECTS = 100_000
 
 _HELP = "_update_set_signature_and_docstring"
 
 
+def fix_kernels() -> None:
+    """Let numpy and its linear algebra sum in one order on every processor of a kind, whatever the
+    environment says, so that the last digits are the same.
+
+    It counts where numpy is not loaded yet; where it is, the environment stays as it is.
+    """
+    machine = platform.machine().lower()
+    if "numpy" in sys.modules or machine not in _KERNELS:
+        return
+    os.environ[KERNEL] = _KERNELS[machine]
+    if _KERNELS[machine] == "Prescott":
+        os.environ["NPY_DISABLE_CPU_FEATURES"] = _WIDE
+
+
 def prepare_process() -> None:
     """One thread of linear algebra, unless the environment says how many: the matrices are small,
     threads wait for each other, and sums by several threads are other sums. It counts where numpy
-    is not loaded yet.
+    is not loaded yet. The same kernels on every processor (`fix_kernels`).
 
     Cycles of objects are looked for seldom: what is imported and drawn is looked through each time,
     which took a tenth of a run, and next to nothing of it goes.
     """
     for name in _THREADS:
         os.environ.setdefault(name, "1")
+    fix_kernels()
     gc.set_threshold(_OBJECTS, 50, 50)
 
 

@@ -9,13 +9,13 @@ import os
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dqforge import __version__
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.reading import MAX_FILE_BYTES
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, WritingError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.reports.operating_system.folder_lock import FolderTakenError, lock_folder
 from dqforge.reports.output import folder_swap
@@ -27,16 +27,68 @@ from dqforge.reports.output.manifest import (
     sha256,
     to_bytes,
 )
-from dqforge.reports.run_folder import MANIFEST, input_files
+from dqforge.reports.pages.files import OUT
+from dqforge.reports.run_folder import (
+    INPUT,
+    MANIFEST,
+    RESULT,
+    input_files,
+)
 
-RUN, SIMULATION, FIGURES = "run", "simulation", "figures"
+RUN, SIMULATION, FIRMWARE = "run", "simulation", "firmware"
+ESTIMATORS, FIGURES = "estimators", "figures"
 
+COMMANDS = {
+    RUN: "run",
+    SIMULATION: "simulate",
+    FIRMWARE: "export --for",
+    ESTIMATORS: "estimators",
+    FIGURES: "reproduce",
+}
+"""What writes each part of a folder."""
+
+COMMAND = "command"
+"""Option of a part `RUN`: run or export."""
+
+VERIFIED = "verified"
+"""Option of a part `RUN`: the standards in which its headers were compiled and compared."""
+
+FIRMWARES, EXISTING = "for", "into"
+"""Options of a part `FIRMWARE`: whose files, and the file whose other fields were kept."""
+
+SWITCHED = "switched"
+"""Option of a part `SIMULATION` whose every switching instant was simulated."""
 
 _LONGEST_WAIT_S = 60.0
 
 
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What became of a folder, by names in it.
+
+    ``paths`` are those of the contents. ``replaced`` lay there with other bytes, ``removed`` an
+    earlier command of the same kind wrote; ``kept`` another command made of the same design as it
+    was before.
+    """
+
+    paths: list[Path]
+    replaced: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
+    kept: tuple[str, ...] = ()
+
+
+def default_folder(design: Design) -> Path:
+    """Where the files of a design go if nobody says."""
+    return Path(OUT) / design.export.prefix
+
+
+def input_root(part: str) -> str:
+    """Folder of what a part was made from: none writes that of another one."""
+    return INPUT if part == RUN else f"{INPUT}/{part}"
+
+
 def _refusal(folder: Path, error: OSError) -> InputError:
-    return InputError(
+    return WritingError(
         f"cannot write the folder {folder}: {error.strerror or error}; choose another one with -o"
     )
 
@@ -63,14 +115,30 @@ def _lock(folder: Path) -> int:
             return lock_folder(folder.parent)
         except FolderTakenError as error:
             if time.monotonic() > end:
-                raise InputError(
+                raise WritingError(
                     f"another run is writing beside {folder}; wait for it, or choose another -o"
                 ) from error
             time.sleep(0.01)
 
 
-def _intact(folder: Path, part: Part) -> bool:
-    return all((folder / name).is_file() for name in part.files)
+def _is_there(folder: Path, part: Part) -> bool:
+    return any((folder / name).is_file() for name in part.files)
+
+
+def named_in_folder(design: Design | None) -> str:
+    """The design as a folder knows it: another state of it has the same name and prefix."""
+    return "" if design is None else f"{design.name} ({design.export.prefix})"
+
+
+def _refuse_foreign(folder: Path, old: Manifest, design: Design | None) -> None:
+    """Refuse to write over what another design made."""
+    mine = named_in_folder(design)
+    for part in old.parts.values():
+        if mine and part.design and part.design != mine and _is_there(folder, part):
+            raise WritingError(
+                f"{folder} holds what dqforge made of {part.design}, this is {mine}; choose "
+                "another folder with -o, or set another export.prefix"
+            )
 
 
 def _belongs(part: Part, digest: str) -> bool:
@@ -79,7 +147,7 @@ def _belongs(part: Part, digest: str) -> bool:
 
 
 def refuse_other_design(folder: Path, digest: str, prefix: str) -> None:
-    """Refuse to put samples of one design beside the headers of another.
+    """Refuse to put other files of one design beside the headers of another.
 
     Raises
     ------
@@ -88,8 +156,8 @@ def refuse_other_design(folder: Path, digest: str, prefix: str) -> None:
     """
     found = find_manifest(folder)
     if found is not None and RUN in found.parts and not _belongs(found.parts[RUN], digest):
-        raise InputError(
-            f"{folder} holds the headers of another design or version; write the samples of "
+        raise WritingError(
+            f"{folder} holds the headers of another design or version; write the files of "
             f"{prefix} elsewhere with -o, or run this design into it first"
         )
 
@@ -108,47 +176,56 @@ def _check_places(folder: Path, names: Mapping[str, bytes]) -> None:
     for name in names:
         path = folder / name
         if path.is_dir() and not path.is_symlink():
-            raise InputError(f"cannot write {path}: it is a folder; choose another folder with -o")
+            raise WritingError(
+                f"cannot write {path}: it is a folder; choose another folder with -o"
+            )
         for above in path.parents:
             if above == folder:
                 break
             if os.path.lexists(above) and (above.is_symlink() or not above.is_dir()):
-                raise InputError(
+                raise WritingError(
                     f"cannot write {path}: {above.name} is no folder; choose another folder with -o"
                 )
 
 
-def write_output(
-    folder: Path, part: str, contents: Mapping[str, bytes], design: Design | None = None
-) -> list[Path]:
+def put_output(
+    folder: Path,
+    part: str,
+    contents: Mapping[str, bytes],
+    design: Design | None = None,
+    *,
+    options: Mapping[str, str] | None = None,
+    given: Mapping[str, bytes] | None = None,
+) -> Written:
     """Put the files of a command into a folder, all at once.
 
-    What the same command wrote there before goes away, and what other commands wrote if it is of
-    another design or version; files that dqforge did not write, or that were changed since, stay
-    unless they have the name of a new one.
+    What the same command wrote there of the same design goes away. What other commands wrote stays,
+    as do files that dqforge did not write, or that were changed since, unless they have the name of
+    a new one. `dqforge run` and `export` are one command; what a run wrote stays behind an export
+    of the same design.
 
     Parameters
     ----------
     folder:
         Made if missing.
     part:
-        `RUN`, `SIMULATION` or `FIGURES`.
+        One of `dqforge.reports.run_folder`.
     contents:
         Files by name.
     design:
         What they were made from; it is put into the folder as well.
-
-    Returns
-    -------
-    list[Path]
-        Paths of ``contents``.
+    options, given:
+        As of `dqforge.reports.pages.answer.Files`; what was given lies beside the design.
 
     Raises
     ------
     InputError
-        The folder cannot be written; it is as it was.
+        The folder cannot be written, or holds what another design, or another command under the
+        same name, made; it is as it was.
     """
     place = Path(os.path.realpath(folder))
+    inputs = input_files(None if design is None else design.given, input_root(part))
+    inputs |= {f"{input_root(part)}/{name}": content for name, content in (given or {}).items()}
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         if place.exists() and not place.is_dir():
@@ -156,10 +233,24 @@ def write_output(
         if place.is_dir() and not os.access(place, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         with _alone(place):
-            _write(place, part, contents, design)
+            _clear_up(place)
+            old = find_manifest(place) or Manifest({})
+            _refuse_foreign(folder, old, design)
+            if part != RUN and design is not None:
+                refuse_other_design(folder, design.digest, design.export.prefix)
+            digest = "" if design is None else design.digest
+            mine = part_of(digest, {**contents, **inputs}, named_in_folder(design), options)
+            done = _write(folder, place, part, old, mine, contents, inputs)
     except OSError as error:
         raise _refusal(folder, error) from error
-    return [folder / name for name in contents]
+    return done
+
+
+def write_output(
+    folder: Path, part: str, contents: Mapping[str, bytes], design: Design | None = None
+) -> list[Path]:
+    """As `put_output`; paths of ``contents``."""
+    return put_output(folder, part, contents, design).paths
 
 
 def _clear_up(place: Path) -> None:
@@ -171,33 +262,85 @@ def _clear_up(place: Path) -> None:
         folder_swap.clear_sibling(sibling, place, None if left is None else {*left.files, MANIFEST})
 
 
-def _write(place: Path, part: str, contents: Mapping[str, bytes], design: Design | None) -> None:
-    digest = "" if design is None else design.digest
-    if part == SIMULATION and design is not None:
-        refuse_other_design(place, digest, design.export.prefix)
-    _clear_up(place)
-    old = find_manifest(place) or Manifest({})
-    given = input_files(None if design is None else design.given)
-    kept = {
-        name: other
-        for name, other in old.parts.items()
-        if name != part
-        and (FIGURES in {name, part} or _belongs(other, digest))
-        and _intact(place, other)
-    }
-    mine = part_of(digest, {**contents, **given})
-    others = {name: replace(other, files=_without(other, mine)) for name, other in kept.items()}
+def _write(
+    folder: Path,
+    place: Path,
+    part: str,
+    old: Manifest,
+    mine: Part,
+    contents: Mapping[str, bytes],
+    inputs: Mapping[str, bytes],
+) -> Written:
+    others = {name: other for name, other in old.parts.items() if name != part}
+    if part == RUN:
+        others = _without(others, mine)
+    else:
+        _refuse_names(folder, others, mine)
+    before = old.parts.get(part)
+    if before is not None and _holds_export(place, before, mine):
+        mine = before
+        contents = {name: content for name, content in contents.items() if name != RESULT}
     manifest = Manifest({**others, part: mine})
-    files = {**given, **contents, MANIFEST: to_bytes(manifest)}
+    files = {**inputs, **contents, MANIFEST: to_bytes(manifest)}
     _check_places(place, files)
     gone = [
         name
         for name in old.files
         if name not in manifest.files and _unchanged(place / name, old.files[name])
     ]
+    replaced = [
+        name
+        for name, content in contents.items()
+        if os.path.lexists(place / name) and not _unchanged(place / name, sha256(content))
+    ]
     folder_swap.replace_content(place, files, {*old.files, MANIFEST}, gone, MANIFEST)
+    stale = [
+        name
+        for other in others.values()
+        for name in other.files
+        if other.design and other.digest != mine.digest and not _is_input(name)
+    ]
+    removed = [name for name in gone if not _is_input(name)]
+    paths = [folder / name for name in contents]
+    return Written(paths, tuple(replaced), tuple(removed), tuple(sorted(stale)))
 
 
-def _without(other: Part, mine: Part) -> dict[str, str]:
-    """Files of another part that this one does not write anew."""
-    return {name: digest for name, digest in other.files.items() if name not in mine.files}
+def _is_input(name: str) -> bool:
+    return name.startswith(f"{INPUT}/")
+
+
+def _holds_export(place: Path, before: Part, mine: Part) -> bool:
+    """Whether a run already wrote what an export is about to write, and more."""
+    if mine.options.get(COMMAND) != "export" or before.options.get(COMMAND) != "run":
+        return False
+    same = all(before.files.get(name) == mine.files[name] for name in mine.files if name != RESULT)
+    return (
+        same
+        and _belongs(before, mine.digest)
+        and all(_unchanged(place / name, digest) for name, digest in before.files.items())
+    )
+
+
+def _refuse_names(folder: Path, others: Mapping[str, Part], mine: Part) -> None:
+    """Refuse to replace a file of another command by another content."""
+    for part, other in others.items():
+        for name, digest in mine.files.items():
+            if other.files.get(name, digest) != digest and (folder / name).is_file():
+                raise WritingError(
+                    f"{folder / name} is what 'dqforge {COMMANDS[part]}' wrote, with another "
+                    "content; choose another folder with -o"
+                )
+
+
+def _without(others: Mapping[str, Part], mine: Part) -> dict[str, Part]:
+    """Other parts less the files that this one replaces; none of which only inputs are left."""
+    left = {}
+    for part, other in others.items():
+        files = {
+            name: digest
+            for name, digest in other.files.items()
+            if mine.files.get(name, digest) == digest
+        }
+        if not all(map(_is_input, files)):
+            left[part] = replace(other, files=files)
+    return left

@@ -99,21 +99,27 @@ def _pieces(found: str, expected: str) -> tuple[str, str]:
     return next((pair for pair in pairs if pair[0] != pair[1]), ("", ""))
 
 
+def tokens(line: str) -> list[str]:
+    """Numbers, words and single characters of a line."""
+    return _TOKEN.findall(line)
+
+
+def difference_of_lines(number: int, have: str | None, want: str | None) -> Difference:
+    """How two lines differ that do; None for one that is not there."""
+    if have is None:
+        return Difference(number, "no such line", _shown(want or ""))
+    if want is None:
+        return Difference(number, _shown(have), "its end")
+    found, expected = _pieces(have, want)
+    return Difference(number, _shown(found), _shown(expected), _name_of(want))
+
+
 def first_difference(found: str, expected: str) -> Difference | None:
     """Where two texts first differ, None where they do not."""
-    if found == expected:
-        return None
     lines = zip_longest(found.split("\n"), expected.split("\n"))
     for number, (have, want) in enumerate(lines, 1):
-        if have == want:
-            continue
-        if have is None or want is None:
-            return Difference(
-                number,
-                *(("no such line", _shown(want)) if have is None else (_shown(have), "its end")),
-            )
-        pieces = _pieces(have, want)
-        return Difference(number, _shown(pieces[0]), _shown(pieces[1]), _name_of(want))
+        if have != want:
+            return difference_of_lines(number, have, want)
     return None
 
 

@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
+import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import field
@@ -16,13 +18,16 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from dqforge import __version__
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, VerificationError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.records import dataclass
+from dqforge.reports.operating_system.host_compiler import find_compiler
+from dqforge.reports.operating_system.own_process import KERNEL
 from dqforge.reports.pages.files import LARGEST_JSON, read_output
+from dqforge.reports.pages.strict_json import strict_json
 from dqforge.reports.run_folder import MANIFEST
 
-LAYOUT = 1
+LAYOUT = 2
 
 
 _COMPUTED_WITH = (
@@ -35,6 +40,8 @@ _COMPUTED_WITH = (
     "piqp",
     "osqp",
     "python-flint",
+    "matplotlib",
+    "jinja2",
 )
 
 
@@ -46,13 +53,17 @@ class Part:
     """What one command wrote: the digest of its design, and the SHA-256 of each file
     by its name in the folder.
 
-    ``version`` wrote it, ``computed_with`` the processor and the libraries of then.
+    ``version`` wrote it, ``computed_with`` the processor and the libraries of then. ``design`` is
+    the name of the design with its prefix, empty where there is none; ``options`` are those of the
+    command on which its files depend, with the command itself.
     """
 
     digest: str
     files: dict[str, str]
     version: str = __version__
     computed_with: dict[str, str] = field(default_factory=dict)
+    design: str = ""
+    options: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +87,40 @@ def _library_versions() -> dict[str, str]:
     return found
 
 
+@cache
+def _kernels() -> str:
+    """The instructions that numpy and its linear algebra use on this processor."""
+    import numpy as np
+
+    core = getattr(np, "_core", None)
+    features = getattr(getattr(core, "_multiarray_umath", None), "__cpu_features__", {})
+    levels = [name for name in ("X86_V3", "X86_V4", "SVE", "ASIMD") if features.get(name)]
+    return " ".join([os.environ.get(KERNEL, "own"), *levels])
+
+
+@cache
+def _compiler() -> str:
+    """What the compiler of simulations is called, empty where there is none."""
+    try:
+        found = find_compiler()
+    except VerificationError:
+        return ""
+    return "" if found is None else found.name
+
+
 def computed_with() -> dict[str, str]:
-    """Processor and versions of the libraries on which the last digits of a result may depend."""
-    return {"processor": platform.machine()} | _library_versions()
+    """Processor, its kernels, and versions of the libraries on which the last digits of a result
+    may depend.
+    """
+    machine = {
+        "processor": platform.machine(),
+        "kernels": _kernels(),
+        "python": platform.python_version(),
+        "libc": " ".join(platform.libc_ver()),
+        "zlib": zlib.ZLIB_RUNTIME_VERSION,
+        "compiler": _compiler(),
+    }
+    return machine | _library_versions()
 
 
 def sha256(content: bytes) -> str:
@@ -86,10 +128,17 @@ def sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def part_of(digest: str, files: Mapping[str, bytes]) -> Part:
-    """The part that files make here and now."""
+def part_of(
+    digest: str,
+    files: Mapping[str, bytes],
+    design: str = "",
+    options: Mapping[str, str] | None = None,
+) -> Part:
+    """The part that files make here and now; arguments as of `Part`."""
     hashes = {name: sha256(content) for name, content in sorted(files.items())}
-    return Part(digest, hashes, computed_with=computed_with())
+    return Part(
+        digest, hashes, computed_with=computed_with(), design=design, options=dict(options or {})
+    )
 
 
 def _sealed(plain: dict[str, Any]) -> str:
@@ -103,7 +152,9 @@ def to_bytes(manifest: Manifest) -> bytes:
         name: {
             "dqforge": part.version,
             "computed_with": dict(sorted(part.computed_with.items())),
+            "design": part.design,
             "design_sha256": part.digest,
+            "options": dict(sorted(part.options.items())),
             "files": dict(sorted(part.files.items())),
         }
         for name, part in sorted(manifest.parts.items())
@@ -130,16 +181,21 @@ def _read_part(value: object) -> Part:
         not isinstance(value, dict)
         or not _texts(value.get("computed_with"))
         or not _texts(value.get("files"))
+        or not _texts(value.get("options"))
     ):
         raise ValueError("no manifest")
     files, version, digest = value["files"], value.get("dqforge"), value.get("design_sha256")
+    design = value.get("design")
     if (
         not isinstance(version, str)
         or not isinstance(digest, str)
+        or not isinstance(design, str)
         or not all(_is_name(name) for name in files)
     ):
         raise ValueError("no manifest")
-    return Part(digest, dict(files), version, dict(value["computed_with"]))
+    return Part(
+        digest, dict(files), version, dict(value["computed_with"]), design, dict(value["options"])
+    )
 
 
 def from_bytes(content: bytes) -> Manifest:
@@ -151,7 +207,7 @@ def from_bytes(content: bytes) -> Manifest:
         It is none, or it was changed.
     """
     try:
-        loaded = json.loads(content)
+        loaded = strict_json(content)
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
     if not isinstance(loaded, dict) or loaded.get("layout") != LAYOUT:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from dqforge.reports.output.last_digits import BOUND
 from dqforge.reports.output.recomputation import Recomputation
 from dqforge.reports.run_folder import INPUT_DESIGN
 
@@ -16,7 +17,25 @@ def _names(names: Sequence[str]) -> str:
 
 
 def recomputation_text(found: Recomputation) -> str:
-    """A line on what was computed again, and one each on what was not, where there is such."""
+    """What was not computed again, and where last digits differ, where there is such; then a line
+    on what was computed again.
+    """
+    lines = []
+    if found.listed:
+        lines.append(
+            "not computed again, and held by the SHA-256 of the manifest alone: "
+            f"{_names(found.listed)}"
+        )
+    if found.foreign:
+        lines.append(f"not written by dqforge and not looked at: {_names(found.foreign)}")
+    lines += [
+        f"differs by the last digits of another library or processor, within {BOUND}: {each}"
+        for each in found.digits
+    ]
+    if found.stale:
+        lines.append(f"of the design in another state than the headers: {_names(found.stale)}")
+    if found.line_ends:
+        lines.append(f"with other line endings than dqforge writes: {_names(found.line_ends)}")
     count = found.tally
     counts = (
         (count.macros, "macros"),
@@ -26,21 +45,11 @@ def recomputation_text(found: Recomputation) -> str:
         (count.vectors, "test vectors"),
         (count.entries, "entries of result.json"),
     )
-    parts = [", ".join(f"{number} {what}" for number, what in counts if number)]
-    lines = [
-        (
-            f"{count.files} files equal what {INPUT_DESIGN} (SHA-256 {found.digest[:12]}) gives "
-            "when it is computed again: "
-        )
-        + parts[0]
-    ]
-    if found.listed:
+    if count.files:
+        held = ", ".join(f"{number} {what}" for number, what in counts if number)
+        equal = "hold" if found.digits else "equal"
         lines.append(
-            "as they were written, by their SHA-256, and not computed again: "
-            f"{_names(found.listed)}"
+            f"{count.files} files {equal} what {INPUT_DESIGN} (SHA-256 {found.digest[:12]}) gives "
+            f"when it is computed again{f': {held}' if held else ''}"
         )
-    if found.line_ends:
-        lines.append(f"with other line endings than dqforge writes: {_names(found.line_ends)}")
-    if found.foreign:
-        lines.append(f"not written by dqforge and not looked at: {_names(found.foreign)}")
     return "\n".join(lines)

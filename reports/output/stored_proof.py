@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,12 @@ from dqforge.optimizer.box_proofs.current_loop_checker import (
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.loops.stability_text import CERTIFICATE
 from dqforge.reports.pages.files import LARGEST_JSON, read_output
+from dqforge.reports.pages.strict_json import strict_json
 
 
-def check_stored_proof(folder: Path, solution: Solution) -> Confirmation | None:
+def check_stored_proof(
+    folder: Path, solution: Solution, *, own_inputs: bool = False
+) -> Confirmation | None:
     """Whether the certificate of a folder proves what the design in it states.
 
     None where the run stored no certificate, or the design asks for none.
@@ -29,6 +31,9 @@ def check_stored_proof(folder: Path, solution: Solution) -> Confirmation | None:
         What 'dqforge run' wrote.
     solution:
         What the design in the folder gives; the certificate must have its inputs, to the bit.
+    own_inputs:
+        Whether the certificate is held against its own inputs instead: those of another processor,
+        which were compared within their last digits.
 
     Raises
     ------
@@ -42,7 +47,8 @@ def check_stored_proof(folder: Path, solution: Solution) -> Confirmation | None:
     path = folder / f"{solution.design.export.prefix}{CERTIFICATE}"
     if proof is None or proof.certificate is None or not path.is_file():
         return None
-    stored, inputs = _load(path), proof.certificate["inputs"]
+    stored = _load(path)
+    inputs = stored.get("inputs", {}) if own_inputs else proof.certificate["inputs"]
     confirmation = confirm(stored, inputs)
     if confirmation.fault:
         raise VerificationError(f"{path}: {confirmation.fault}")
@@ -68,7 +74,7 @@ def _check_sensitivity(
 def _load(path: Path) -> dict[str, Any]:
     content = read_output(path, "the folder that 'dqforge run' wrote", LARGEST_JSON)
     try:
-        loaded = json.loads(content)
+        loaded = strict_json(content)
     except (ValueError, RecursionError) as error:
         raise InputError("is not JSON; run the design again", source=str(path)) from error
     if not isinstance(loaded, dict):

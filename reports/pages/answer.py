@@ -5,6 +5,7 @@ and files.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import field
 from typing import TYPE_CHECKING
 
 from dqforge.machines.records import dataclass
@@ -32,12 +33,18 @@ class Files:
         What they were made from, None where that is no design.
     named:
         Whether their paths are printed behind the tables.
+    options:
+        Options of the command on which the files depend, for `dqforge verify`.
+    given:
+        Further files that they were made from, by name.
     """
 
     contents: Mapping[str, bytes]
     part: str
     design: Design | None = None
     named: bool = True
+    options: Mapping[str, str] = field(default_factory=dict)
+    given: Mapping[str, bytes] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

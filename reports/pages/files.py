@@ -7,8 +7,13 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, WritingError
 from dqforge.machines.files.input_files import read_regular_file
+
+OUT = "out"
+
+"""Folder in which those of designs and studies are made where none is named."""
+
 
 LARGEST_FILE = 64_000_000
 
@@ -57,7 +62,7 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def _refusal(path: Path, error: OSError) -> InputError:
-    return InputError(f"cannot write {path}: {error.strerror}; choose another file with -o")
+    return WritingError(f"cannot write {path}: {error.strerror}; choose another file with -o")
 
 
 def _beside(path: Path, content: bytes) -> Path:
@@ -65,7 +70,7 @@ def _beside(path: Path, content: bytes) -> Path:
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
-        raise InputError(
+        raise WritingError(
             f"cannot write {path}: {error.strerror}; choose another folder with -o"
         ) from error
     temporary = Path(name)
@@ -124,7 +129,7 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
+        raise WritingError(
             f"cannot make the folder {folder}: {error.strerror}; choose another one with -o"
         ) from error
     paths = [folder / name for name in contents]
@@ -132,7 +137,7 @@ def write_all(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     try:
         for path, content in zip(paths, contents.values(), strict=True):
             if path.is_dir():
-                raise InputError(f"cannot write {path}: it is a folder; choose another with -o")
+                raise WritingError(f"cannot write {path}: it is a folder; choose another with -o")
             made.append(_beside(path, content))
         for temporary, path in zip(made, paths, strict=True):
             temporary.replace(path)

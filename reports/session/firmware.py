@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from dqforge.machines.design.design import Design
@@ -11,21 +10,20 @@ from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.firmware.asked import drive_values
 from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
 from dqforge.optimizer.firmware.explained import Explained, explain
 from dqforge.optimizer.firmware.judge import JudgedFirmware
-from dqforge.optimizer.firmware.solve import FirmwareFit, method_of, solve_firmware
+from dqforge.optimizer.firmware.solve import FirmwareFit, method_of
 from dqforge.reports.firmware.text_file import read_text_file
 from dqforge.reports.firmware_files.design_made import design_from_files
-from dqforge.reports.firmware_files.exported import firmware_files
 from dqforge.reports.firmware_files.plain import plain_explained, plain_fit
 from dqforge.reports.firmware_files.recognised import read_configuration
 from dqforge.reports.firmware_files.settled import require_settling
 from dqforge.reports.output.manifest import sha256
 from dqforge.reports.pages.files import write_all
 from dqforge.reports.plain_data import PlainData
+from dqforge.reports.run import solved_files
 from dqforge.reports.session.result import Result
 
 Places = str | Path | Sequence[str | Path]
@@ -176,9 +174,7 @@ def export_for(
     """
     name = method_of(firmware, option="firmware").name
     existing = None if into is None else read_text_file(into)
-    wanted = replace(design, export=replace(design.export, firmware=(name,)))
-    fit = solve_firmware(wanted, solve_gains(wanted))[0]
-    files = firmware_files(wanted, fit, existing)
+    ((fit, files),) = solved_files(design, (name,), existing)
     if settle:
-        require_settling(wanted, fit)
+        require_settling(design, fit)
     return FirmwareExport(fit, files)

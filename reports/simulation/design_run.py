@@ -531,12 +531,10 @@ def npz_bytes(run: Simulation) -> bytes:
     return content.getvalue()
 
 
-def simulation_files(found: DriveSimulation) -> dict[str, bytes]:
+def simulation_files(found: DriveSimulation, label: str = "") -> dict[str, bytes]:
     """Names and bytes of the files of samples: one per format and for the firmware of others, the
-    first without its name.
+    first without its name. ``label`` is a part of all names.
     """
-    prefix = found.design.export.prefix
-    first = {f"{prefix}_simulation.npz": npz_bytes(found.run)}
-    return first | {
-        f"{prefix}_simulation_{other.label}.npz": npz_bytes(other.run) for other in found.others
-    }
+    stem = f"{found.design.export.prefix}_simulation{f'_{label}' if label else ''}"
+    first = {f"{stem}.npz": npz_bytes(found.run)}
+    return first | {f"{stem}_{other.label}.npz": npz_bytes(other.run) for other in found.others}

@@ -94,6 +94,13 @@ def _without_words_on_leaks() -> Iterator[None]:
             os.environ[name] = before
 
 
+def _ended(workers: int, error: Exception) -> EngineStoppedError:
+    return EngineStoppedError(
+        f"one of {workers} processes ended while it started or answered ({type(error).__name__}); "
+        "what is finished stays: give the command again, or fewer --workers"
+    )
+
+
 @contextmanager
 def local_workers(workers: int) -> Iterator[Client]:
     """``workers`` processes of one thread each, gone after the block whatever they are at."""
@@ -107,6 +114,7 @@ def local_workers(workers: int) -> Iterator[Client]:
             resource_tracker.ensure_running()
     with quiet(), dask.config.set(_SETTINGS):
         from distributed import Client, LocalCluster
+        from distributed.comm.core import CommClosedError
 
         with deaf_to_the_terminal():
             try:
@@ -124,11 +132,16 @@ def local_workers(workers: int) -> Iterator[Client]:
                 ) from error
             try:
                 client = Client(cluster, set_as_default=False, timeout=10)
-            except BaseException:
+            except BaseException as error:
                 _end(cluster)
+                if isinstance(error, (OSError, TimeoutError)):
+                    raise _ended(workers, error) from error
                 raise
         try:
             yield client
+        except CommClosedError as error:
+            # What is written to disk raises other errors; this one is of a connection.
+            raise _ended(workers, error) from error
         finally:
             _end(cluster)
             close_client(client)

@@ -4,7 +4,6 @@ and of its loops.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,8 +13,9 @@ from dqforge.machines.errors import InputError
 from dqforge.optimizer.yields.fixed_header import FixedHeader, FixedLoop
 from dqforge.reports.current_reference.plain import from_plain
 from dqforge.reports.output.manifest import Manifest, from_bytes, sha256
-from dqforge.reports.output.recomputation import RESULT, read_listed
-from dqforge.reports.run_folder import MANIFEST
+from dqforge.reports.output.recomputation import read_listed
+from dqforge.reports.pages.strict_json import strict_json
+from dqforge.reports.run_folder import MANIFEST, RESULT
 
 _AGAIN = "run the design again"
 
@@ -73,9 +73,11 @@ def _checked(manifest: Manifest, contents: Mapping[str, bytes], source: str) -> 
     if result is None or RESULT not in manifest.files:
         raise InputError(f"has no {RESULT}; {_AGAIN}", source=source)
     try:
-        return header_from_plain(json.loads(result))
+        return header_from_plain(strict_json(result))
     except InputError as error:
         raise InputError(error.message, source=where) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"is not JSON; {_AGAIN}", source=where) from error
 
 
 def _is_listed(content: bytes, digest: str) -> bool:

@@ -29,7 +29,6 @@ from dqforge.reports.observers.html import speed_tables
 from dqforge.reports.observers.text import position_parts
 from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.pages.html_text import NARROW, number, quantity, share
-from dqforge.reports.result import without_simulation
 
 RPM = 30.0 / math.pi
 
@@ -197,12 +196,3 @@ def test_rows_of_fixed_point_control_are_in_the_result() -> None:
             for reach in plain["ranges"]
         )
     )
-
-
-@pytest.mark.parametrize(
-    "rest", [{}, {"simulation": {"mode": "speed", "simulation": {"deep": 1.0}}}]
-)
-def test_a_result_less_its_simulation(rest: dict[str, Any]) -> None:
-    """Exactly the text that a run without a simulation has."""
-    plain = {"losses": None, "gains": {"simulation": {"no": [1.0, 2.0]}, "last": [3.0]}}
-    assert without_simulation(to_text("run", "test", plain | rest)) == to_text("run", "test", plain)

@@ -37,3 +37,15 @@ def test_a_reader_that_has_left_is_no_fault(
     assert exit_codes.exit_code(fails, lambda _: None) == code
     assert bool(capsys.readouterr().err) == bool(code)
     assert sys.stdout is not None
+
+
+@pytest.mark.parametrize("number", [errno.ECONNRESET, errno.EAGAIN, errno.EPIPE, None])
+def test_only_files_and_disks_are_called_full(
+    number: int | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails() -> None:
+        raise OSError("lost") if number is None else ConnectionError(number, "lost")
+
+    monkeypatch.setattr(exit_codes, "_drop_output", lambda: None)
+    assert exit_codes.exit_code(fails, lambda _: None) == 1
+    assert "disk" not in capsys.readouterr().err

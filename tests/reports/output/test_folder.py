@@ -20,7 +20,16 @@ from drives import make_design
 from dqforge.machines.design.design import Design, DesignFiles
 from dqforge.machines.errors import InputError
 from dqforge.reports.output import folder_swap
-from dqforge.reports.output.folder import FIGURES, RUN, SIMULATION, write_output
+from dqforge.reports.output.folder import (
+    COMMAND,
+    FIGURES,
+    FIRMWARE,
+    RUN,
+    SIMULATION,
+    Written,
+    put_output,
+    write_output,
+)
 from dqforge.reports.output.manifest import (
     Manifest,
     Part,
@@ -196,17 +205,79 @@ def test_samples_go_beside_the_headers_of_the_same_design_only(tmp_path: Path) -
     manifest = find_manifest(out)
     assert manifest is not None
     assert set(manifest.files) >= {*samples, *contents("one"), INPUT_DESIGN}
+    assert manifest.parts[RUN].files.keys() >= {*contents("one"), INPUT_DESIGN}
+    assert manifest.parts[SIMULATION].files.keys() >= {*samples}
     with pytest.raises(InputError, match="another design"):
         write_output(out, SIMULATION, samples, design("two"))
     write_output(out, RUN, contents("one"), design("one"))
     assert (out / "drive_simulation.npz").exists()
     write_output(out, FIGURES, {"figure.svg": b"<svg/>"})
     assert (out / "drive_simulation.npz").exists()
-    write_output(out, RUN, contents("two"), design("two"))
-    assert not (out / "drive_simulation.npz").exists()
+    written = put_output(out, RUN, contents("two"), design("two"))
+    assert written.removed == ("only_one.h",)
+    assert set(written.replaced) == {*contents("one")} - {"only_one.h"}
+    assert written.kept == ("drive_simulation.npz",)
+    assert (out / "drive_simulation.npz").exists()
     assert (out / "figure.svg").exists()
     write_output(tmp_path / "samples", SIMULATION, samples, design("one"))
     write_output(tmp_path / "samples", SIMULATION, samples, design("two"))
+
+
+def other_design(name: str, prefix: str) -> Design:
+    made = design(name)
+    return replace(made, name=name, export=replace(made.export, prefix=prefix))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_command_removes_what_another_design_or_command_made(seed: int, tmp_path: Path) -> None:
+    """Commands of two designs, each in two states, in random order into one folder: what is gone or
+    has other bytes was named, and was made by the same command of the same design.
+    """
+    chance = random.Random(seed)
+    out = tmp_path / "out"
+    maker: dict[str, tuple[str, str]] = {}
+    before: dict[str, bytes] = {}
+    for step in range(10):
+        name, part = chance.choice(["first", "second"]), chance.choice([RUN, SIMULATION, FIRMWARE])
+        state = replace(other_design(name, name), digest=f"{name}{chance.randrange(2)}")
+        files = {f"{name}.{part}.{chance.randrange(3)}": f"{step}".encode(), "both": b"both"}
+        if part == RUN and chance.random() < 0.5:
+            files["result.json"] = f"{step}".encode()
+        try:
+            written = put_output(out, part, files, state)
+        except InputError:
+            written = Written([])
+            files = {}
+        after = {
+            path: (out / path).read_bytes()
+            for path in folder_swap.files_below(out)
+            if not path.startswith("dqforge-")
+        }
+        lost = {path for path in before if path not in after}
+        changed = {path for path in before if after.get(path, before[path]) != before[path]}
+        assert lost == {*written.removed}
+        assert changed <= {*written.replaced}
+        assert all(maker[path] == (name, part) for path in lost)
+        assert all(maker[path][0] == name for path in changed)
+        maker |= dict.fromkeys(files, (name, part)) | {
+            path: who for path, who in maker.items() if path == "both"
+        }
+        before = after
+
+
+def test_an_export_leaves_what_a_run_of_the_same_design_made(tmp_path: Path) -> None:
+    out, run = tmp_path / "out", {"drive.h": b"1", "result.json": b"more", "report.html": b"page"}
+    export = {"drive.h": b"1", "result.json": b"less"}
+    put_output(out, RUN, run, design("one"), options={COMMAND: "run"})
+    done = put_output(out, RUN, export, design("one"), options={COMMAND: "export"})
+    assert (done.removed, done.replaced) == ((), ())
+    assert {name: (out / name).read_bytes() for name in run} == run
+    found = find_manifest(out)
+    assert found is not None
+    assert found.parts[RUN].options == {COMMAND: "run"}
+    done = put_output(out, RUN, export, design("two"), options={COMMAND: "export"})
+    assert done.removed == ("report.html",)
+    assert done.replaced == ("result.json",)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import random
 import re
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_design, load_text
 from dqforge.machines.errors import DqforgeError, InputError, VerificationError
 from dqforge.reports.output import recomputation
-from dqforge.reports.output.folder import RUN, SIMULATION, write_output
+from dqforge.reports.output.folder import COMMAND, FIGURES, RUN, put_output, write_output
 from dqforge.reports.output.folder_swap import PENDING
 from dqforge.reports.output.line_comparison import Tally, first_difference, tally
 from dqforge.reports.output.manifest import Manifest, find_manifest, part_of, sha256, to_bytes
@@ -62,9 +62,11 @@ class Written:
 
 def write(name: str, folder: Path) -> Written:
     output = exported(name)
-    write_output(
-        folder, RUN, {**output.files, "report.html": b"<p>1.5 N m</p>\n"}, output.solution.design
-    )
+    put_output(folder, RUN, output.files, output.solution.design, options={COMMAND: "export"})
+    return read(folder)
+
+
+def read(folder: Path) -> Written:
     files = {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in folder.rglob("*")
@@ -79,12 +81,15 @@ def at_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     found when it was written.
     """
 
-    def again(design: Design, *, verify: bool) -> RunOutput:
-        known = (name for name in DRIVES if sha256(catalogue.read_text(name)) == design.digest)
-        name = next(known, None)
+    def known(design: Design) -> str | None:
+        names = (name for name in DRIVES if sha256(catalogue.read_text(name)) == design.digest)
+        return next(names, None)
+
+    def export(design: Design, *, verify: bool) -> RunOutput:
+        name = known(design)
         return export_design(design, verify=verify) if name is None else exported(name)
 
-    monkeypatch.setattr(recomputation, "export_design", again)
+    monkeypatch.setattr(recomputation, "export_design", export)
 
 
 def test_a_folder_of_a_run_is_vouched_for_in_numbers(tmp_path: Path) -> None:
@@ -103,12 +108,14 @@ def test_a_folder_of_a_run_is_vouched_for_in_numbers(tmp_path: Path) -> None:
     )
     assert found.tally.checksums == 3
     assert found.tally.entries > 500
-    assert found.listed == ("report.html",)
+    assert found.listed == ()
     (written.folder / "notes.txt").write_text("mine")
-    text = recomputation_text(recompute(written.folder))
-    assert f"{found.tally.macros} macros" in text
-    assert "not computed again: report.html" in text
-    assert "not looked at: notes.txt" in text
+    put_output(written.folder, FIGURES, {"figure.svg": b"<svg/>"})
+    first, second, third = recomputation_text(recompute(written.folder)).split("\n")
+    assert first.startswith("not computed again")
+    assert first.endswith(": figure.svg")
+    assert second.endswith("not looked at: notes.txt")
+    assert f"{found.tally.macros} macros" in third
 
 
 @pytest.mark.parametrize(
@@ -220,6 +227,17 @@ def changes(
             yield name, changed
 
 
+def forge(folder: Path, **changed: str) -> None:
+    """Make the manifest again for what lies in a folder now; ``changed`` of its parts."""
+    manifest = find_manifest(folder)
+    assert manifest is not None
+    parts = {}
+    for name, part in manifest.parts.items():
+        there = {key: (folder / key).read_bytes() for key in part.files if (folder / key).exists()}
+        parts[name] = replace(part, files=part_of("", there).files, **changed)
+    (folder / MANIFEST).write_bytes(to_bytes(Manifest(parts)))
+
+
 def refused(folder: Path) -> bool:
     try:
         recompute(folder)
@@ -248,8 +266,6 @@ def test_every_change_by_hand_is_found(
     """
     written = write(drive, tmp_path / "out")
     recompute(written.folder)
-    manifest = find_manifest(written.folder)
-    assert manifest is not None
     computed = exported(drive).files
     for name, changed in changes(written, count, seed=len(drive), drives=drives):
         (written.folder / name).write_bytes(changed)
@@ -257,12 +273,7 @@ def test_every_change_by_hand_is_found(
             f"{name}: {first_difference(changed.decode('latin1'), was(written, name))}"
         )
         if name in computed:
-            part = manifest.parts[RUN]
-            forged = part_of(part.digest, {**written.files, name: changed})
-            files = {key: forged.files[key] for key in part.files}
-            (written.folder / MANIFEST).write_bytes(
-                to_bytes(Manifest({RUN: type(part)(part.digest, files)}))
-            )
+            forge(written.folder)
             with pytest.raises(DqforgeError):
                 recompute(written.folder)
         written.restore()
@@ -276,9 +287,10 @@ def test_files_of_two_runs_are_found(tmp_path: Path) -> None:
     text = catalogue.read_text(BENCH).replace(b"2.35 Ohm", b"2.36 Ohm")
     other = load_text(text, "design.yaml")
     write_output(tmp_path / "other", RUN, export_design(other, verify=False).files, other)
-    names = [name for name in written.files if name != "report.html"]
     differing = [
-        name for name in names if (tmp_path / "other" / name).read_bytes() != written.files[name]
+        name
+        for name in written.files
+        if (tmp_path / "other" / name).read_bytes() != written.files[name]
     ]
     assert len(differing) > 4
     for name in differing:
@@ -335,9 +347,6 @@ def test_what_is_missing_or_of_another_version_is_said(
         match=r"written by dqforge .*, this is 9\.9\.9; verify with that version, or run",
     ):
         recompute(written.folder)
-    write_output(tmp_path / "samples", SIMULATION, {"x.npz": b"\0"}, catalogue.load(BENCH))
-    with pytest.raises(InputError, match="lists no header"):
-        recompute(tmp_path / "samples")
 
 
 @pytest.mark.usefixtures("at_hand")
@@ -346,14 +355,25 @@ def test_other_libraries_are_named_beside_a_difference(tmp_path: Path) -> None:
     manifest = find_manifest(written.folder)
     assert manifest is not None
     part = manifest.parts[RUN]
-    elsewhere = type(part)(
-        part.digest, part.files, part.version, part.computed_with | {"numpy": "1.0"}
-    )
+    elsewhere = replace(part, computed_with=part.computed_with | {"numpy": "1.0"})
     (written.folder / MANIFEST).write_bytes(to_bytes(Manifest({RUN: elsewhere})))
     recompute(written.folder)
     header = written.folder / "bench001.h"
-    header.write_text(header.read_text().replace("(3)", "(7)"))
-    with pytest.raises(VerificationError, match=r"numpy 1\.0, here .*: last digits may differ\)$"):
+    text = header.read_text()
+    gain = re.search(r"_IQ_KP_V_PER_A \((.*)F\)", text)
+    assert gain is not None
+    header.write_text(text.replace(gain[1], f"{float(gain[1]) * (1.0 + 2e-7):.9g}"))
+    forge(written.folder)
+    (digits,) = recompute(written.folder).digits
+    assert re.search(r"KP_V_PER_A is .*F, the design gives .*F \(the run had numpy 1\.0", digits)
+    assert "within the last digits" in recomputation_text(recompute(written.folder))
+    header.write_text(text.replace(gain[1], f"{float(gain[1]) * (1.0 + 2e-6):.9g}"))
+    forge(written.folder)
+    with pytest.raises(VerificationError, match=r"changed, beyond .* numpy 1\.0, here .*\)$"):
+        recompute(written.folder)
+    header.write_text(text.replace("(3)", "(4)"))
+    forge(written.folder)
+    with pytest.raises(VerificationError, match=r"POLE_PAIRS is 4, .*: last digits may differ\)$"):
         recompute(written.folder)
 
 
