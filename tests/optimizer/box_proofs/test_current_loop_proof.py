@@ -17,14 +17,18 @@ from random_current_loops import (
 )
 from zero_exclusion import excludes_zero
 
+from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.box_proofs import interior_point
 from dqforge.optimizer.box_proofs.current_loop_checker import confirm
 from dqforge.optimizer.box_proofs.current_loop_model import CurrentLoopBox, drive_at, parameters_of
 from dqforge.optimizer.box_proofs.current_loop_proof import (
     CurrentLoopProof,
     prove_current_loops,
+    prove_sensitivity,
     random_parameters,
 )
-from dqforge.optimizer.box_proofs.current_loop_search import find_certificate
+from dqforge.optimizer.box_proofs.current_loop_search import CELL_WORK, WORK, find_certificate
+from dqforge.optimizer.box_proofs.interior_point import Budget
 from dqforge.optimizer.box_proofs.plain_certificate import plain_certificate, plain_inputs
 
 
@@ -119,6 +123,54 @@ def test_samples_of_the_share_are_drives_of_the_box() -> None:
     drives = [drive_at(box, point) for point in points]
     again = np.array([parameters_of(box, drive) for drive in drives if drive is not None])
     np.testing.assert_allclose(again, points, rtol=1e-9)
+
+
+# Factor on the gains of the first random drive of seed 41 at which it becomes unstable.
+_BORDER = 1.15829146
+
+
+def _steps(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Counts the steps of the barrier method from here on."""
+    counted, plain = [0], interior_point._step
+
+    def step(
+        blocks: interior_point.Blocks, unknowns: FloatArray, weight: float
+    ) -> tuple[FloatArray, float] | None:
+        counted[0] += 1
+        return plain(blocks, unknowns, weight)
+
+    monkeypatch.setattr(interior_point, "_step", step)
+    return counted
+
+
+@pytest.mark.parametrize("work", [40, 200])
+def test_a_search_stops_with_its_budget(work: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    box = times(random_boxes(1, 41, fast=True)[0], _BORDER / 1.001)
+    counted, budget = _steps(monkeypatch), Budget(work)
+    found = find_certificate(box, budget=budget)
+    assert budget.left == 0
+    assert not found.complete
+    assert found.counterexample is None
+    assert counted[0] + CELL_WORK * (found.tree.examined - 1) <= work
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("margin", [1.0001, 1.001, 1.01, 0.99])
+def test_near_the_border_all_is_decided_or_given_up_within_the_work(
+    margin: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is proven of stability, and of both sensitivities, together."""
+    box = times(random_boxes(1, 41, fast=True)[0], _BORDER / margin)
+    counted = _steps(monkeypatch)
+    proof = prove_current_loops.__wrapped__(box)
+    if margin < 1.0:
+        assert proof.counterexample is not None
+        return
+    assert proof.proven
+    found = prove_sensitivity.__wrapped__(box, proof.left)
+    assert found.bound is None
+    assert counted[0] <= WORK
+    assert sampled_radius(box, 400) < 1.0
 
 
 @pytest.mark.slow
