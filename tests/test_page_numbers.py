@@ -46,3 +46,25 @@ def test_the_emitted_nodes_keep_the_ripple_that_is_stated() -> None:
         assert middle <= 100.0 * RIPPLE
     emitted = next(row for row in said("phase-nodes") if "emitted" in row)
     assert float(emitted.split("|")[3].split()[0]) <= 100.0 * RIPPLE
+
+
+def test_steps_over_the_angle_cost_what_they_do() -> None:
+    """By the page, on the M4F: less without harmonic integrators and more along the back-EMF; below
+    a tenth of the period at 10 kHz and 168 MHz."""
+    rows = {row.split("|")[1].strip(): row.split("|")[2] for row in said("phase-cost")[2:]}
+    whole, bare, follows = (
+        [float(x) for x in NUMBER.findall(rows[name])]
+        for name in ("four-leg", "four-leg, `harmonic_integrators=false`", "four-leg, `frame=dqy`")
+    )
+    assert bare[0] < whole[0] < follows[0]
+    assert whole[2] < 1680.0
+    assert whole[3] < 8000.0
+
+
+def test_the_whole_interrupt_costs_more_than_its_parts() -> None:
+    """And a voltage that is shortened more than one within its limit."""
+    cells = [row.split("|")[2] for row in said("interrupt-cost")[2:]]
+    mean = [float(NUMBER.findall(cell)[0]) for cell in cells]
+    assert mean[0] < mean[1] < mean[2]
+    assert mean[3] < mean[4] < mean[5]
+    assert all(short > plain for plain, short in zip(mean[:3], mean[3:], strict=True))

@@ -45,10 +45,14 @@ from dqforge.optimizer.box_proofs.current_loop_model import (
     shrunk,
     slopes,
 )
-from dqforge.optimizer.box_proofs.current_loop_search import CELL_WORK, WORK, reach_of, rounded
+from dqforge.optimizer.box_proofs.current_loop_search import CELL_WORK, reach_of, rounded
 from dqforge.optimizer.box_proofs.interior_point import Blocks, Budget, climb
 
 CELLS = 120
+
+MOST_WORK = 2500
+
+"""Part of `WORK` that the bound may take."""
 
 _OVER = 1.097
 
@@ -130,7 +134,7 @@ def extended(closed: FloatArray) -> FloatArray:
 
 
 def bound_sensitivity(
-    box: CurrentLoopBox, largest: int = CELLS, work: int = WORK
+    box: CurrentLoopBox, largest: int = CELLS, work: int = MOST_WORK
 ) -> SensitivitySearch:
     """The largest sensitivity that is found in a box, and a bound within 10 % of it.
 

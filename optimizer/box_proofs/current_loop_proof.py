@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
-from dqforge.optimizer.box_proofs.both_axes_sensitivity import bound_sensitivity
+from dqforge.optimizer.box_proofs.both_axes_sensitivity import MOST_WORK, bound_sensitivity
 from dqforge.optimizer.box_proofs.cell_queue import Cell
 from dqforge.optimizer.box_proofs.current_loop_checker import (
     Confirmation,
@@ -82,7 +82,7 @@ class CurrentLoopProof:
     sensitivity:
         That of both axes together, where it was asked for.
     left:
-        Work that the search left of `WORK`.
+        Work that the search left.
     """
 
     box: CurrentLoopBox
@@ -101,7 +101,9 @@ class CurrentLoopProof:
 
 
 @lru_cache(maxsize=64)
-def prove_current_loops(box: CurrentLoopBox, largest: int = CELLS) -> CurrentLoopProof:
+def prove_current_loops(
+    box: CurrentLoopBox, largest: int = CELLS, work: int = WORK
+) -> CurrentLoopProof:
     """Prove both current loops together stable for every drive of a box at every constant speed.
 
     Parameters
@@ -110,8 +112,10 @@ def prove_current_loops(box: CurrentLoopBox, largest: int = CELLS) -> CurrentLoo
         Control and drives.
     largest:
         How many cells are looked at before the rest is left open.
+    work:
+        Work that may be done before it is.
     """
-    budget = Budget(WORK)
+    budget = Budget(work)
     found = find_certificate(box, largest, budget)
     if found.counterexample is not None:
         return CurrentLoopProof(box, None, None, 0.0, counterexample=found.counterexample)
@@ -128,7 +132,7 @@ def prove_current_loops(box: CurrentLoopBox, largest: int = CELLS) -> CurrentLoo
 
 
 @lru_cache(maxsize=64)
-def prove_sensitivity(box: CurrentLoopBox, work: int = WORK) -> ProvenSensitivity:
+def prove_sensitivity(box: CurrentLoopBox, work: int = MOST_WORK) -> ProvenSensitivity:
     """The largest sensitivity of both axes together that is found in a box, with a proven bound.
 
     Parameters
@@ -136,9 +140,9 @@ def prove_sensitivity(box: CurrentLoopBox, work: int = WORK) -> ProvenSensitivit
     box:
         Control and drives, all of them proven stable.
     work:
-        Work that may be done.
+        Work that is left; `MOST_WORK` of it at most is done.
     """
-    searched = bound_sensitivity(box, work=work)
+    searched = bound_sensitivity(box, work=min(work, MOST_WORK))
     if np.isfinite(searched.bound):
         certificate = plain_certificate(box, searched.tree)
         if confirm_sensitivity(certificate, plain_inputs(box), searched.bound).proven:

@@ -48,10 +48,10 @@ CELLS = 500
 
 """Cells that are looked at before the rest is left open."""
 
-WORK = 3000
+WORK = 4500
 
-"""Work of all proofs of both current loops of a design, in steps of the interior point: near the
-border of stability some two seconds of a processor core."""
+"""Work of both proofs of both current loops of a design, in steps of the interior point: near the
+border of stability two to three seconds of a processor core."""
 
 CELL_WORK = 5
 

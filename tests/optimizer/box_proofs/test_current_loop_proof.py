@@ -38,9 +38,13 @@ def sampled_radius(box: CurrentLoopBox, count: int, seed: int = 9) -> float:
     return float(radii(box, np.vstack([corner_drives(box, 9), inside])).max())
 
 
+# Work for proofs that are to be found however long they take.
+_ENDLESS = 10**6
+
+
 def outcome(box: CurrentLoopBox) -> CurrentLoopProof:
     """A proof, or a counterexample that the physical model confirms."""
-    proof = prove_current_loops(box)
+    proof = prove_current_loops(box, work=_ENDLESS)
     if proof.counterexample is None:
         return proof
     drive = proof.counterexample
@@ -112,7 +116,7 @@ def test_what_is_left_open_is_stated_and_never_called_proven() -> None:
     ranges = [left.r_s, left.l_d, left.l_q, left.gain, left.omega_e]
     for (low, high), (least, most) in zip(ranges, root, strict=True):
         assert least - 1e-9 * most <= low <= high <= most * (1 + 1e-9)
-    full = prove_current_loops(box)
+    full = prove_current_loops(box, work=_ENDLESS)
     assert full.proven
     assert full.share == 1.0
 
@@ -183,7 +187,7 @@ def test_eighty_drives_near_their_limit() -> None:
             continue
         tried += 1
         near = times(box, 0.99 * most)
-        found = find_certificate(near)
+        found = find_certificate(near, budget=Budget(_ENDLESS))
         cells.append(found.tree.examined)
         assert found.complete, (tried, found.tree.examined)
         assert confirm(plain_certificate(near, found.tree), plain_inputs(near)).proven
@@ -204,7 +208,7 @@ def test_none_of_1e5_samples_inside_certified_boxes_is_unstable() -> None:
             continue
         tried += 1
         near = times(box, 0.985 * most)
-        assert prove_current_loops(near).proven
+        assert prove_current_loops(near, work=_ENDLESS).proven
         assert radii(near, drives_inside(near, generator, 100_000)).max() < 1.0
     assert tried == 10
 
@@ -216,7 +220,7 @@ def test_two_methods_never_contradict() -> None:
     for place, box in enumerate(random_boxes(60, 17, fast=True)):
         most = limit(box) if place % 2 else None
         tried = box if most is None else times(box, most * (0.98 if place % 4 == 1 else 1.01))
-        found = find_certificate(tried)
+        found = find_certificate(tried, budget=Budget(_ENDLESS))
         cleared = excludes_zero(tried, 12_000)
         assert not (cleared and found.counterexample is not None)
         if most is not None and place % 4 == 3:
