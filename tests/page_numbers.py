@@ -15,8 +15,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from fixed_phase_loop import Loop
 from interrupt_steps import interrupts
-from phase_drives import trapezoidal
+from phase_drives import near_sinusoidal, trapezoidal
 
 from dqforge.machines.design import catalogue
 from dqforge.machines.design.design import Design
@@ -25,6 +26,7 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import Core, Topology
 from dqforge.machines.plants.scenario import Scenario, constant
 from dqforge.optimizer.control_design.gain_set import solve_gains
+from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
 from dqforge.optimizer.phase_control.limited_shapes import limited_torques
 from dqforge.optimizer.phase_control.phase_controller import PhaseShape
 from dqforge.optimizer.phase_control.shape_table import resampled, shape_error
@@ -59,11 +61,13 @@ class Numbers:
     within: float = 0.0
 
 
-def phase_design(topology: Topology, *changes: str, trapezoid: bool = False) -> Design:
+def phase_design(
+    topology: Topology, *changes: str, control: str = "float32", trapezoid: bool = False
+) -> Design:
     """The shipped drive of paper 002 in another topology, with its control in C; ``trapezoid``
     with a back-EMF that is flat for 120 degrees.
     """
-    settings = ["export.control=float32", f"inverter.topology={topology}", *changes]
+    settings = [f"export.control={control}", f"inverter.topology={topology}", *changes]
     if topology == "split-capacitor":
         settings.append("inverter.midpoint_capacitance=4 mF")
     design = load_text(catalogue.read_text(PHASES), PHASES, None, settings)
@@ -146,6 +150,23 @@ def phase_nodes() -> Rows:
         (ripple,) = ripples(replace(found, loops=gains), [(750.0, 1.0)], switched=False)
         name = f"**{nodes}**, emitted" if nodes == emitted else f"{nodes}"
         yield (name, f"{100.0 * error:.2g} %", f"{ripple:.2g} %", f"{4 * (nodes + 1)}")
+
+
+def fixed_phase_ripple() -> Rows:
+    """Torque ripple of the emitted integers beside that of the emitted float32 control."""
+    yield ("topology", "Q15: ripple", "Q15: mean torque", "float32: ripple")
+    topologies: tuple[Topology, ...] = ("three-wire", "four-leg", "six-leg")
+    for topology in topologies:
+        design = phase_design(topology, control="q15")
+        (fit,) = solve(design).fixed
+        assert isinstance(fit, FixedPhaseFit)
+        plant = near_sinusoidal(720)
+        torque = Loop(plant, fit.control, 750.0 * np.pi / 30.0).torque(1.0, 0.0, 2400)[2000:]
+        (ripple,) = ripples(phase_solution(topology), [(750.0, 1.0)], switched=False)
+        yield (
+            topology, f"{100.0 * np.ptp(torque):.2g} %", f"{np.mean(torque):.4f} N m",
+            f"{ripple:.2g} %",
+        )  # fmt: skip
 
 
 def limited_waveforms() -> Rows:
@@ -254,6 +275,7 @@ def interrupt_cost() -> Rows:
 
 NUMBERS: dict[str, Numbers] = {
     "phase-nodes": Numbers("methods/phase-control-design.md", phase_nodes, 0.2),
+    "fixed-phase-ripple": Numbers("methods/fixed-point-control.md", fixed_phase_ripple, 0.2),
     "limited-waveforms": Numbers("methods/phase-control-design.md", limited_waveforms, 0.02),
     "phase-ripple": Numbers("methods/phase-control.md", lambda: _ripple_rows(trapezoid=False), 0.2),
     "phase-ripple-trapezoid": Numbers(
