@@ -4,6 +4,7 @@ the campaign.
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 
@@ -19,8 +20,9 @@ NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
 @pytest.mark.parametrize("name", NUMBERS)
 def test_the_page_says_what_is_made(name: str) -> None:
     for program in ("arm-none-eabi-gcc", "qemu-system-arm") if name.endswith("-cost") else ("cc",):
-        if shutil.which(program) is None:
+        if shutil.which(program) is None and not os.environ.get("CI"):
             pytest.skip(f"{program} is not installed")
+        assert shutil.which(program) is not None
     page, now = said(name), made(name)
     assert [NUMBER.sub("", line) for line in page] == [NUMBER.sub("", line) for line in now]
     for before, after in zip(page, now, strict=True):
