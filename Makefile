@@ -7,7 +7,7 @@ DEMO_DESIGN ?= paper000-ipmsm-100kw
 # Modules are compiled once, when they are installed and when they change, not by each process.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign drawn-campaign coverage costs times drawn-times check lint types contracts format figures mutants sessions docs page-checks page-drives wheel sbom schemas site-checks lock clean
+.PHONY: demo demo-run demo-currents demo-salient-currents test importers campaign drawn-campaign coverage costs times drawn-times check lint types contracts format figures mutants sessions numbers docs page-checks page-drives wheel sbom schemas site-checks lock clean
 
 demo: $(VENV)/runtime.stamp
 	@mkdir -p out
@@ -92,6 +92,10 @@ figures: $(VENV)/dev.stamp
 # What the pages whose sessions are run say that comes, and the figures that they draw; read what it wrote.
 sessions: $(VENV)/dev.stamp
 	$(BIN)/python tests/documented_sessions.py --update docs/tutorials/*.md docs/how-to/*.md
+
+# Tables of pages that are made of what export emits; read what it wrote.
+numbers: $(VENV)/dev.stamp
+	$(BIN)/python tests/page_numbers.py
 
 # Generated copies in the package, for editors; a test holds them against the models.
 schemas: $(VENV)/dev.stamp

@@ -45,10 +45,14 @@ from dqforge.optimizer.box_proofs.current_loop_model import (
     shrunk,
     slopes,
 )
-from dqforge.optimizer.box_proofs.current_loop_search import reach_of, rounded
-from dqforge.optimizer.box_proofs.interior_point import Blocks, climb
+from dqforge.optimizer.box_proofs.current_loop_search import CELL_WORK, reach_of, rounded
+from dqforge.optimizer.box_proofs.interior_point import Blocks, Budget, climb
 
 CELLS = 120
+
+MOST_WORK = 2500
+
+"""Part of `WORK` that the bound may take."""
 
 _OVER = 1.097
 
@@ -129,7 +133,9 @@ def extended(closed: FloatArray) -> FloatArray:
     return whole
 
 
-def bound_sensitivity(box: CurrentLoopBox, largest: int = CELLS) -> SensitivitySearch:
+def bound_sensitivity(
+    box: CurrentLoopBox, largest: int = CELLS, work: int = MOST_WORK
+) -> SensitivitySearch:
     """The largest sensitivity that is found in a box, and a bound within 10 % of it.
 
     Parameters
@@ -138,14 +144,17 @@ def bound_sensitivity(box: CurrentLoopBox, largest: int = CELLS) -> SensitivityS
         Control and drives, all of them stable.
     largest:
         How many cells are looked at.
+    work:
+        Work that may be done.
     """
-    known = _Known(box)
+    left = Budget(work)
+    known = _Known(box, left)
     root = root_cell(box)
 
     def urgency(cell: Cell) -> float:
         return float(sensitivities(box, cell.middle[None])[0]) if _stable(box, cell) else np.inf
 
-    tree = search(root, known.verdict, urgency, largest)
+    tree = search(root, known.verdict, urgency, largest, lambda: left.left > 0)
     bound = known.asked if tree.complete else np.inf
     return SensitivitySearch(root, known.found, known.at, bound, tree)
 
@@ -157,8 +166,8 @@ def _stable(box: CurrentLoopBox, cell: Cell) -> bool:
 class _Known:
     """The largest value met so far, and what it makes of a cell."""
 
-    def __init__(self, box: CurrentLoopBox) -> None:
-        self._box = box
+    def __init__(self, box: CurrentLoopBox, budget: Budget) -> None:
+        self._box, self._budget = box, budget
         self._full = np.maximum(root_cell(box).width, 1e-300)
         ends = (box.r_s, box.dead_time, box.l_d, box.l_q, box.gain)
         drives = [
@@ -180,6 +189,7 @@ class _Known:
 
     def verdict(self, cell: Cell) -> Verdict[FloatArray]:
         """Proven by a matrix for what is asked now, cut otherwise."""
+        self._budget.take(CELL_WORK)
         inside = shrunk(self._box, cell)
         if inside is None:
             return Empty()
@@ -215,7 +225,7 @@ class _Known:
             kept.append(digits)
             return seen[-1].whole
 
-        _bounded_real(whole, frame, self.asked**2, taken)
+        _bounded_real(whole, frame, self.asked**2, taken, self._budget)
         return (kept[-1] if seen[-1].whole else None), seen[-1]
 
 
@@ -227,7 +237,11 @@ def bordered(matrix: FloatArray, value: float) -> FloatArray:
 
 
 def _bounded_real(
-    whole: FloatArray, frame: FloatArray, square: float, taken: Callable[[FloatArray], bool]
+    whole: FloatArray,
+    frame: FloatArray,
+    square: float,
+    taken: Callable[[FloatArray], bool],
+    budget: Budget,
 ) -> None:
     """Proposes matrices P that bound the sensitivity at all corners until one is taken.
 
@@ -243,6 +257,8 @@ def _bounded_real(
         M^2.
     taken:
         Whether a proposal serves.
+    budget:
+        Steps that may be taken.
     """
     turn, back = bordered(frame, 1.0), np.linalg.inv(bordered(frame, 1.0))
     seen = turn @ whole @ back
@@ -261,7 +277,7 @@ def _bounded_real(
         matrix = frame.T @ inner @ frame
         return taken(0.5 * (matrix + matrix.T))
 
-    climb(blocks, start, serves, hopeless=1e-7)
+    climb(blocks, start, serves, hopeless=1e-7, budget=budget)
 
 
 def _best_start(blocks: Blocks, turn: FloatArray) -> FloatArray:

@@ -123,6 +123,7 @@ def search(
     examine: Callable[[Cell], Verdict[Payload]],
     urgency: Callable[[Cell], float],
     largest: int,
+    more: Callable[[], bool] = lambda: True,
 ) -> Tree[Payload]:
     """Cut a box until all of it is decided, the most urgent cell first.
 
@@ -136,10 +137,12 @@ def search(
         The larger, the sooner a cell is looked at.
     largest:
         How many cells are looked at; the others stay open.
+    more:
+        Whether there is work left for another cell.
     """
     tree: Tree[Payload] = Tree([Node(Open(root))])
     waiting = [(-urgency(root), 0)]
-    while waiting and tree.examined < largest:
+    while waiting and tree.examined < largest and more():
         _, index = heapq.heappop(waiting)
         node = tree.nodes[index]
         assert isinstance(node.verdict, Open)

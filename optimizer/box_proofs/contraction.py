@@ -20,7 +20,7 @@ import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.box_proofs.interior_point import Blocks, climb
+from dqforge.optimizer.box_proofs.interior_point import Blocks, Budget, climb
 
 _SLACK = 1e-5
 
@@ -108,7 +108,10 @@ def lyapunov_frame(closed: FloatArray) -> FloatArray | None:
 
 
 def common_lyapunov(
-    closed: FloatArray, frame: FloatArray, taken: Callable[[FloatArray], bool] | None = None
+    closed: FloatArray,
+    frame: FloatArray,
+    taken: Callable[[FloatArray], bool] | None = None,
+    budget: Budget | None = None,
 ) -> FloatArray | None:
     """A P that falls along all corners; None where there is none.
 
@@ -124,6 +127,8 @@ def common_lyapunov(
         T of the loop in the middle, shape (n, n).
     taken:
         Whether a proposal already serves; without it, that with the largest t is returned.
+    budget:
+        Steps that may be taken.
     """
     back = np.linalg.inv(frame)
     seen = frame @ closed @ back
@@ -147,7 +152,7 @@ def common_lyapunov(
     def serves(unknowns: FloatArray) -> bool:
         return taken is not None and unknowns[-1] > 0.0 and taken(matrix(unknowns))
 
-    found = climb(blocks, start, serves, hopeless=1e-7)
+    found = climb(blocks, start, serves, hopeless=1e-7, budget=budget)
     return None if found is None or found[-1] <= 1e-7 else matrix(found)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from dqforge.machines.arrays import BoolArray, FloatArray
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.box_proofs.both_axes_sensitivity import bound_sensitivity
+from dqforge.optimizer.box_proofs.both_axes_sensitivity import MOST_WORK, bound_sensitivity
 from dqforge.optimizer.box_proofs.cell_queue import Cell
 from dqforge.optimizer.box_proofs.current_loop_checker import (
     Confirmation,
@@ -22,7 +22,8 @@ from dqforge.optimizer.box_proofs.current_loop_model import (
     CurrentLoopBox,
     gain_interval,
 )
-from dqforge.optimizer.box_proofs.current_loop_search import CELLS, find_certificate
+from dqforge.optimizer.box_proofs.current_loop_search import CELLS, WORK, find_certificate
+from dqforge.optimizer.box_proofs.interior_point import Budget
 from dqforge.optimizer.box_proofs.plain_certificate import (
     PlainCertificate,
     plain_certificate,
@@ -80,6 +81,8 @@ class CurrentLoopProof:
         A drive of the box whose loops are unstable; None where none was met.
     sensitivity:
         That of both axes together, where it was asked for.
+    left:
+        Work that the search left.
     """
 
     box: CurrentLoopBox
@@ -89,6 +92,7 @@ class CurrentLoopProof:
     still_open: DriveRange | None = None
     counterexample: BoxDrive | None = None
     sensitivity: ProvenSensitivity | None = None
+    left: int = 0
 
     @property
     def proven(self) -> bool:
@@ -97,7 +101,9 @@ class CurrentLoopProof:
 
 
 @lru_cache(maxsize=64)
-def prove_current_loops(box: CurrentLoopBox, largest: int = CELLS) -> CurrentLoopProof:
+def prove_current_loops(
+    box: CurrentLoopBox, largest: int = CELLS, work: int = WORK
+) -> CurrentLoopProof:
     """Prove both current loops together stable for every drive of a box at every constant speed.
 
     Parameters
@@ -106,8 +112,11 @@ def prove_current_loops(box: CurrentLoopBox, largest: int = CELLS) -> CurrentLoo
         Control and drives.
     largest:
         How many cells are looked at before the rest is left open.
+    work:
+        Work that may be done before it is.
     """
-    found = find_certificate(box, largest)
+    budget = Budget(work)
+    found = find_certificate(box, largest, budget)
     if found.counterexample is not None:
         return CurrentLoopProof(box, None, None, 0.0, counterexample=found.counterexample)
     certificate = plain_certificate(box, found.tree)
@@ -116,22 +125,24 @@ def prove_current_loops(box: CurrentLoopBox, largest: int = CELLS) -> CurrentLoo
         return CurrentLoopProof(box, confirmation, None, 0.0, _ranges(box, [found.root]))
     left = found.tree.open_cells
     if not left:
-        return CurrentLoopProof(box, confirmation, certificate, 1.0)
+        return CurrentLoopProof(box, confirmation, certificate, 1.0, left=budget.left)
     return CurrentLoopProof(
         box, confirmation, certificate, _proven_share(box, left), _ranges(box, left)
     )
 
 
 @lru_cache(maxsize=64)
-def prove_sensitivity(box: CurrentLoopBox) -> ProvenSensitivity:
+def prove_sensitivity(box: CurrentLoopBox, work: int = MOST_WORK) -> ProvenSensitivity:
     """The largest sensitivity of both axes together that is found in a box, with a proven bound.
 
     Parameters
     ----------
     box:
         Control and drives, all of them proven stable.
+    work:
+        Work that is left; `MOST_WORK` of it at most is done.
     """
-    searched = bound_sensitivity(box)
+    searched = bound_sensitivity(box, work=min(work, MOST_WORK))
     if np.isfinite(searched.bound):
         certificate = plain_certificate(box, searched.tree)
         if confirm_sensitivity(certificate, plain_inputs(box), searched.bound).proven:

@@ -42,10 +42,20 @@ from dqforge.optimizer.box_proofs.current_loop_model import (
     shrunk,
     slopes,
 )
+from dqforge.optimizer.box_proofs.interior_point import Budget
 
 CELLS = 500
 
 """Cells that are looked at before the rest is left open."""
+
+WORK = 4500
+
+"""Work of both proofs of both current loops of a design, in steps of the interior point: near the
+border of stability two to three seconds of a processor core."""
+
+CELL_WORK = 5
+
+"""What looking at a cell, and checking it in balls, counts."""
 
 _NARROWEST = 1e-6
 
@@ -74,7 +84,9 @@ class CurrentLoopSearch:
         return self.tree.complete
 
 
-def find_certificate(box: CurrentLoopBox, largest: int = CELLS) -> CurrentLoopSearch:
+def find_certificate(
+    box: CurrentLoopBox, largest: int = CELLS, budget: Budget | None = None
+) -> CurrentLoopSearch:
     """Cut a box of drives into cells that one matrix each proves.
 
     Parameters
@@ -83,8 +95,11 @@ def find_certificate(box: CurrentLoopBox, largest: int = CELLS) -> CurrentLoopSe
         Control and drives.
     largest:
         How many cells are looked at.
+    budget:
+        Work that may be done, which is taken from it.
     """
     root = root_cell(box)
+    left = Budget(WORK) if budget is None else budget
     outside = unstable_corner(box)
     if outside is not None:
         tree: Tree[FloatArray] = Tree(counterexample=parameters_of(box, outside))
@@ -92,12 +107,13 @@ def find_certificate(box: CurrentLoopBox, largest: int = CELLS) -> CurrentLoopSe
     full = np.maximum(root.width, 1e-300)
 
     def examine(cell: Cell) -> Verdict[FloatArray]:
-        return _verdict(box, cell, full)
+        left.take(CELL_WORK)
+        return _verdict(box, cell, full, left)
 
     def urgency(cell: Cell) -> float:
         return float(largest_moduli(loop_matrices(box, cell.middle[None]))[0])
 
-    tree = search(root, examine, urgency, largest)
+    tree = search(root, examine, urgency, largest, lambda: left.left > 0)
     point = tree.counterexample
     return CurrentLoopSearch(root, tree, None if point is None else drive_at(box, point))
 
@@ -121,7 +137,9 @@ def unstable_corner(box: CurrentLoopBox) -> BoxDrive | None:
     return drives[worst] if moduli[worst] >= 1.0 else None
 
 
-def _verdict(box: CurrentLoopBox, cell: Cell, full: FloatArray) -> Verdict[FloatArray]:
+def _verdict(
+    box: CurrentLoopBox, cell: Cell, full: FloatArray, budget: Budget
+) -> Verdict[FloatArray]:
     """What one cell is."""
     inside = shrunk(box, cell)
     if inside is None:
@@ -136,7 +154,7 @@ def _verdict(box: CurrentLoopBox, cell: Cell, full: FloatArray) -> Verdict[Float
     frame = lyapunov_frame(middle) if moduli[-1] < 1.0 else None
     by_remainder = False
     if frame is not None and moduli.max() < 1.0:
-        found, by_remainder = _matrix(box, inside, corners, frame)
+        found, by_remainder = _matrix(box, inside, corners, frame, budget)
         if found is not None:
             return Proven(found)
     relative = inside.width / full
@@ -162,7 +180,7 @@ def _refuted(box: CurrentLoopBox, points: FloatArray, moduli: FloatArray) -> Flo
 
 
 def _matrix(
-    box: CurrentLoopBox, cell: Cell, corners: FloatArray, frame: FloatArray
+    box: CurrentLoopBox, cell: Cell, corners: FloatArray, frame: FloatArray, budget: Budget
 ) -> tuple[FloatArray | None, bool]:
     """A matrix for the cell, or None and whether the remainder alone is in its way."""
     rest = remainder(box, cell)
@@ -176,7 +194,7 @@ def _matrix(
         seen.append(contracts(digits, digits, corners, rest))
         return seen[-1].whole
 
-    found = common_lyapunov(corners, frame, taken)
+    found = common_lyapunov(corners, frame, taken, budget)
     return rounded(found) if found is not None and seen[-1].whole else None, seen[-1].corners
 
 

@@ -23,6 +23,19 @@ _WEIGHT, _FASTER = 30.0, 6.0
 _HEAVIEST = 1e11
 
 
+@dataclass(slots=True)
+class Budget:
+    """Work that is left, in steps of the path; counted, not timed, so that the same design gives
+    the same bytes.
+    """
+
+    left: int
+
+    def take(self, steps: int) -> None:
+        """Count work that is done."""
+        self.left = max(0, self.left - steps)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks:
     """Inequalities ``constant`` + sum of y_i ``slopes[:, i]`` >= 0.
@@ -44,6 +57,7 @@ def climb(
     start: FloatArray,
     taken: Callable[[FloatArray], bool],
     hopeless: float = -np.inf,
+    budget: Budget | None = None,
 ) -> FloatArray | None:
     """Unknowns with the largest last one, or the first that the caller takes.
 
@@ -57,10 +71,16 @@ def climb(
         Whether unknowns already serve; asked at every step.
     hopeless:
         Where the last unknown cannot exceed this, None is returned.
+    budget:
+        Steps that may be taken; with none left None is returned.
     """
     unknowns, weight = start, _WEIGHT
     degree = blocks.constant.shape[0] * blocks.constant.shape[1]
     for _ in range(_STEPS):
+        if budget is not None:
+            if budget.left == 0:
+                return None
+            budget.take(1)
         step = _step(blocks, unknowns, weight)
         if step is None:
             return unknowns
@@ -81,8 +101,8 @@ def _step(blocks: Blocks, unknowns: FloatArray, weight: float) -> tuple[FloatArr
     """One step towards the path, and how far from it the step began; None where numbers end."""
     try:
         lower = np.linalg.cholesky(blocks.at(unknowns))
-        frame = np.linalg.inv(lower)[:, None]
-        seen = frame @ blocks.slopes @ np.swapaxes(frame, 2, 3)
+        turned = np.swapaxes(np.linalg.inv(lower), 1, 2)
+        seen = _seen(blocks.slopes, turned)
         rows = seen.reshape(*seen.shape[:2], -1)
         gradient = -np.trace(seen, axis1=2, axis2=3).sum(0)
         gradient[-1] -= weight
@@ -99,6 +119,16 @@ def _step(blocks: Blocks, unknowns: FloatArray, weight: float) -> tuple[FloatArr
     return (found, decrement) if np.isfinite(found).all() else None
 
 
+def _seen(slopes: FloatArray, turned: FloatArray) -> FloatArray:
+    """T^T S T of symmetric slopes, T of each block: two products per block instead of two per
+    slope.
+    """
+    blocks, count, size, _ = slopes.shape
+    half = slopes.reshape(blocks, count * size, size) @ turned
+    half = np.swapaxes(half.reshape(slopes.shape), 2, 3).reshape(blocks, count * size, size)
+    return np.asarray((half @ turned).reshape(slopes.shape), dtype=np.float64)
+
+
 def _best_length(stretch: FloatArray, gain: float) -> float:
     """The step length that the barrier likes best: the largest gain a + sum of log(1 + a
     stretch).
@@ -107,6 +137,6 @@ def _best_length(stretch: FloatArray, gain: float) -> float:
     length = min(1.0, most)
     for _ in range(6):
         part = stretch / (1.0 + length * stretch)
-        slope, curve = gain + part.sum(), -(part**2).sum()
-        length = float(np.clip(length - slope / min(curve, -1e-300), 0.1 * length, most))
+        slope, curve = gain + float(part.sum()), -float((part**2).sum())
+        length = min(max(length - slope / min(curve, -1e-300), 0.1 * length), most)
     return length

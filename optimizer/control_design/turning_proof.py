@@ -83,7 +83,9 @@ def turning_proof(box: DriveBox, i_d: LoopGains, i_q: LoopGains) -> CurrentLoopP
     proof = prove_current_loops(inputs)
     if proof.counterexample is not None:
         raise _refusal(box, inputs, proof.counterexample)
-    return replace(proof, sensitivity=prove_sensitivity(inputs)) if proof.proven else proof
+    if not proof.proven:
+        return proof
+    return replace(proof, sensitivity=prove_sensitivity(inputs, proof.left))
 
 
 def _refusal(box: DriveBox, inputs: CurrentLoopBox, drive: BoxDrive) -> NoSolutionError:

@@ -18,9 +18,21 @@ SIZES = (*range(24, 481, 24), *range(576, 1537, 96))
 degrees can lie on nodes."""
 
 
-SHAPE_ERROR = 1e-3
+RIPPLE = 5e-4
 
-"""Permitted torque error, peak to peak over the torque."""
+"""Torque ripple, peak to peak over the torque, that the emitted control keeps in steady state at
+400 samples per electrical period, as far as its table can."""
+
+
+SHAPE_ERROR = RIPPLE / 2.0**0.5
+
+"""Torque error of the table that is aimed at: half of the square of the ripple, since sampling
+leaves about as much."""
+
+
+LARGEST_ERROR = 1e-3
+
+"""Permitted error where no table reaches that, and of the flux where currents do not follow it."""
 
 
 _SAME = 1e-9
@@ -101,10 +113,10 @@ def fit_shape(
     *,
     zero: bool,
     turns: int = 1,
-    bound: float = SHAPE_ERROR,
     currents: bool = True,
 ) -> ShapeFit:
-    """The smallest table whose currents make the torque constant within a bound.
+    """The smallest table whose currents make the torque constant within `SHAPE_ERROR`; where none
+    does, the smallest within `LARGEST_ERROR`.
 
     The machine's own angles are among the sizes: the data say no more.
 
@@ -116,11 +128,9 @@ def fit_shape(
         Whether the zero sequence shares the torque.
     turns:
         Electrical periods of the machine's waveform.
-    bound:
-        Permitted torque error, peak to peak over the torque.
     currents:
         Whether the currents follow the table; else it serves the voltage alone, and the error is
-        that of the back-EMF.
+        that of the back-EMF, `LARGEST_ERROR` at most.
 
     Raises
     ------
@@ -131,19 +141,24 @@ def fit_shape(
     rows = machine.flux[:1] if equal else machine.flux
     own = machine.angles // turns
     sizes = sorted({*SIZES, *([own] if own <= SIZES[-1] and own % 3 == 0 else [])})
-    least = np.inf
+    aim = SHAPE_ERROR if currents else LARGEST_ERROR
+    fits = []
     for size in sizes:
         shape = PhaseShape(resampled(rows, size * turns), turns)
         error, samples = (
             shape_error(machine, shape, zero=zero) if currents else flux_error(machine, shape)
         )
-        if error <= bound:
-            return ShapeFit(shape, error, samples)
-        least = min(least, error)
+        fits.append(ShapeFit(shape, error, samples))
+        if error <= aim:
+            return fits[-1]
+    for fit in fits:
+        if fit.error <= LARGEST_ERROR:
+            return fit
+    least = min(fit.error for fit in fits)
     raise NoSolutionError(
         f"machine.back_emf: no table of up to {SIZES[-1]} nodes follows it, the torque errs by "
-        f"{100.0 * least:.2g} % peak to peak where {100.0 * bound:.2g} % are permitted; smooth the "
-        "measured waveform, or write control.current_loop.frame: dq"
+        f"{100.0 * least:.2g} % peak to peak where {100.0 * LARGEST_ERROR:.2g} % are permitted; "
+        "smooth the measured waveform, or write control.current_loop.frame: dq"
     )
 
 

@@ -66,7 +66,8 @@ def _open_text(proof: CurrentLoopProof, pole_pairs: int) -> str:
     share = math.floor(proof.share * 1000.0) / 10.0
     return (
         f"proven stable for {share:.1f} % of the drives in the box ({confirmation.matrices} cells, "
-        "confirmed in ball arithmetic), the rest too close to the border to decide; nothing is "
+        "confirmed in ball arithmetic), the rest not decided within the budget: too close to the "
+        "border; nothing is "
         f"proven of drives with {_range_text(proof.still_open, pole_pairs)}; {scope_text(proof)}"
     )
 
@@ -122,7 +123,7 @@ def sensitivity_text(robust: RobustSet, pole_pairs: int) -> str:
     least = f"sensitivity of both axes together up to {found.found:.2f} "
     least += f"({drive_text(found.at, pole_pairs)}), axis by axis up to {alone:.2f}"
     if found.bound is None:
-        return f"{least}; no bound of the first is proven"
+        return f"{least}; a bound of the first is not decided within the budget"
     turn = math.degrees(2.0 * math.asin(min(1.0, 0.5 / found.bound)))
     return (
         f"{least}; proven below {found.bound:.4g}, so that voltages turned by any constant angle "

@@ -104,7 +104,7 @@ def test_the_bound_holds_is_within_a_tenth_and_is_confirmed(number: int) -> None
 def test_ten_drives_are_bounded_within_a_tenth() -> None:
     bounded_ones = 0
     for box in stable_boxes(12, 21):
-        found = bound_sensitivity(box, 400)
+        found = bound_sensitivity(box, 400, 10**6)
         if found.found > 50.0:  # within some 0.1 % of the border of stability
             continue
         assert found.found < found.bound <= 1.1 * found.found

@@ -17,14 +17,18 @@ from random_current_loops import (
 )
 from zero_exclusion import excludes_zero
 
+from dqforge.machines.arrays import FloatArray
+from dqforge.optimizer.box_proofs import interior_point
 from dqforge.optimizer.box_proofs.current_loop_checker import confirm
 from dqforge.optimizer.box_proofs.current_loop_model import CurrentLoopBox, drive_at, parameters_of
 from dqforge.optimizer.box_proofs.current_loop_proof import (
     CurrentLoopProof,
     prove_current_loops,
+    prove_sensitivity,
     random_parameters,
 )
-from dqforge.optimizer.box_proofs.current_loop_search import find_certificate
+from dqforge.optimizer.box_proofs.current_loop_search import CELL_WORK, WORK, find_certificate
+from dqforge.optimizer.box_proofs.interior_point import Budget
 from dqforge.optimizer.box_proofs.plain_certificate import plain_certificate, plain_inputs
 
 
@@ -34,9 +38,13 @@ def sampled_radius(box: CurrentLoopBox, count: int, seed: int = 9) -> float:
     return float(radii(box, np.vstack([corner_drives(box, 9), inside])).max())
 
 
+# Work for proofs that are to be found however long they take.
+_ENDLESS = 10**6
+
+
 def outcome(box: CurrentLoopBox) -> CurrentLoopProof:
     """A proof, or a counterexample that the physical model confirms."""
-    proof = prove_current_loops(box)
+    proof = prove_current_loops(box, work=_ENDLESS)
     if proof.counterexample is None:
         return proof
     drive = proof.counterexample
@@ -108,7 +116,7 @@ def test_what_is_left_open_is_stated_and_never_called_proven() -> None:
     ranges = [left.r_s, left.l_d, left.l_q, left.gain, left.omega_e]
     for (low, high), (least, most) in zip(ranges, root, strict=True):
         assert least - 1e-9 * most <= low <= high <= most * (1 + 1e-9)
-    full = prove_current_loops(box)
+    full = prove_current_loops(box, work=_ENDLESS)
     assert full.proven
     assert full.share == 1.0
 
@@ -121,6 +129,54 @@ def test_samples_of_the_share_are_drives_of_the_box() -> None:
     np.testing.assert_allclose(again, points, rtol=1e-9)
 
 
+# Factor on the gains of the first random drive of seed 41 at which it becomes unstable.
+_BORDER = 1.15829146
+
+
+def _steps(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Counts the steps of the barrier method from here on."""
+    counted, plain = [0], interior_point._step
+
+    def step(
+        blocks: interior_point.Blocks, unknowns: FloatArray, weight: float
+    ) -> tuple[FloatArray, float] | None:
+        counted[0] += 1
+        return plain(blocks, unknowns, weight)
+
+    monkeypatch.setattr(interior_point, "_step", step)
+    return counted
+
+
+@pytest.mark.parametrize("work", [40, 200])
+def test_a_search_stops_with_its_budget(work: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    box = times(random_boxes(1, 41, fast=True)[0], _BORDER / 1.001)
+    counted, budget = _steps(monkeypatch), Budget(work)
+    found = find_certificate(box, budget=budget)
+    assert budget.left == 0
+    assert not found.complete
+    assert found.counterexample is None
+    assert counted[0] + CELL_WORK * (found.tree.examined - 1) <= work
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("margin", [1.0001, 1.001, 1.01, 0.99])
+def test_near_the_border_all_is_decided_or_given_up_within_the_work(
+    margin: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is proven of stability, and of both sensitivities, together."""
+    box = times(random_boxes(1, 41, fast=True)[0], _BORDER / margin)
+    counted = _steps(monkeypatch)
+    proof = prove_current_loops.__wrapped__(box)
+    if margin < 1.0:
+        assert proof.counterexample is not None
+        return
+    assert proof.proven
+    found = prove_sensitivity.__wrapped__(box, proof.left)
+    assert found.bound is None
+    assert counted[0] <= WORK
+    assert sampled_radius(box, 400) < 1.0
+
+
 @pytest.mark.slow
 def test_eighty_drives_near_their_limit() -> None:
     """1 % below the limit all are proven, 0.3 % above each has its drive."""
@@ -131,7 +187,7 @@ def test_eighty_drives_near_their_limit() -> None:
             continue
         tried += 1
         near = times(box, 0.99 * most)
-        found = find_certificate(near)
+        found = find_certificate(near, budget=Budget(_ENDLESS))
         cells.append(found.tree.examined)
         assert found.complete, (tried, found.tree.examined)
         assert confirm(plain_certificate(near, found.tree), plain_inputs(near)).proven
@@ -152,7 +208,7 @@ def test_none_of_1e5_samples_inside_certified_boxes_is_unstable() -> None:
             continue
         tried += 1
         near = times(box, 0.985 * most)
-        assert prove_current_loops(near).proven
+        assert prove_current_loops(near, work=_ENDLESS).proven
         assert radii(near, drives_inside(near, generator, 100_000)).max() < 1.0
     assert tried == 10
 
@@ -164,7 +220,7 @@ def test_two_methods_never_contradict() -> None:
     for place, box in enumerate(random_boxes(60, 17, fast=True)):
         most = limit(box) if place % 2 else None
         tried = box if most is None else times(box, most * (0.98 if place % 4 == 1 else 1.01))
-        found = find_certificate(tried)
+        found = find_certificate(tried, budget=Budget(_ENDLESS))
         cleared = excludes_zero(tried, 12_000)
         assert not (cleared and found.counterexample is not None)
         if most is not None and place % 4 == 3:
