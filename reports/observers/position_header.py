@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, SPEED_LIMIT
+from dqforge.optimizer.observers.methods import flux
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.title import title
@@ -21,6 +22,7 @@ from dqforge.reports.observers.float32_model import (
     observer_outputs,
     plain_gains_of,
 )
+from dqforge.reports.observers.step_text import observer_text
 from dqforge.reports.observers.training_text import bound_text, silence_text
 from dqforge.reports.pages.templating import render
 
@@ -160,6 +162,23 @@ def _preamble(design: Design, observer: PositionObserver) -> list[str]:
     ]
 
 
+def observer_body(method: ObserverMethod, gains: Any, prefix: str) -> str:
+    """Types, functions and gains of a method; a learned correction is written around the flux
+    observer.
+    """
+    macro = prefix.upper()
+    if method.members is not None:
+        return observer_text(method, gains, prefix, macro)
+    context = {
+        "prefix": prefix,
+        "macro": macro,
+        "code": method.code,
+        "gains": asdict(gains),
+        "flux": observer_text(flux.METHOD, gains.flux, prefix, macro),
+    }
+    return render(f"observers/{method.code}.j2", context)
+
+
 def observer_files(design: Design, observer: PositionObserver) -> dict[str, bytes]:
     """Name and bytes of the header of a position observer."""
     prefix = design.export.prefix
@@ -169,7 +188,7 @@ def observer_files(design: Design, observer: PositionObserver) -> dict[str, byte
         "file": "observer",
         "kind": "position",
         "code": observer.method.code,
-        "gains": asdict(observer.gains),
+        "body": observer_body(observer.method, observer.gains, prefix),
     }
     return {f"{prefix}_observer.h": render("observers/observer.h.j2", context).encode("ascii")}
 
