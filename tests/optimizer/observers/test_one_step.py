@@ -14,14 +14,20 @@ from step_derivatives import derivative, evaluated
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
-from dqforge.machines.plants.drive_motion import plants, steady_voltage
-from dqforge.optimizer.observers.method import ObserverMethod
+from dqforge.machines.plants.drive_motion import drive_motion, plants, steady_voltage
+from dqforge.optimizer.observers.method import ObserverMethod, observe
 from dqforge.optimizer.observers.methods.ekf import ekf_gains
 from dqforge.optimizer.observers.methods.ekf_tuning import first_guess, usual_noise
 from dqforge.optimizer.observers.methods.extended_emf import emf_part
 from dqforge.optimizer.observers.methods.flux import flux_error, flux_of_current
 from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.parts import EXACT
+from dqforge.optimizer.observers.sampled_gains import (
+    entries_and_slopes,
+    matrix_entries,
+    sampled_gains,
+)
+from dqforge.optimizer.observers.sampled_machine import sampled_machine
 from dqforge.optimizer.observers.steady_states import steady_observer
 
 T_S, OMEGA_MAX = 1e-4, 3000.0
@@ -117,6 +123,27 @@ def test_fluxes_are_those_of_the_definition() -> None:
     part = emf_part(EXACT, r, m, x, pairs[2])
     factor = np.polyval(r[::-1], x**2) + 1j * x * np.polyval(m[::-1], x**2)
     assert part.alpha + 1j * part.beta == pytest.approx(v * factor, rel=1e-12)
+
+
+@EVERY
+def test_an_observer_that_begins_at_the_truth_stays_there(method: ObserverMethod) -> None:
+    """Without load, at both senses of rotation: the first step knows what the machine shows."""
+    omega = np.array([600.0, -600.0, 2000.0, -2000.0])
+    theta, nil = np.array([0.5, 1.5, -2.0, 3.0]), np.zeros(4, dtype=np.complex128)
+    motion = drive_motion(IPM, T_S, np.full((12, 4), omega), nil, theta_0=theta)
+    found = observe(method, gains_of(method, IPM), motion)
+    assert np.max(np.abs(found.angle_error(motion))) < 2e-3
+    assert np.max(np.abs(found.omega_e - omega) / np.abs(omega)) < 2e-3
+
+
+def test_slopes_of_the_sampled_machine_are_its_derivatives_by_the_speed() -> None:
+    model = sampled_gains(sampled_machine(IPM, T_S, OMEGA_MAX))
+    x = T_S * np.linspace(-2900.0, 2900.0, 41)
+    entries, slopes = entries_and_slopes(EXACT, model, x)
+    ends = [matrix_entries(EXACT, model, x + sign * 1e-6) for sign in (1.0, -1.0)]
+    scale = np.max(np.abs(slopes), axis=1, keepdims=True)
+    assert np.max(np.abs(slopes - T_S * (ends[0] - ends[1]) / 2e-6) / scale) < 1e-7
+    assert entries == pytest.approx(matrix_entries(EXACT, model, x), rel=1e-14)
 
 
 def voltage_of(machine: LinearMachine, i_dq: complex, omega: float) -> FloatArray:
