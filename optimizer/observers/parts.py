@@ -5,7 +5,7 @@ An observer is a module of three functions (docs/methods/position-observers.md):
 its gains,
 ``start`` its first state, ``step`` the next one. ``step`` is written once, over an `Arithmetic`: on
 numpy arrays it runs in double precision for analysis and in single precision as the model of the C,
-and `dqforge.reports.c_code.step_reader` writes the C from it.
+and `dqforge.reports.steps.c_reader` writes the C from it.
 """
 
 from __future__ import annotations

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.observers.judgement import ANGLE_LIMIT, SPEED_LIMIT
-from dqforge.optimizer.observers.methods import flux
 from dqforge.reports.c_code.harness import Programme
 from dqforge.reports.c_code.header_kind import SWEEP_POINTS, SWEEP_SEED
 from dqforge.reports.c_code.title import title
@@ -22,9 +21,9 @@ from dqforge.reports.observers.float32_model import (
     observer_outputs,
     plain_gains_of,
 )
-from dqforge.reports.observers.step_text import observer_text
 from dqforge.reports.observers.training_text import bound_text, silence_text
 from dqforge.reports.pages.templating import render
+from dqforge.reports.steps.observer_text import observer_text
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -166,6 +165,8 @@ def observer_body(method: ObserverMethod, gains: Any, prefix: str) -> str:
     """Types, functions and gains of a method; a learned correction is written around the flux
     observer.
     """
+    from dqforge.optimizer.observers.methods.registry import METHODS
+
     macro = prefix.upper()
     if method.members is not None:
         return observer_text(method, gains, prefix, macro)
@@ -174,7 +175,7 @@ def observer_body(method: ObserverMethod, gains: Any, prefix: str) -> str:
         "macro": macro,
         "code": method.code,
         "gains": asdict(gains),
-        "flux": observer_text(flux.METHOD, gains.flux, prefix, macro),
+        "flux": observer_text(METHODS["flux"], gains.flux, prefix, macro),
     }
     return render(f"observers/{method.code}.j2", context)
 

@@ -43,9 +43,9 @@ from dqforge.optimizer.observers.parts import EXACT, Arithmetic, cast
 from dqforge.optimizer.observers.sampled_machine import wrapped
 from dqforge.optimizer.observers.trials import CurrentSensor, Trial, simulate
 from dqforge.reports.c_code.float32_functions import SINGLE
-from dqforge.reports.observers.step_text import observer_text
 from dqforge.reports.operating_system.host_compiler import find_compiler
 from dqforge.reports.pages.templating import render
+from dqforge.reports.steps.observer_text import observer_text
 from dqforge.reports.verification.host import COMPILERS, WARNINGS, Compiler
 
 T_S = 1e-4

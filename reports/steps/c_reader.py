@@ -19,7 +19,7 @@ import numpy as np
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import AlphaBeta, Arithmetic, Dq, Member, Pair, Rotation
 from dqforge.reports.c_code.numbers import comment_text, float_literal
-from dqforge.reports.c_code.symbols import (
+from dqforge.reports.steps.symbols import (
     Condition,
     Expression,
     Origin,

@@ -10,7 +10,7 @@ import numpy as np
 
 from dqforge.optimizer.observers.parts import AlphaBeta, ObserverState
 from dqforge.reports.c_code.numbers import float_literal
-from dqforge.reports.c_code.step_reader import (
+from dqforge.reports.steps.c_reader import (
     Block,
     Functions,
     StepReader,
@@ -22,7 +22,7 @@ from dqforge.reports.c_code.step_reader import (
     vector,
     vector_struct,
 )
-from dqforge.reports.c_code.symbols import Expression, expression, folded
+from dqforge.reports.steps.symbols import Expression, expression, folded
 
 if TYPE_CHECKING:
     from dqforge.optimizer.observers.method import ObserverMethod
