@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from worked_examples import module_of, text_of
+from worked_examples import module_of
 
 from dqforge import cli
 from dqforge.machines.errors import VerificationError
@@ -17,12 +17,10 @@ from dqforge.machines.modulation import registry as modulators
 from dqforge.machines.modulation.modulator import Modulator
 from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.methods import registry as observers
-from dqforge.reports.pages.templating import further_templates
 from dqforge.reports.written_headers import verify_folder
 
 MODULATOR = "machines/modulation/families/fifth_of_third_harmonic.py"
 OBSERVER = "optimizer/observers/methods/back_emf.py"
-TEMPLATE = "reports/observers/templates/back_emf.j2"
 DESIGN = """\
 dqforge: 1
 name: Worked example
@@ -74,12 +72,9 @@ def modulator(tmp_path: Path) -> Iterator[Modulator]:
 
 @pytest.fixture
 def observer(tmp_path: Path) -> Iterator[ObserverMethod]:
-    (tmp_path / "observers").mkdir()
-    (tmp_path / "observers" / "back_emf.j2").write_text(text_of(TEMPLATE))
     with (
         module_of(OBSERVER, tmp_path) as file,
         observers.registered(file.METHOD, ("pll_bandwidth", "damping")),
-        further_templates(tmp_path),
     ):
         yield file.METHOD
 

@@ -45,7 +45,7 @@ from dqforge.optimizer.fixed_observers.polynomials import (
 )
 from dqforge.optimizer.fixed_observers.scales import Scales, gain
 from dqforge.optimizer.loops.integer_gains import FixedGain
-from dqforge.optimizer.observers.methods.open_loop_flux import OpenLoopGains
+from dqforge.optimizer.observers.methods.open_loop_flux import OpenLoopFluxGains
 
 BITS = 25
 
@@ -79,7 +79,7 @@ class FixedOpenLoop:
     pll: FixedPll
 
 
-def design(gains: OpenLoopGains, scales: Scales) -> FixedOpenLoop:
+def design(gains: OpenLoopFluxGains, scales: Scales) -> FixedOpenLoop:
     """The estimator in integers.
 
     Parameters

@@ -11,8 +11,7 @@ import numpy as np
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.harmonic_trackers.third_harmonic import ThirdHarmonic
-from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
-from dqforge.optimizer.observers.sampled_gains import limited
+from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair, limited
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +87,7 @@ def third_harmonic_step(
     return ThirdHarmonicState(
         (),
         maths.wrap(ahead + gains.k_p * error),
-        limited(state.omega_e + gains.k_i * error, gains.omega_max),
+        limited(maths, state.omega_e + gains.k_i * error, gains.omega_max),
         flux=flux - gains.k * rest,
         offset=state.offset + gains.k_b * rest,
     )

@@ -67,7 +67,7 @@ def _single(value: float) -> float:
 def speed_inputs(frame: Any, size: Reals, maths: Arithmetic) -> tuple[Reals, Reals]:
     """The two inputs of a size of the speed in rad/s."""
     u = (size - frame.middle) / (size + frame.middle)
-    return u, np.asarray(frame.low / at_least(size, maths.number(frame.low)))
+    return u, np.asarray(frame.low / at_least(maths, size, maths.number(frame.low)))
 
 
 def brought(frame: Any, raw: Inputs) -> Inputs:

@@ -23,8 +23,9 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.drive_motion import ComplexArray, Plants, steady_voltage
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.observers.methods.flux import integrated
+from dqforge.optimizer.observers.methods.flux import flux_of_voltage
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
+from dqforge.optimizer.observers.parts import EXACT
 from dqforge.optimizer.observers.training import TrainingBox
 
 SOFT = 0.02
@@ -104,7 +105,7 @@ def _flux(
     v = volts[0] + volts[1] * i.real + volts[2] * i.imag + lost * ahead * np.exp(-0.5j * x)
     last, zero = i * back, np.zeros_like(omega)
     parts = [(z.real, z.imag) for z in (v, last, i)]
-    gained = integrated(gains.path, (zero, zero), parts[0], parts[1], parts[2], x)
+    gained = flux_of_voltage(EXACT, gains.path, (zero, zero), parts[0], parts[1], parts[2], x)
     alpha = np.minimum(gains.alpha_1 * np.abs(x) + gains.alpha_0, 1.0)
     model = gains.l_d * current.real + gains.psi_pm + 1j * gains.l_q * current.imag
     path = (gained[0] + 1j * gained[1]) / ahead

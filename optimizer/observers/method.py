@@ -13,7 +13,14 @@ from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.plants.drive_motion import DriveMotion
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, cast
+from dqforge.optimizer.observers.parts import (
+    EXACT,
+    Arithmetic,
+    ObserverState,
+    Pair,
+    StateMembers,
+    cast,
+)
 from dqforge.optimizer.observers.training import Training, TrainingBox
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
@@ -95,6 +102,9 @@ class ObserverMethod:
     train:
         (gains of ``design``, machine, settings, box, largest electrical speed in rad/s) -> gains
         with what was learned in them, and what that gains. None for a method that learns nothing.
+    members:
+        What the firmware calls vectors and scalars of the state: the C of the method is written
+        from ``step``. None of a method that has a template ``observers/<code>.j2``.
     """
 
     name: str
@@ -115,6 +125,7 @@ class ObserverMethod:
         Callable[[Any, LinearMachine, ObserverSettings, TrainingBox, float], tuple[Any, Training]]
         | None
     ) = None
+    members: StateMembers | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

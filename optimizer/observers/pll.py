@@ -19,11 +19,12 @@ about a / w^2.
 from __future__ import annotations
 
 import cmath
+from typing import Annotated
 
 from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
-from dqforge.optimizer.observers.parts import Arithmetic
+from dqforge.optimizer.observers.parts import Arithmetic, Member
 
 FASTEST = 0.5
 
@@ -32,11 +33,11 @@ FASTEST = 0.5
 
 @dataclass(frozen=True, slots=True)
 class PllGains:
-    """``t_s`` in s, ``l_1`` dimensionless, ``l_2`` in 1/s."""
+    """A phase-locked loop."""
 
-    t_s: float
-    l_1: float
-    l_2: float
+    t_s: Annotated[float, Member("sampling period", "s")]
+    l_1: Annotated[float, Member("angle per angle error")]
+    l_2: Annotated[float, Member("speed per angle error", "1/s")]
 
     def lag(self, acceleration: float) -> float:
         """Steady angle error theta_hat - theta in rad at a constant acceleration in rad/s^2,

@@ -13,8 +13,7 @@ import numpy as np
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park
-from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
-from dqforge.optimizer.observers.sampled_gains import limited
+from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair, limited
 from dqforge.optimizer.saliency.wave_steps import at_load, known_sample
 
 LAST = 7
@@ -107,7 +106,7 @@ def inform_step(
     if n == LAST:
         error = _error(gains, (z, told), theta, omega, maths)
         error = np.where(whole > zero, error, zero)
-        omega = limited(omega + gains.k_i * error, gains.omega_max)
+        omega = limited(maths, omega + gains.k_i * error, gains.omega_max)
         theta = maths.wrap(theta + gains.k_p * error)
     return InformState(
         (sample, z),
@@ -130,7 +129,7 @@ def _error(
     twice = (cosine * cosine - sine * sine, maths.number(2.0) * (cosine * sine))
     scale, shift = at_load(gains, i_q, maths)
     error = scale * (twice[0] * z[1] - twice[1] * z[0]) - shift
-    return limited(error, maths.number(_LARGEST))
+    return limited(maths, error, maths.number(_LARGEST))
 
 
 def _pulse(gains: InformGains, n: int, theta: Reals, maths: Arithmetic) -> Pair:

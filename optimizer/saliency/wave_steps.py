@@ -17,8 +17,7 @@ import numpy as np
 
 from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals, park
-from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
-from dqforge.optimizer.observers.sampled_gains import limited
+from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair, limited
 
 POINTS = 9
 
@@ -203,10 +202,10 @@ def wave_step(
             for each in products:
                 found = found + each
         scale, shift = at_load(gains, park(maths, told, turn)[1], maths)
-        error = limited(scale * found - shift, maths.number(_LARGEST))
+        error = limited(maths, scale * found - shift, maths.number(_LARGEST))
         if count == 2:
             error = np.where(fresh >= maths.number(_FILLED), error, maths.number(0.0))
-        omega = limited(omega + gains.k_i * error, gains.omega_max)
+        omega = limited(maths, omega + gains.k_i * error, gains.omega_max)
         theta = maths.wrap(ahead + gains.k_p * error)
     direction = maths.rotation(maths.wrap(theta + (1.5 * gains.t_s) * omega))
     return WaveState(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -25,34 +24,10 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
-_FURTHER: list[Path] = []
-
-
-@contextmanager
-def further_templates(folder: Path) -> Iterator[None]:
-    """Look for templates in a folder first, as long as the context lasts.
-
-    Parameters
-    ----------
-    folder:
-        Holds ``<room>/<file>``, such as ``observers/luenberger.j2``.
-    """
-    try:
-        _FURTHER.insert(0, folder)
-        _environment.cache_clear()
-        yield
-    finally:
-        _FURTHER.remove(folder)
-        _environment.cache_clear()
-
-
 def _source(name: str) -> str | None:
     """Text of the template ``<room>/<file>``, which lies in the folder ``templates`` of its room;
     of a template from outside the package, which is named by its absolute path, that of the file.
     """
-    for folder in _FURTHER:
-        if (folder / name).is_file():
-            return (folder / name).read_text(encoding="utf-8")
     if Path(name).is_absolute():
         path: Path | Traversable = Path(name)
     else:

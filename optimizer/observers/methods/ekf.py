@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Reals, park
+from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.method import ObserverMethod
 from dqforge.optimizer.observers.methods.ekf_tuning import tuned_ekf, usual_noise
 from dqforge.optimizer.observers.models.kalman_model import Ekf
-from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
+from dqforge.optimizer.observers.parts import (
+    Arithmetic,
+    Dq,
+    Member,
+    ObserverState,
+    Pair,
+    StateMembers,
+    limited,
+)
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,
     entries_and_slopes,
-    limited,
     model_scale,
     next_currents,
     sampled_gains,
@@ -72,24 +79,39 @@ _P_THETA = np.float32(10.0)
 
 @dataclass(frozen=True, slots=True)
 class EkfGains:
-    """Variances of `dqforge.optimizer.observers.models.kalman_model.Ekf` per sample, and the limit
-    of the speed in rad/s.
-    """
+    """The sampled machine, variances per sample and at the start, and the limit of the speed."""
 
     model: SampledGains
-    q_i: float
-    q_22: float
-    q_23: float
-    q_33: float
-    r: float
-    p_omega: float
-    p_theta: float
-    omega_max: float
+    q_i: Annotated[float, Member("process variance of a current per sample", "A^2")]
+    q_22: Annotated[float, Member("of the speed", "rad^2/s^2")]
+    q_23: Annotated[float, Member("of speed and angle", "rad^2/s")]
+    q_33: Annotated[float, Member("of the angle", "rad^2")]
+    r: Annotated[float, Member("variance of a measured current", "A^2")]
+    p_omega: Annotated[float, Member("variance of the first speed", "rad^2/s^2")]
+    p_theta: Annotated[float, Member("variance of the first angle", "rad^2")]
+    omega_max: Annotated[float, Member("limit of the speed", "rad/s")]
 
 
 _UPPER = tuple((n, m) for n in range(4) for m in range(n, 4))
 
 """Places of the covariance that are kept: behind i_d and i_q the upper triangle, row by row."""
+
+
+_MEMBERS = (
+    ("i_d", Member("estimated current, d", "A")),
+    ("i_q", Member("... and q", "A")),
+    ("p_dd", Member("variance of i_d", "A^2")),
+    ("p_dq", Member("covariance of i_d and i_q", "A^2")),
+    ("p_d_omega", Member("... of i_d and speed", "A rad/s")),
+    ("p_d_theta", Member("... of i_d and angle", "A rad")),
+    ("p_qq", Member("variance of i_q", "A^2")),
+    ("p_q_omega", Member("covariance of i_q and speed", "A rad/s")),
+    ("p_q_theta", Member("... of i_q and angle", "A rad")),
+    ("p_omega", Member("variance of the speed", "rad^2/s^2")),
+    ("p_omega_theta", Member("covariance of speed and angle", "rad^2/s")),
+    ("p_theta", Member("variance of the angle", "rad^2")),
+)
+"""The scalars of the state: currents, and the covariance in the order of `_UPPER`."""
 
 
 _ROWS, _COLUMNS = (np.array(places) for places in zip(*_UPPER, strict=True))
@@ -147,43 +169,48 @@ def ekf_sizes(scalars: FloatArray, _: FloatArray) -> FloatArray:
 
 def _ekf_predicted(
     gains: EkfGains, state: ObserverState, v: Pair, maths: Arithmetic
-) -> tuple[Pair, Reals, Reals]:
+) -> tuple[Dq, Reals, Reals]:
     """Currents, covariance of shape (4, 4, N) and angle, foretold."""
-    model, i = gains.model, (state.scalars[0], state.scalars[1])
+    o, model, i = maths, gains.model, (state.scalars[0], state.scalars[1])
     p = np.array(state.scalars[2:])[_FULL]
-    u = park(maths, v, maths.rotation(state.theta_e))
-    x = limited(model.t_s * state.omega_e, model.x_max)
-    e, slopes = entries_and_slopes(model, x)
+    u = o.let("u", o.park(v, o.rotation(state.theta_e)), "voltage in the rotor's frame, V")
+    advance = o.let("advance", model.t_s * state.omega_e, "angle of the period, rad")
+    x = o.let("x", limited(o, advance, model.x_max))
+    o.remark("The sampled machine and its derivatives by the speed.")
+    e, slopes = entries_and_slopes(o, model, x)
     f = np.empty((2, *p.shape[1:]), dtype=p.dtype)
     f[0, 0], f[0, 1], f[1, 0], f[1, 1] = e[0], e[5], e[6], e[1]
     f[0, 2], f[1, 2] = next_currents(slopes, i, u)
     f[0, 3], f[1, 3] = e[2] * u[1] - e[7] * u[0], e[8] * u[1] - e[3] * u[0]
-    a = np.empty_like(p)
+    f = o.let("f", f)
+    o.remark("Covariance one period on: f p f' + q.")
     by = f[:, :, np.newaxis]
-    a[:2] = ((by[:, 0] * p[0] + by[:, 1] * p[1]) + by[:, 2] * p[2]) + by[:, 3] * p[3]
-    a[2] = p[2]
-    a[3] = p[3] + model.t_s * p[2]
+    a = ((by[:, 0] * p[0] + by[:, 1] * p[1]) + by[:, 2] * p[2]) + by[:, 3] * p[3]
+    a = o.let("a", a)
+    last = o.let("last", p[3, 2:] + model.t_s * p[2, 2:])
     new = np.empty_like(p)
     parts = a[_LOW_ROWS] * f[_LOW_COLUMNS]
     total = ((parts[:, 0] + parts[:, 1]) + parts[:, 2]) + parts[:, 3]
     new[0, 0], new[1, 1] = total[0] + gains.q_i, total[2] + gains.q_i
     new[0, 1] = new[1, 0] = total[1]
-    new[:2, 2] = new[2, :2] = a[:2, 2]
-    new[:2, 3] = new[3, :2] = a[:2, 3] + model.t_s * a[:2, 2]
-    new[2, 2] = a[2, 2] + gains.q_22
-    new[2, 3] = new[3, 2] = (a[2, 3] + model.t_s * a[2, 2]) + gains.q_23
-    new[3, 3] = (a[3, 3] + model.t_s * a[3, 2]) + gains.q_33
-    return next_currents(e, i, u), new, maths.wrap(state.theta_e + model.t_s * state.omega_e)
+    new[:2, 2] = new[2, :2] = a[:, 2]
+    new[:2, 3] = new[3, :2] = a[:, 3] + model.t_s * a[:, 2]
+    new[2, 2] = p[2, 2] + gains.q_22
+    new[2, 3] = new[3, 2] = (p[2, 3] + model.t_s * p[2, 2]) + gains.q_23
+    new[3, 3] = (last[1] + model.t_s * last[0]) + gains.q_33
+    current = o.let("current", next_currents(e, i, u), "foretold, A")
+    theta = o.let("theta", o.wrap(state.theta_e + advance), "foretold angle, rad")
+    return current, o.let("p", new), theta
 
 
 def _ekf_begun(
-    gains: EkfGains, theta: Reals, omega: Reals, i: Pair, maths: Arithmetic
+    gains: EkfGains, theta: Reals, omega: Reals, i: Pair, o: Arithmetic
 ) -> ObserverState:
     """The measured current at a given angle and speed, with the covariance of the start."""
-    first = park(maths, i, maths.rotation(theta))
-    zero = np.zeros_like(theta)
-    diagonal = [zero + value for value in (gains.r, gains.r, gains.p_omega, gains.p_theta)]
-    rows = tuple(diagonal[n] if n == m else zero for n, m in _UPPER)
+    first = o.let("first", o.park(i, o.rotation(theta)), "measured current, A")
+    zero = o.full(0.0, theta)
+    values = (gains.r, gains.r, gains.p_omega, gains.p_theta)
+    rows = tuple(o.full(values[n], theta) if n == m else zero for n, m in _UPPER)
     return ObserverState((), theta, omega, True, (*first, *rows))
 
 
@@ -196,7 +223,8 @@ def _ekf_sound(gains: EkfGains, i: Pair, speed: Reals, p: Reals, det: Reals, tur
     good = (det > 0.0) & (turn >= -_TURN) & (turn <= _TURN)
     good &= (speed >= -gains.omega_max) & (speed <= gains.omega_max)
     good &= (i[0] * i[0] + i[1] * i[1]) < _I_SQUARE
-    good &= np.all(p > 0.0, axis=0)
+    for variance in p:
+        good &= variance > 0.0
     return good & (p[2] <= gains.omega_max * gains.omega_max + gains.p_omega) & (p[3] <= _P_THETA)
 
 
@@ -209,30 +237,33 @@ def ekf_step(
     A sample after which a number is out of range (`_ekf_sound`) begins anew with its current, the
     covariance of the start, the angle that was foretold and the speed before.
     """
+    o = maths
     if not state.started:
-        return _ekf_begun(gains, state.theta_e, state.omega_e, i, maths)
-    (i_d, i_q), p, theta = _ekf_predicted(gains, state, v, maths)
-    seen = park(maths, i, maths.rotation(theta))
-    nu_d, nu_q = seen[0] - i_d, seen[1] - i_q
-    b = np.array([-i_q, i_d])
-    h = p[:, :2] + b * p[:, 3:]
-    s_dd = (h[0, 0] + b[0] * h[3, 0]) + gains.r
-    s_dq = h[0, 1] + b[0] * h[3, 1]
-    s_qq = (h[1, 1] + b[1] * h[3, 1]) + gains.r
-    det = s_dd * s_qq - s_dq * s_dq
-    inverse = 1.0 / det
-    k = (h * np.array([s_qq, s_dd]) - h[:, ::-1] * s_dq) * inverse
-    x = k[:, 0] * nu_d + k[:, 1] * nu_q
+        return _ekf_begun(gains, state.theta_e, state.omega_e, i, o)
+    foretold, p, theta = _ekf_predicted(gains, state, v, o)
+    seen = o.let("seen", o.park(i, o.rotation(theta)), "measured current, A")
+    nu = o.let("nu", Dq(seen.d - foretold.d, seen.q - foretold.q), "innovation, A")
+    o.remark("Covariance of the innovation, and the gain.")
+    b = o.let("b", np.array([-foretold.q, foretold.d]))
+    h = o.let("h", p[:, :2] + b * p[:, 3:])
+    s_dd = o.let("s_dd", (h[0, 0] + b[0] * h[3, 0]) + gains.r)
+    s_dq = o.let("s_dq", h[0, 1] + b[0] * h[3, 1])
+    s_qq = o.let("s_qq", (h[1, 1] + b[1] * h[3, 1]) + gains.r)
+    det = o.let("det", s_dd * s_qq - s_dq * s_dq)
+    inverse = o.let("inverse", 1.0 / det)
+    k = o.let("k", (h * np.array([s_qq, s_dd]) - h[:, ::-1] * s_dq) * inverse)
+    shift = o.let("shift", k[:, 0] * nu.d + k[:, 1] * nu.q)
     taken = k[_ROWS] * h[_COLUMNS]
-    upper = p[_ROWS, _COLUMNS] - (taken[:, 0] + taken[:, 1])
-    speed, current = limited(state.omega_e + x[2], gains.omega_max), (i_d + x[0], i_q + x[1])
-    sound = _ekf_sound(gains, current, speed, upper[_DIAGONAL], det, x[3])
-    values = (maths.wrap(theta + x[3]), speed, *current, *upper)
-    if not np.all(sound):
-        anew = _ekf_begun(gains, theta, state.omega_e, i, maths)
-        parts = zip(values, (anew.theta_e, anew.omega_e, *anew.scalars), strict=True)
-        values = tuple(np.where(sound, own, other) for own, other in parts)
-    return ObserverState((), values[0], values[1], True, values[2:])
+    upper = o.let("after", p[_ROWS, _COLUMNS] - (taken[:, 0] + taken[:, 1]))
+    reached = o.let("reached", state.omega_e + shift[2])
+    speed = o.let("speed", limited(o, reached, gains.omega_max), "rad/s")
+    current = o.let("corrected", Dq(foretold.d + shift[0], foretold.q + shift[1]), "current, A")
+    sound = _ekf_sound(gains, current, speed, upper[_DIAGONAL], det, shift[3])
+    return o.either(
+        o.let("sound", sound, "within the range of a filter that works"),
+        lambda: ObserverState((), o.wrap(theta + shift[3]), speed, True, (*current, *upper)),
+        lambda: _ekf_begun(gains, theta, state.omega_e, i, o),
+    )
 
 
 def ekf_in_words(_tuning: ObserverTuning, gains: EkfGains, t_s: float) -> str:
@@ -266,4 +297,5 @@ METHOD = ObserverMethod(
     in_words=ekf_in_words,
     settle=300,
     sizes=ekf_sizes,
+    members=StateMembers((), _MEMBERS),
 )

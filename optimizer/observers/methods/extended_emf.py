@@ -31,6 +31,8 @@ of interior permanent-magnet synchronous motors", IEEE Trans. Industrial Electro
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,9 +40,20 @@ from dqforge.machines.arrays import FloatArray
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Reals, park, park_inverse
+from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.method import ObserverMethod, loop_scale
-from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, at_least
+from dqforge.optimizer.observers.parts import (
+    EXACT,
+    AlphaBeta,
+    Arithmetic,
+    Dq,
+    Member,
+    ObserverState,
+    Pair,
+    StateMembers,
+    at_least,
+    limited,
+)
 from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
@@ -55,25 +68,23 @@ _NODES = 40
 
 @dataclass(frozen=True, slots=True)
 class EemfGains:
-    """What the firmware needs.
+    """An EMF from three factors over the speed, its filter, and a loop.
 
-    ``rho`` is the pole of the filter. The factors of i[k] (``now``), of i[k-1] (``last``) and of v
-    (``volt``), with 1 - rho in them, are the polynomials x -> r[0] + r[1] x^2 + r[2] x^4 (real
-    part) and x (m[0] + m[1] x^2 + m[2] x^4) (imaginary part) of x = omega t_s, clamped to
-    ``x_max``; in Ohm, ``volt`` dimensionless. ``psi_pm`` in Wb starts the observer, ``floor`` in V
-    is the least EMF that is normalised in full.
+    The factors of i[k] (``now``), of i[k-1] (``last``) and of v (``volt``), with 1 - rho in them,
+    are the polynomials x -> r[0] + r[1] x^2 + r[2] x^4 (real part) and x (m[0] + m[1] x^2 +
+    m[2] x^4) (imaginary part) of x = omega t_s.
     """
 
-    rho: float
-    x_max: float
-    now_r: Triple
-    now_m: Triple
-    last_r: Triple
-    last_m: Triple
-    volt_r: Triple
-    volt_m: Triple
-    psi_pm: float
-    floor: float
+    rho: Annotated[float, Member("pole of the EMF filter")]
+    x_max: Annotated[float, Member("largest omega t_s", "rad")]
+    now_r: Annotated[Triple, Member("factor of i[k], real part", "Ohm")]
+    now_m: Annotated[Triple, Member("... and imaginary part", "Ohm")]
+    last_r: Annotated[Triple, Member("factor of i[k-1], real part", "Ohm")]
+    last_m: Annotated[Triple, Member("... and imaginary part", "Ohm")]
+    volt_r: Annotated[Triple, Member("factor of v, real part")]
+    volt_m: Annotated[Triple, Member("... and imaginary part")]
+    psi_pm: Annotated[float, Member("magnet flux linkage", "Wb")]
+    floor: Annotated[float, Member("least EMF that counts in full", "V")]
     pll: PllGains
 
 
@@ -177,8 +188,12 @@ def start(theta_e: Reals, omega_e: Reals) -> ObserverState:
     return ObserverState(((zero, zero), (zero, zero)), theta_e, omega_e, started=False)
 
 
-def _times(factor: Pair, x: Pair) -> Pair:
-    return factor[0] * x[0] - factor[1] * x[1], factor[0] * x[1] + factor[1] * x[0]
+def emf_part(o: Arithmetic, r: Triple, m: Triple, x: Reals, y: Pair) -> AlphaBeta:
+    """The vector y times r[0] + r[1] x^2 + r[2] x^4 + j x (m[0] + m[1] x^2 + m[2] x^4)."""
+    square = o.let("square", x * x)
+    real = o.let("real", (r[2] * square + r[1]) * square + r[0])
+    imaginary = o.let("imaginary", ((m[2] * square + m[1]) * square + m[0]) * x)
+    return AlphaBeta(real * y[0] - imaginary * y[1], real * y[1] + imaginary * y[0])
 
 
 def step(
@@ -190,31 +205,36 @@ def step(
     The vectors of the state are e_hat in V and the last current in A. At the first step e_hat is
     that of the given angle and speed at no load.
     """
+    o = maths
     if not state.started:
-        cosine, sine = maths.rotation(state.theta_e)
-        size = state.omega_e * gains.psi_pm
-        return ObserverState(((-(size * sine), size * cosine), i), state.theta_e, state.omega_e)
+        turn = o.let("turn", o.rotation(state.theta_e))
+        size = o.let("size", state.omega_e * gains.psi_pm, "of the EMF, V")
+        e = AlphaBeta(-(size * turn[1]), size * turn[0])
+        return ObserverState((e, i), state.theta_e, state.omega_e)
     before, last = state.vectors
-    advance = gains.pll.t_s * state.omega_e
-    x = np.where(
-        advance > gains.x_max, gains.x_max, np.where(advance < -gains.x_max, -gains.x_max, advance)
+    advance = o.let("advance", gains.pll.t_s * state.omega_e, "angle of the period, rad")
+    x = o.let("x", limited(o, advance, gains.x_max))
+    turned = o.let("turned", o.park_inverse(o.let("before", Dq(*before)), o.rotation(x)))
+    now = o.let("now", o.call(emf_part, gains.now_r, gains.now_m, x, i))
+    past = o.let("past", o.call(emf_part, gains.last_r, gains.last_m, x, last))
+    volt = o.let("volt", o.call(emf_part, gains.volt_r, gains.volt_m, x, v))
+    e = o.let(
+        "e",
+        AlphaBeta(
+            gains.rho * turned.alpha + (now.alpha + (past.alpha + volt.alpha)),
+            gains.rho * turned.beta + (now.beta + (past.beta + volt.beta)),
+        ),
     )
-    turned = park_inverse(maths, before, maths.rotation(x))
-    parts = (
-        _times(_polynomial(gains.now_r, gains.now_m, x), i),
-        _times(_polynomial(gains.last_r, gains.last_m, x), last),
-        _times(_polynomial(gains.volt_r, gains.volt_m, x), v),
+    theta = o.let("theta", predicted(state.theta_e, advance, o), "foretold angle, rad")
+    along = o.park(e, o.rotation(theta)).d
+    size = o.let("size", o.root(e.alpha * e.alpha + e.beta * e.beta), "of the EMF, V")
+    across = o.let("across", -along / at_least(o, size, gains.floor))
+    error = o.let(
+        "error",
+        o.choose(state.omega_e < 0.0, -across, across),
+        "rad; the EMF turns its sign with the speed",
     )
-    e = (
-        gains.rho * turned[0] + (parts[0][0] + (parts[1][0] + parts[2][0])),
-        gains.rho * turned[1] + (parts[0][1] + (parts[1][1] + parts[2][1])),
-    )
-    theta_p = predicted(state.theta_e, advance, maths)
-    along = park(maths, e, maths.rotation(theta_p))[0]
-    error = -along / at_least(np.sqrt(e[0] * e[0] + e[1] * e[1]), gains.floor)
-    error = np.where(state.omega_e < 0.0, -error, error)
-    theta, omega = corrected(gains.pll, theta_p, state.omega_e, error, maths)
-    return ObserverState((e, i), theta, omega)
+    return ObserverState((e, i), *corrected(gains.pll, theta, state.omega_e, error, o))
 
 
 def usual_eemf(_: LinearMachine, t_s: float, omega_max: float) -> ObserverTuning:
@@ -234,4 +254,10 @@ METHOD = ObserverMethod(
     searched=("pll_bandwidth", "bandwidth"),
     gains=EemfGains,
     scale=loop_scale,
+    members=StateMembers(
+        (
+            ("e", Member("extended EMF", "V")),
+            ("i", Member("last current", "A")),
+        )
+    ),
 )

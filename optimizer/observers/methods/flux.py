@@ -34,11 +34,21 @@ import numpy as np
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
-from dqforge.machines.transforms import Reals, park, park_inverse
+from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.method import ObserverMethod, flux_in_words, loop_scale
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains, FluxPath
 from dqforge.optimizer.observers.methods.lpv_certificate import certify_flux_observer
-from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, at_least
+from dqforge.optimizer.observers.parts import (
+    EXACT,
+    AlphaBeta,
+    Arithmetic,
+    Dq,
+    Member,
+    ObserverState,
+    Pair,
+    StateMembers,
+    at_least,
+)
 from dqforge.optimizer.observers.pll import corrected, pll_bandwidth, pll_gains, predicted
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
@@ -88,32 +98,40 @@ def start(theta_e: Reals, omega_e: Reals) -> ObserverState:
     return ObserverState(((zero, zero), (zero, zero)), theta_e, omega_e, started=False)
 
 
-def model_flux(
-    l_d: float, l_q: float, psi_pm: float, i: Pair, turn: Pair, maths: Arithmetic
-) -> Pair:
-    """Stator flux linkage (alpha, beta) in Wb of the current model."""
-    d, q = park(maths, i, turn)
-    return park_inverse(maths, (l_d * d + psi_pm, l_q * q), turn)
+def flux_of_current(
+    o: Arithmetic, l_d: float, l_q: float, psi_pm: float, i: Pair, turn: Pair
+) -> AlphaBeta:
+    """Stator flux linkage in Wb of the current model."""
+    current = o.let("current", o.park(i, turn))
+    psi = o.let("psi", Dq((l_d * current.d) + psi_pm, l_q * current.q))
+    return o.park_inverse(psi, turn)
 
 
-def integrated(path: FluxPath, psi: Pair, v: Pair, last: Pair, i: Pair, x: Reals) -> Pair:
-    """Flux linkage after a period by the voltage model; ``x`` is the angle of the period in rad."""
-    first = tuple(path.t_s * v[n] - path.half_drop * (last[n] + i[n]) for n in (0, 1))
-    change = (i[0] - last[0], i[1] - last[1])
-    turning = (first[0] - path.l_q * change[0], first[1] - path.l_q * change[1])
-    return (
-        psi[0] + (first[0] - path.end * (path.drop * change[0] - x * turning[1])),
-        psi[1] + (first[1] - path.end * (path.drop * change[1] + x * turning[0])),
+def flux_of_voltage(
+    o: Arithmetic, path: FluxPath, psi: Pair, v: Pair, last: Pair, i: Pair, x: Reals
+) -> AlphaBeta:
+    """Stator flux linkage in Wb after a period by the voltage model; x = omega t_s in rad."""
+
+    def integral(axis: int) -> Reals:
+        return (path.t_s * v[axis]) - (path.half_drop * (last[axis] + i[axis]))
+
+    first = o.let("first", AlphaBeta(integral(0), integral(1)))
+    change = o.let("change", AlphaBeta(i[0] - last[0], i[1] - last[1]))
+    turning = o.let(
+        "turning",
+        AlphaBeta(first.alpha - (path.l_q * change.alpha), first.beta - (path.l_q * change.beta)),
+    )
+    return AlphaBeta(
+        psi[0] + (first.alpha - path.end * (path.drop * change.alpha - x * turning.beta)),
+        psi[1] + (first.beta - path.end * (path.drop * change.beta + x * turning.alpha)),
     )
 
 
-def angle_error(
-    psi: Pair, l_q: float, i: Pair, turn: Pair, floor: float, maths: Arithmetic
-) -> Reals:
-    """Sine of the angle from the direction ``turn`` to the active flux psi - l_q i."""
-    active = (psi[0] - l_q * i[0], psi[1] - l_q * i[1])
-    across = park(maths, active, turn)[1]
-    return across / at_least(np.sqrt(active[0] * active[0] + active[1] * active[1]), floor)
+def flux_error(o: Arithmetic, psi: Pair, l_q: float, i: Pair, turn: Pair, least: float) -> Reals:
+    """Sine of the angle from the estimated d axis to the active flux psi - L_q i."""
+    active = o.let("active", AlphaBeta(psi[0] - l_q * i[0], psi[1] - l_q * i[1]))
+    size = o.let("size", o.root(active.alpha * active.alpha + active.beta * active.beta))
+    return o.park(active, turn).q / at_least(o, size, least)
 
 
 def step(
@@ -125,22 +143,27 @@ def step(
     The vectors of the state are the stator flux linkage in Wb and the last current in A. The first
     step takes the flux linkage of the current model.
     """
+    o, model = maths, (gains.l_d, gains.l_q, gains.psi_pm)
     if not state.started:
-        turn = maths.rotation(state.theta_e)
-        psi = model_flux(gains.l_d, gains.l_q, gains.psi_pm, i, turn, maths)
+        psi = o.call(flux_of_current, *model, i, o.rotation(state.theta_e))
         return ObserverState((psi, i), state.theta_e, state.omega_e)
     before, last = state.vectors
-    x = gains.pll.t_s * state.omega_e
-    theta_p = predicted(state.theta_e, x, maths)
-    turn = maths.rotation(theta_p)
-    psi = integrated(gains.path, before, v, last, i, x)
-    model = model_flux(gains.l_d, gains.l_q, gains.psi_pm, i, turn, maths)
-    alpha = gains.alpha_1 * np.where(x < 0.0, -x, x) + gains.alpha_0
-    alpha = np.where(alpha < 1.0, alpha, maths.number(1.0))
-    psi = (psi[0] + alpha * (model[0] - psi[0]), psi[1] + alpha * (model[1] - psi[1]))
-    error = angle_error(psi, gains.l_q, i, turn, gains.floor, maths)
-    theta, omega = corrected(gains.pll, theta_p, state.omega_e, error, maths)
-    return ObserverState((psi, i), theta, omega)
+    x = o.let("x", gains.pll.t_s * state.omega_e, "angle of the period, rad")
+    theta = o.let("theta", predicted(state.theta_e, x, o), "foretold angle, rad")
+    turn = o.let("turn", o.rotation(theta))
+    drawn = o.let("drawn", o.call(flux_of_voltage, gains.path, before, v, last, i, x))
+    known = o.let("known", o.call(flux_of_current, *model, i, turn))
+    share = o.let("share", gains.alpha_1 * o.magnitude(x) + gains.alpha_0)
+    alpha = o.let("alpha", o.choose(share < 1.0, share, o.full(1.0, share)), "of the current model")
+    psi = o.let(
+        "psi",
+        AlphaBeta(
+            drawn.alpha + alpha * (known.alpha - drawn.alpha),
+            drawn.beta + alpha * (known.beta - drawn.beta),
+        ),
+    )
+    error = o.let("error", o.call(flux_error, psi, gains.l_q, i, turn, gains.floor), "rad")
+    return ObserverState((psi, i), *corrected(gains.pll, theta, state.omega_e, error, o))
 
 
 def usual_flux(machine: LinearMachine, t_s: float, omega_max: float) -> ObserverTuning:
@@ -187,4 +210,10 @@ METHOD = ObserverMethod(
     scale=loop_scale,
     in_words=flux_in_words,
     certify=certified,
+    members=StateMembers(
+        (
+            ("psi", Member("stator flux linkage", "Wb")),
+            ("i", Member("last current", "A")),
+        )
+    ),
 )

@@ -2,34 +2,33 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from dqforge.machines.records import dataclass
+from dqforge.optimizer.observers.parts import Member
 from dqforge.optimizer.observers.pll import PllGains
 
 
 @dataclass(frozen=True, slots=True)
 class FluxPath:
-    """The voltage model over a period: ``drop`` = R t_s in Ohm s and its half,
-    ``end`` = R t_s/(12 L_q), L_q in H.
-    """
+    """The voltage model over a period."""
 
-    t_s: float
-    drop: float
-    half_drop: float
-    end: float
-    l_q: float
+    t_s: Annotated[float, Member("sampling period", "s")]
+    drop: Annotated[float, Member("R t_s", "Ohm s")]
+    half_drop: Annotated[float, Member("R t_s / 2", "Ohm s")]
+    end: Annotated[float, Member("R t_s / (12 L_q)")]
+    l_q: Annotated[float, Member("inductance of the q axis", "H")]
 
 
 @dataclass(frozen=True, slots=True)
 class FluxGains:
-    """Voltage model; H and Wb; correction ``alpha_0 + alpha_1 |x|``; ``floor`` in Wb:
-    least flux linkage in full.
-    """
+    """Voltage model, current model, correction ``alpha_0 + alpha_1 |x|``, and loop."""
 
     path: FluxPath
-    l_d: float
-    l_q: float
-    psi_pm: float
-    alpha_0: float
-    alpha_1: float
-    floor: float
+    l_d: Annotated[float, Member("inductance of the d axis", "H")]
+    l_q: Annotated[float, Member("inductance of the q axis", "H")]
+    psi_pm: Annotated[float, Member("magnet flux linkage", "Wb")]
+    alpha_0: Annotated[float, Member("correction by the current model at rest")]
+    alpha_1: Annotated[float, Member("... and per rad of omega t_s", "1/rad")]
+    floor: Annotated[float, Member("least active flux that counts in full", "Wb")]
     pll: PllGains

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Annotated, NamedTuple
+
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.records import dataclass
-from dqforge.machines.transforms import Reals, park
+from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.models.matsui_model import Matsui
-from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
+from dqforge.optimizer.observers.parts import Arithmetic, Dq, Member, ObserverState, Pair, limited
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,
-    limited,
     matrix_entries,
     next_currents,
 )
@@ -26,13 +27,18 @@ def usual_matsui(_: LinearMachine, t_s: float, omega_max: float) -> ObserverTuni
 
 @dataclass(frozen=True, slots=True)
 class ShownGains:
-    """What the machine shows of the errors: ``salient`` = L_d - L_q in H, ``psi_pm`` in Wb,
-    (rad/s)^2.
-    """
+    """What the machine shows of the errors."""
 
-    salient: float
-    psi_pm: float
-    omega_min_2: float
+    salient: Annotated[float, Member("L_d - L_q", "H")]
+    psi_pm: Annotated[float, Member("magnet flux linkage", "Wb")]
+    omega_min_2: Annotated[float, Member("square of the least speed", "rad^2/s^2")]
+
+
+class ShownErrors(NamedTuple):
+    """What a voltage difference shows."""
+
+    angle: Annotated[Reals, Member("error of the angle", "rad")]
+    speed: Annotated[Reals, Member("error of the speed", "rad/s")]
 
 
 def shown_gains(observer: Matsui) -> ShownGains:
@@ -47,8 +53,8 @@ def shown_gains(observer: Matsui) -> ShownGains:
     return ShownGains(machine.l_d - machine.l_q, machine.psi_pm, observer.omega_min**2)
 
 
-def shown_errors(shown: ShownGains, omega: Reals, v: Pair, i: Pair) -> Pair:
-    """Errors of angle in rad and speed in rad/s that a voltage difference shows, shape (N,).
+def shown_errors(o: Arithmetic, shown: ShownGains, omega: Reals, v: Pair, i: Pair) -> ShownErrors:
+    """Errors of angle and speed that a voltage difference in V in the middle of the period shows.
 
     Parameters
     ----------
@@ -59,10 +65,13 @@ def shown_errors(shown: ShownGains, omega: Reals, v: Pair, i: Pair) -> Pair:
     v, i:
         Voltage difference in V and currents in A, in rotor coordinates.
     """
-    active, cross = shown.psi_pm + shown.salient * i[0], shown.salient * i[1]
-    scale = 1.0 / (active * active + cross * cross)
-    share = omega / (omega * omega + shown.omega_min_2)
-    return (scale * (cross * v[1] - active * v[0])) * share, scale * (active * v[1] + cross * v[0])
+    active = o.let("active", shown.psi_pm + shown.salient * i[0], "flux linkage, Wb")
+    cross = o.let("cross", shown.salient * i[1])
+    scale = o.let("scale", 1.0 / (active * active + cross * cross))
+    share = o.let("share", omega / (omega * omega + shown.omega_min_2))
+    return ShownErrors(
+        (scale * (cross * v[1] - active * v[0])) * share, scale * (active * v[1] + cross * v[0])
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,11 +81,11 @@ class ShownGap:
     """
 
     theta: Reals
-    now: Pair
+    now: Dq
     entries: Reals
     cosine: Reals
     half: Reals
-    gap: Pair
+    gap: Dq
 
 
 def shown_gap(
@@ -95,13 +104,16 @@ def shown_gap(
     maths:
         The arithmetic.
     """
-    turn = maths.rotation(state.theta_e)
-    theta = maths.wrap(state.theta_e + model.t_s * state.omega_e)
-    now = park(maths, i, maths.rotation(theta))
-    x = limited(model.t_s * state.omega_e, model.x_max)
-    half = 0.5 * x
-    e = matrix_entries(model, x)
-    foretold = next_currents(e, park(maths, state.vectors[0], turn), park(maths, v, turn))
-    return ShownGap(
-        theta, now, e, 1.0 - 0.5 * (half * half), half, (now[0] - foretold[0], now[1] - foretold[1])
-    )
+    o = maths
+    turn = o.let("turn", o.rotation(state.theta_e))
+    advance = o.let("advance", model.t_s * state.omega_e, "angle of the period, rad")
+    theta = o.let("theta", o.wrap(state.theta_e + advance), "foretold angle, rad")
+    now = o.let("now", o.park(i, o.rotation(theta)))
+    x = o.let("x", limited(o, advance, model.x_max))
+    half = o.let("half", 0.5 * x)
+    cosine = o.let("cosine", 1.0 - 0.5 * (half * half))
+    e = matrix_entries(o, model, x)
+    before = o.let("before", o.park(state.vectors[0], turn))
+    foretold = next_currents(e, before, o.let("u", o.park(v, turn)))
+    gap = o.let("gap", Dq(now.d - foretold.d, now.q - foretold.q), "of the currents, A")
+    return ShownGap(theta, now, e, cosine, half, gap)

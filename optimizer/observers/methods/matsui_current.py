@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -18,10 +19,17 @@ from dqforge.optimizer.observers.methods.matsui import (
     usual_matsui,
 )
 from dqforge.optimizer.observers.models.matsui_model import Matsui, matsui
-from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
+from dqforge.optimizer.observers.parts import (
+    Arithmetic,
+    Dq,
+    Member,
+    ObserverState,
+    Pair,
+    StateMembers,
+    limited,
+)
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,
-    limited,
     model_scale,
     sampled_gains,
 )
@@ -30,18 +38,15 @@ from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
 @dataclass(frozen=True, slots=True)
 class MatsuiCurrentGains:
-    """`dqforge.optimizer.observers.models.matsui_model.Matsui` of the kind ``current``.
-
-    ``g_d``, ``g_q`` in V/A.
-    """
+    """The sampled machine, what it shows of the errors, and what corrects them."""
 
     model: SampledGains
     shown: ShownGains
-    g_d: float
-    g_q: float
-    l_theta: float
-    speed_share: float
-    omega_max: float
+    g_d: Annotated[float, Member("voltage per current gap, d axis", "V/A")]
+    g_q: Annotated[float, Member("voltage per current gap, q axis", "V/A")]
+    l_theta: Annotated[float, Member("share of the angle error per period")]
+    speed_share: Annotated[float, Member("share of the speed error per period")]
+    omega_max: Annotated[float, Member("limit of the speed", "rad/s")]
 
 
 def current_gains(observer: Matsui) -> MatsuiCurrentGains:
@@ -108,17 +113,20 @@ def matsui_current_step(
     """
     if not state.started:
         return replace(state, vectors=(i,), started=True)
-    found = shown_gap(gains.model, state, v, i, maths)
+    o, found = maths, shown_gap(gains.model, state, v, i, maths)
     gap, half = found.gap, found.half
-    difference = (
-        gains.g_d * (found.cosine * gap[0] - half * gap[1]),
-        gains.g_q * (found.cosine * gap[1] + half * gap[0]),
+    difference = o.let(
+        "difference",
+        Dq(
+            gains.g_d * (found.cosine * gap.d - half * gap.q),
+            gains.g_q * (found.cosine * gap.q + half * gap.d),
+        ),
+        "of the voltages in the middle of the period, V",
     )
-    angle, slip = shown_errors(gains.shown, state.omega_e, difference, found.now)
-    moved = maths.wrap(found.theta + gains.l_theta * (angle + (0.5 * gains.model.t_s) * slip))
-    return ObserverState(
-        (i,), moved, limited(state.omega_e + gains.speed_share * slip, gains.omega_max)
-    )
+    error = o.let("error", o.call(shown_errors, gains.shown, state.omega_e, difference, found.now))
+    moved = gains.l_theta * (error.angle + (0.5 * gains.model.t_s) * error.speed)
+    speed = o.let("speed", state.omega_e + gains.speed_share * error.speed)
+    return ObserverState((i,), o.wrap(found.theta + moved), limited(o, speed, gains.omega_max))
 
 
 def current_in_words(tuning: ObserverTuning, _gains: MatsuiCurrentGains, _t_s: float) -> str:
@@ -148,4 +156,5 @@ METHOD = ObserverMethod(
     scale=model_scale,
     in_words=current_in_words,
     settle=300,
+    members=StateMembers((("i", Member("last current", "A")),)),
 )

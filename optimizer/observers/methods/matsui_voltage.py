@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -19,10 +20,17 @@ from dqforge.optimizer.observers.methods.matsui import (
     usual_matsui,
 )
 from dqforge.optimizer.observers.models.matsui_model import Matsui, matsui
-from dqforge.optimizer.observers.parts import Arithmetic, ObserverState, Pair
+from dqforge.optimizer.observers.parts import (
+    Arithmetic,
+    Dq,
+    Member,
+    ObserverState,
+    Pair,
+    StateMembers,
+    limited,
+)
 from dqforge.optimizer.observers.sampled_gains import (
     SampledGains,
-    limited,
     model_scale,
     sampled_gains,
 )
@@ -31,16 +39,14 @@ from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
 @dataclass(frozen=True, slots=True)
 class MatsuiVoltageGains:
-    """`dqforge.optimizer.observers.models.matsui_model.Matsui` of the kind
-    ``voltage`` for the firmware.
-    """
+    """The sampled machine, what it shows of the errors, and what corrects them."""
 
     model: SampledGains
     shown: ShownGains
-    k_p: float
-    k_i: float
-    speed_share: float
-    omega_max: float
+    k_p: Annotated[float, Member("speed per angle error", "1/s")]
+    k_i: Annotated[float, Member("its increment per period", "1/s")]
+    speed_share: Annotated[float, Member("share of the speed error per period")]
+    omega_max: Annotated[float, Member("limit of the speed", "rad/s")]
 
 
 def voltage_gains(observer: Matsui) -> MatsuiVoltageGains:
@@ -106,17 +112,31 @@ def matsui_voltage_step(
     """
     if not state.started:
         return replace(state, vectors=(i,), started=True)
-    found = shown_gap(gains.model, state, v, i, maths)
-    e, gap = found.entries, found.gap
-    scale = -1.0 / (e[2] * e[3] - e[7] * e[8])
-    v_d, v_q = scale * (e[3] * gap[0] - e[7] * gap[1]), scale * (e[2] * gap[1] - e[8] * gap[0])
-    difference = found.cosine * v_d + found.half * v_q, found.cosine * v_q - found.half * v_d
-    angle, slip = shown_errors(gains.shown, state.omega_e, difference, found.now)
+    o, found = maths, shown_gap(gains.model, state, v, i, maths)
+    e, gap, half = found.entries, found.gap, found.half
+    scale = o.let("scale", -1.0 / (e[2] * e[3] - e[7] * e[8]))
+    voltage = o.let(
+        "voltage",
+        Dq(scale * (e[3] * gap.d - e[7] * gap.q), scale * (e[2] * gap.q - e[8] * gap.d)),
+        "which makes the current gap, V",
+    )
+    difference = o.let(
+        "difference",
+        Dq(
+            found.cosine * voltage.d + half * voltage.q,
+            found.cosine * voltage.q - half * voltage.d,
+        ),
+        "seen from the middle of the period, V",
+    )
+    error = o.let("error", o.call(shown_errors, gains.shown, state.omega_e, difference, found.now))
     behind, integral = state.scalars
-    speed = (state.omega_e + behind) + gains.speed_share * (slip - behind)
-    integral = limited(integral + gains.k_i * angle, gains.omega_max)
-    turning = limited(speed + (gains.k_p * angle + integral), gains.omega_max)
-    return ObserverState((i,), found.theta, turning, True, (speed - turning, integral))
+    lag = error.speed - behind
+    speed = o.let("speed", (state.omega_e + behind) + gains.speed_share * lag, "low-pass, rad/s")
+    summed = o.let("summed", integral + gains.k_i * error.angle)
+    correction = o.let("correction", limited(o, summed, gains.omega_max), "of the speed, rad/s")
+    wish = o.let("wish", speed + (gains.k_p * error.angle + correction))
+    turning = o.let("turning", limited(o, wish, gains.omega_max), "speed of the angle, rad/s")
+    return ObserverState((i,), found.theta, turning, True, (speed - turning, correction))
 
 
 METHOD = ObserverMethod(
@@ -132,4 +152,11 @@ METHOD = ObserverMethod(
     scale=model_scale,
     settle=300,
     sizes=matsui_voltage_sizes,
+    members=StateMembers(
+        (("i", Member("last current", "A")),),
+        (
+            ("behind", Member("low-pass speed less omega_e", "rad/s")),
+            ("integral", Member("correction of the speed", "rad/s")),
+        ),
+    ),
 )

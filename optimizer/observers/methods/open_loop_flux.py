@@ -28,7 +28,7 @@ flux estimation for speed sensorless stator flux orientation control", IEEE Tran
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Annotated
 
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
@@ -36,38 +36,45 @@ from dqforge.machines.records import dataclass
 from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.method import ObserverMethod, flux_in_words, loop_scale
 from dqforge.optimizer.observers.methods.flux import (
-    angle_error,
+    flux_error,
+    flux_of_current,
+    flux_of_voltage,
     flux_path,
-    integrated,
-    model_flux,
     start,
 )
 from dqforge.optimizer.observers.methods.flux_gains import FluxPath
-from dqforge.optimizer.observers.parts import EXACT, Arithmetic, ObserverState, Pair, at_least
+from dqforge.optimizer.observers.parts import (
+    EXACT,
+    AlphaBeta,
+    Arithmetic,
+    Member,
+    ObserverState,
+    Pair,
+    StateMembers,
+    at_least,
+)
 from dqforge.optimizer.observers.pll import PllGains, corrected, pll_bandwidth, pll_gains, predicted
 from dqforge.optimizer.observers.tuning_numbers import ObserverTuning
 
 
 @dataclass(frozen=True, slots=True)
-class OpenLoopGains:
-    """Voltage model; H and Wb; ``kappa_0``, ``kappa_1`` the corner; ``x_min`` the least |x|;
-    ``floor`` in Wb; loop.
-    """
+class OpenLoopFluxGains:
+    """Voltage model, current model at the start, corner of the filter, and loop."""
 
     path: FluxPath
-    l_d: float
-    l_q: float
-    psi_pm: float
-    kappa_0: float
-    kappa_1: float
-    x_min: float
-    floor: float
+    l_d: Annotated[float, Member("inductance of the d axis", "H")]
+    l_q: Annotated[float, Member("inductance of the q axis", "H")]
+    psi_pm: Annotated[float, Member("magnet flux linkage", "Wb")]
+    kappa_0: Annotated[float, Member("least corner of the filter times t_s")]
+    kappa_1: Annotated[float, Member("corner over the speed")]
+    x_min: Annotated[float, Member("least |omega| t_s of the compensation", "rad")]
+    floor: Annotated[float, Member("least active flux that counts in full", "Wb")]
     pll: PllGains
 
 
 def design(
     machine: LinearMachine, tuning: ObserverTuning, t_s: float, omega_max: float
-) -> OpenLoopGains:
+) -> OpenLoopFluxGains:
     """Gains for electrical speeds up to ``omega_max`` rad/s.
 
     Raises
@@ -83,7 +90,7 @@ def design(
             "control.observer: bandwidth is more than 20 times the lowest speed, or speed_gain "
             "above 20: the filter would leave too little of the flux linkage; write smaller ones"
         )
-    return OpenLoopGains(
+    return OpenLoopFluxGains(
         path=flux_path(machine, t_s),
         l_d=machine.l_d,
         l_q=machine.l_q,
@@ -96,24 +103,19 @@ def design(
     )
 
 
-def _corner(gains: OpenLoopGains, x: Reals) -> Reals:
-    """Relative corner kappa of the filter."""
-    return at_least(gains.kappa_1 * np.where(x < 0.0, -x, x), gains.kappa_0)
-
-
-def _compensation(gains: OpenLoopGains, kappa: Reals, x: Reals, maths: Arithmetic) -> Pair:
+def _compensation(
+    gains: OpenLoopFluxGains, kappa: Reals, x: Reals, turned: Reals, o: Arithmetic
+) -> Pair:
     """Real and imaginary part of c."""
-    size = at_least(np.where(x < 0.0, -x, x), gains.x_min)
-    square = size * size
-    half_cot = maths.number(1.0) / size - size * (
-        maths.number(0.0013888889) * square + maths.number(0.083333336)
-    )
-    imaginary = kappa * half_cot
-    return maths.number(0.5) * kappa + maths.number(1.0), np.where(x < 0.0, imaginary, -imaginary)
+    size = o.let("size", at_least(o, turned, gains.x_min))
+    half_cot = 1.0 / size - size * (0.0013888889 * (size * size) + 0.083333336)
+    imaginary = o.let("imaginary", kappa * half_cot)
+    c_r = o.let("c_r", 0.5 * kappa + 1.0, "psi = (c_r + j c_m) times the filtered one")
+    return c_r, o.let("c_m", o.choose(x < 0.0, imaginary, -imaginary))
 
 
 def step(
-    gains: OpenLoopGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic = EXACT
+    gains: OpenLoopFluxGains, state: ObserverState, v: Pair, i: Pair, maths: Arithmetic = EXACT
 ) -> ObserverState:
     """One sample: ``v`` in V acted over the period that ends at the sampling instant of ``i`` in A,
     shapes (N,).
@@ -121,29 +123,34 @@ def step(
     The vectors of the state are the filtered flux linkage in Wb and the last current in A. The
     first step takes the flux linkage of the current model, as the filter would have it.
     """
-    x = gains.pll.t_s * state.omega_e
-    kappa = _corner(gains, x)
-    c = _compensation(gains, kappa, x, maths)
+    o = maths
+    x = o.let("x", gains.pll.t_s * state.omega_e, "angle of the period, rad")
+    turned = o.let("turned", o.magnitude(x))
+    corner = o.let("corner", gains.kappa_1 * turned)
+    kappa = o.let("kappa", at_least(o, corner, gains.kappa_0), "corner of the filter times t_s")
+    c_r, c_m = _compensation(gains, kappa, x, turned, o)
     if not state.started:
-        psi = model_flux(
-            gains.l_d, gains.l_q, gains.psi_pm, i, maths.rotation(state.theta_e), maths
-        )
-        share = maths.number(1.0) / (c[0] * c[0] + c[1] * c[1])
-        filtered = (
-            share * (c[0] * psi[0] + c[1] * psi[1]),
-            share * (c[0] * psi[1] - c[1] * psi[0]),
+        turn = o.rotation(state.theta_e)
+        psi = o.let("psi", o.call(flux_of_current, gains.l_d, gains.l_q, gains.psi_pm, i, turn))
+        share = o.let("share", 1.0 / (c_r * c_r + c_m * c_m))
+        filtered = AlphaBeta(
+            share * (c_r * psi.alpha + c_m * psi.beta), share * (c_r * psi.beta - c_m * psi.alpha)
         )
         return ObserverState((filtered, i), state.theta_e, state.omega_e)
     before, last = state.vectors
-    theta_p = predicted(state.theta_e, x, maths)
-    turn = maths.rotation(theta_p)
-    psi = integrated(gains.path, before, v, last, i, x)
-    keep = maths.number(1.0) / (maths.number(1.0) + kappa)
-    filtered = (keep * psi[0], keep * psi[1])
-    psi = (c[0] * filtered[0] - c[1] * filtered[1], c[0] * filtered[1] + c[1] * filtered[0])
-    error = angle_error(psi, gains.l_q, i, turn, gains.floor, maths)
-    theta, omega = corrected(gains.pll, theta_p, state.omega_e, error, maths)
-    return ObserverState((filtered, i), theta, omega)
+    theta = o.let("theta", predicted(state.theta_e, x, o), "foretold angle, rad")
+    total = o.let("total", o.call(flux_of_voltage, gains.path, before, v, last, i, x))
+    keep = o.let("keep", 1.0 / (1.0 + kappa))
+    filtered = o.let("filtered", AlphaBeta(keep * total.alpha, keep * total.beta))
+    psi = o.let(
+        "psi",
+        AlphaBeta(
+            c_r * filtered.alpha - c_m * filtered.beta, c_r * filtered.beta + c_m * filtered.alpha
+        ),
+    )
+    turn = o.rotation(theta)
+    error = o.let("error", o.call(flux_error, psi, gains.l_q, i, turn, gains.floor), "rad")
+    return ObserverState((filtered, i), *corrected(gains.pll, theta, state.omega_e, error, o))
 
 
 def usual_open_loop(_: LinearMachine, t_s: float, omega_max: float) -> ObserverTuning:
@@ -162,7 +169,13 @@ METHOD = ObserverMethod(
     step=step,
     usual=usual_open_loop,
     searched=("pll_bandwidth", "bandwidth", "speed_gain"),
-    gains=OpenLoopGains,
+    gains=OpenLoopFluxGains,
     scale=loop_scale,
     in_words=flux_in_words,
+    members=StateMembers(
+        (
+            ("psi", Member("filtered stator flux linkage", "Wb")),
+            ("i", Member("last current", "A")),
+        )
+    ),
 )

@@ -67,9 +67,6 @@ def method_named(name: str) -> ObserverMethod:
 def registered(method: ObserverMethod, keys: tuple[str, ...]) -> Iterator[None]:
     """Let a further method count as one of the package, as long as the context lasts.
 
-    Its template ``observers/<code>.j2`` lies in a folder of
-    `dqforge.reports.pages.templating.further_templates`.
-
     Parameters
     ----------
     method:

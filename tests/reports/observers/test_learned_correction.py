@@ -73,7 +73,8 @@ int main(void)
         motor1_@_start(&observer, angle, wild * between(-2000.0F, 2000.0F));
         observer.flux.started = 1;
         observer.flux.i = i;
-        observer.flux.psi = motor1_flux_of_current(&gains.flux->model, i, near);
+        observer.flux.psi = motor1_flux_of_current(
+            gains.flux->l_d, gains.flux->l_q, gains.flux->psi_pm, i, near);
         observer.flux.psi.alpha += wild * between(-0.02F, 0.02F);
         observer.flux.psi.beta += wild * between(-0.02F, 0.02F);
         if ((n % 1000L) == 7L) {

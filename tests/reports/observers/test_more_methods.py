@@ -36,6 +36,7 @@ from dqforge.optimizer.observers.methods.matsui_voltage import (
     matsui_voltage_step,
     voltage_gains,
 )
+from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.models import kalman_model as kalman
 from dqforge.optimizer.observers.models import matsui_model as matsui_models
 from dqforge.optimizer.observers.parts import EXACT, Arithmetic, cast
@@ -44,6 +45,7 @@ from dqforge.optimizer.observers.trials import CurrentSensor, Trial, simulate
 from dqforge.reports.c_code.float32_functions import SINGLE
 from dqforge.reports.operating_system.host_compiler import find_compiler
 from dqforge.reports.pages.templating import render
+from dqforge.reports.steps.observer_text import observer_text
 from dqforge.reports.verification.host import COMPILERS, WARNINGS, Compiler
 
 T_S = 1e-4
@@ -103,7 +105,7 @@ class Emitted:
 def emitted(code: str) -> Emitted:
     if code == "ekf":
         filter_ = kalman.ekf(IPM, T_S, 0.5, 2.5e5, SENSOR.variance, 2000.0)
-        extra = "out[2] = observer.p[2][3]; out[3] = observer.i.q;"
+        extra = "out[2] = observer.p_omega_theta; out[3] = observer.i_q;"
         return Emitted(code, ekf_gains(filter_), ekf_start, ekf_step, extra=extra)
     if code.startswith("matsui"):
         observer = matsui_models.matsui(
@@ -175,7 +177,12 @@ def modelled(item: Emitted, sequences: FloatArray, maths: Arithmetic) -> Any:
 def compiled(item: Emitted, sequences: FloatArray, compiler: Compiler, folder: Path) -> SingleArray:
     """Results of the emitted C, shape (drives, LENGTH, 4)."""
     names = {"prefix": "drive", "macro": "DRIVE"}
-    observer = render(f"observers/{item.code}.j2", names | {"gains": item.gains})
+    method = next((own for own in METHODS.values() if own.code == item.code), None)
+    observer = (
+        render(f"observers/{item.code}.j2", names | {"gains": item.gains})
+        if method is None
+        else observer_text(method, item.gains, "drive", "DRIVE")
+    )
     source = HARNESS.format(
         types=render("c_code/control_types.j2", names), observer=observer, code=item.code,
         upper=item.code.upper(),

@@ -32,9 +32,10 @@ from dqforge.optimizer.observers.method import ObserverMethod, observe
 from dqforge.optimizer.observers.methods.ekf import ekf_gains
 from dqforge.optimizer.observers.methods.ekf_tuning import first_guess, usual_noise
 from dqforge.optimizer.observers.methods.extended_emf import exact_factors, factor_error
-from dqforge.optimizer.observers.methods.flux import flux_path, integrated
+from dqforge.optimizer.observers.methods.flux import flux_of_voltage, flux_path
 from dqforge.optimizer.observers.methods.flux_gains import FluxGains
 from dqforge.optimizer.observers.methods.registry import METHODS, method_named, registered
+from dqforge.optimizer.observers.parts import EXACT
 from dqforge.optimizer.observers.pll import pll_gains
 from dqforge.optimizer.observers.steady_states import closed_form_error, steady_observer
 from dqforge.optimizer.observers.tuning import optimise, tune_position_observer
@@ -159,8 +160,8 @@ def test_voltage_model_has_its_stated_order() -> None:
             psi, v = plant.flux(i_0), np.array([30 + 60j])
             end = next_flux(plant, psi, v, np.zeros(1), (omega, omega), t_s, 64)
             pairs = [(x.real, x.imag) for x in (psi, v, i_0, plant.current(end, omega * t_s))]
-            found = integrated(
-                flux_path(machine, t_s), pairs[0], pairs[1], pairs[2], pairs[3], omega * t_s
+            found = flux_of_voltage(
+                EXACT, flux_path(machine, t_s), pairs[0], pairs[1], pairs[2], pairs[3], omega * t_s
             )
             errors.append(abs(complex(found[0][0], found[1][0]) - complex(end[0])))
         assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)

@@ -1,0 +1,1 @@
+"""C written from the steps that are analysed."""

@@ -1,0 +1,230 @@
+"""A position observer in C, from its step: types, start, step and gains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dqforge.optimizer.observers.parts import AlphaBeta, ObserverState
+from dqforge.reports.c_code.numbers import float_literal
+from dqforge.reports.steps.c_reader import (
+    Block,
+    Functions,
+    StepReader,
+    c_name,
+    comment,
+    record_structs,
+    record_values,
+    struct,
+    vector,
+    vector_struct,
+)
+from dqforge.reports.steps.symbols import Expression, expression, folded
+
+if TYPE_CHECKING:
+    from dqforge.optimizer.observers.method import ObserverMethod
+    from dqforge.optimizer.observers.parts import StateMembers
+
+
+_ANGLE = ("float theta_e", "estimated electrical angle, rad, -pi to pi")
+
+
+_SPEED = ("float omega_e", "estimated electrical speed, rad/s")
+
+
+def observer_text(method: ObserverMethod, gains: Any, prefix: str, macro: str) -> str:
+    """What stands in a header behind the types that control and observers share.
+
+    Parameters
+    ----------
+    method:
+        With ``members``.
+    gains:
+        Its gains.
+    prefix, macro:
+        Before the names of functions and types, and before that of the gains.
+    """
+    assert method.members is not None
+    code, functions = method.code, Functions()
+    if c_name(method.gains) != f"{code}_gains":
+        raise ValueError(f"{method.gains.__name__} is not named like {code}")
+    first, then = (_path(method, gains, prefix, functions, started) for started in (False, True))
+    state, own = f"{prefix}_{code}_t", f"{prefix}_{code}_gains_t"
+    parts = [
+        *(vector_struct(kind, prefix) for kind in functions.vectors.values()),
+        *record_structs(gains, prefix, functions.members),
+        struct(state, _state_members(method.members, prefix)),
+        _start(method, prefix, state),
+        *([text] for text in functions.texts.values()),
+        _step(f"{prefix}_{code}_step(", own, state, prefix, first, then),
+        [
+            f"static const {own} {macro}_{code.upper()}_GAINS = {{",
+            *record_values(gains, functions.members),
+            "};",
+        ],
+    ]
+    return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def _state_members(members: StateMembers, prefix: str) -> list[tuple[str, str]]:
+    return [
+        *((f"{prefix}_alphabeta_t {n}", own.text) for n, own in members.vectors),
+        *((f"float {n}", own.text) for n, own in members.scalars),
+        ("int started", "0 before the first step"),
+        _ANGLE,
+        _SPEED,
+    ]
+
+
+def _start(method: ObserverMethod, prefix: str, state: str) -> list[str]:
+    """The first state, whose vectors and scalars depend on nothing."""
+    assert method.members is not None
+    first = method.start(np.ones(1), np.ones(1))
+    targets = [f"{n}.{axis}" for n, _ in method.members.vectors for axis in AlphaBeta._fields]
+    targets += [n for n, _ in method.members.scalars]
+    values = [part for pair in first.vectors for part in pair] + list(first.scalars)
+    head = f"static inline void {prefix}_{method.code}_start("
+    return [
+        *comment(
+            "Start from an angle in rad and a speed in rad/s (electrical) at the instant of the "
+            "first step."
+        ),
+        *folded(head, f"{state} *observer, float theta_e, float omega_e", ")", ""),
+        "{",
+        *(
+            f"    observer->{target} = {float_literal(float(value[0]))};"
+            for target, value in zip(targets, values, strict=True)
+        ),
+        "    observer->started = 0;",
+        f"    observer->theta_e = {prefix}_wrap(theta_e);",
+        "    observer->omega_e = omega_e;",
+        "}",
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Path:
+    """Statements of a step, and what it writes to the state at its end."""
+
+    declared: list[str]
+    written: list[str]
+
+
+def _path(
+    method: ObserverMethod, gains: Any, prefix: str, functions: Functions, started: bool
+) -> _Path:
+    assert method.members is not None
+    block = Block("        ", {"gains", "observer", "v", "i"})
+    reader = StepReader(prefix, functions, block)
+    _, own = reader.parameter("gains", gains)
+    state = ObserverState(
+        tuple(vector(AlphaBeta, f"observer->{n}", state=True) for n, _ in method.members.vectors),
+        _member("theta_e"),
+        _member("omega_e"),
+        started,
+        tuple(_member(n) for n, _ in method.members.scalars),
+    )
+    result = method.step(own, state, vector(AlphaBeta, "v"), vector(AlphaBeta, "i"), reader)
+    if reader.branches is None:
+        return _Path(block.lines, _written(method.members, result, reader, block.indent))
+    condition, branches = reader.branches
+    lines = [*folded("if (", condition, ") {", block.indent)]
+    for n, (inner, after) in enumerate(branches):
+        written = _written(method.members, after, reader, inner.indent)
+        gap = [""] if inner.lines else []
+        lines += [*([f"{block.indent}}} else {{"] if n else []), *inner.lines, *gap, *written]
+    return _Path(block.lines, [*lines, f"{block.indent}}}"])
+
+
+def _member(name: str) -> Any:
+    return Expression(f"observer->{name}", reads=frozenset({f"observer->{name}"}))
+
+
+def _written(
+    members: StateMembers, after: ObserverState, reader: StepReader, indent: str
+) -> list[str]:
+    """Assignments to what changes, none before another one that reads the old value."""
+    open_ = list[tuple[str, str, frozenset[str], set[str]]]()
+    names = [*(n for n, _ in members.scalars), "theta_e", "omega_e"]
+    for (n, _), pair in zip(members.vectors, after.vectors, strict=True):
+        parts, place = [expression(part) for part in pair], f"observer->{n}"
+        whole = {part.whole for part in parts}
+        reader.take(parts)
+        if (
+            whole != {""}
+            and len(whole) == 1
+            and [p.text for p in parts]
+            == [f"{parts[0].whole}.{axis}" for axis in AlphaBeta._fields]
+        ):
+            reads = parts[0].reads | parts[1].reads
+            targets = {f"{place}.{axis}" for axis in AlphaBeta._fields}
+            open_.append((place, parts[0].whole, reads, targets))
+        else:
+            open_ += [
+                (f"{place}.{axis}", part.bare(), part.reads, {f"{place}.{axis}"})
+                for axis, part in zip(AlphaBeta._fields, parts, strict=True)
+            ]
+    for n, value in zip(names, (*after.scalars, after.theta_e, after.omega_e), strict=True):
+        part, place = expression(value), f"observer->{n}"
+        reader.take([part])
+        open_.append((place, part.bare(), part.reads, {place}))
+    open_ = [item for item in open_ if item[0] != item[1]]
+    block = Block(indent, set())
+    while open_:
+        free = [
+            item
+            for item in open_
+            if not any(item[3] & other[2] for other in open_ if other is not item)
+        ]
+        if not free:
+            raise ValueError(f"{open_[0][0]} is needed after it changed: name it by `let`")
+        block.add(f"{free[0][0]} = ", free[0][1])
+        open_.remove(free[0])
+    return block.lines
+
+
+def _step(head: str, gains: str, state: str, prefix: str, first: _Path, then: _Path) -> list[str]:
+    """The step of both paths: what they share stands before and behind the branch."""
+    before = _shared(first.declared, then.declared)
+    after = [
+        line
+        for line in first.written
+        if line in then.written and "observer->" not in line.partition(" = ")[2]
+    ]
+    branches = []
+    for path in (first, then):
+        own = path.declared[before:]
+        branches.append([*own, *_gap(own), *(line for line in path.written if line not in after)])
+    both = [line[4:] for line in first.declared[:before]]
+    vector_kind = f"{prefix}_alphabeta_t"
+    arguments = f"const {gains} *gains, {state} *observer, {vector_kind} v, {vector_kind} i"
+    return [
+        *comment(
+            "One sample: v in V acted over the period that ends at the sampling instant of i in A."
+        ),
+        *folded(f"static inline void {head}", arguments, ")", ""),
+        "{",
+        *both,
+        *_gap(both),
+        "    if (observer->started == 0) {",
+        *branches[0],
+        "        observer->started = 1;",
+        "    } else {",
+        *branches[1],
+        "    }",
+        *(line[4:] for line in after),
+        "}",
+    ]
+
+
+def _gap(lines: Sequence[str]) -> list[str]:
+    return [""] if lines else []
+
+
+def _shared(a: Sequence[str], b: Sequence[str]) -> int:
+    """How many lines two texts begin with alike."""
+    pairs = zip(a, b, strict=False)
+    return next((n for n, (x, y) in enumerate(pairs) if x != y), min(len(a), len(b)))

@@ -1,0 +1,219 @@
+"""Expressions of C: the numbers on which a step is run where its text is wanted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dqforge.reports.c_code.numbers import float_literal
+
+Origin = tuple[str, str]
+
+"""Names of a record and of its member."""
+
+
+class Expression:
+    """A number of a step, as text.
+
+    Parameters
+    ----------
+    text:
+        In C.
+    atom:
+        Whether it needs no parentheses: a name, a literal, a call.
+    reads:
+        Members of the state that it takes.
+    members:
+        Members of other records that it takes.
+    whole:
+        The vector or array that it is a part of, empty of others.
+    """
+
+    __slots__ = ("atom", "members", "reads", "text", "uses", "whole")
+
+    def __init__(
+        self,
+        text: str,
+        *,
+        atom: bool = True,
+        reads: frozenset[str] = frozenset(),
+        members: frozenset[Origin] = frozenset(),
+        whole: str = "",
+    ) -> None:
+        self.text, self.atom, self.reads, self.members = text, atom, reads, members
+        self.whole = whole
+        self.uses = [0]
+
+    @property
+    def is_name(self) -> bool:
+        """Whether it may be written twice, since it computes nothing."""
+        return self.atom and "(" not in self.text
+
+    def bare(self) -> str:
+        """Text where no parentheses are needed.
+
+        Raises
+        ------
+        ValueError
+            It would be computed a second time.
+        """
+        self.uses[0] += 1
+        if self.uses[0] > 1 and not self.is_name:
+            raise ValueError(f"{self.text} is used twice: name it by `let`")
+        return self.text
+
+    def operand(self, *, signed: bool = False) -> str:
+        """Text within an operation; ``signed`` where a minus may stand before a name."""
+        text = self.bare()
+        return text if self.atom or (signed and text[0] == "-") else f"({text})"
+
+    def _with(self, sign: str, other: Any, *, swapped: bool = False) -> Expression:
+        if isinstance(other, np.ndarray):
+            return NotImplemented  # type: ignore[no-any-return]  # the array takes it apart
+        parts = (expression(other), self) if swapped else (self, expression(other))
+        return joined(f" {sign} ".join(part.operand() for part in parts), *parts)
+
+    def __add__(self, other: Any) -> Expression:
+        """The sum."""
+        return self._with("+", other)
+
+    def __radd__(self, other: Any) -> Expression:
+        """The sum."""
+        return self._with("+", other, swapped=True)
+
+    def __sub__(self, other: Any) -> Expression:
+        """The difference."""
+        return self._with("-", other)
+
+    def __rsub__(self, other: Any) -> Expression:
+        """The difference."""
+        return self._with("-", other, swapped=True)
+
+    def __mul__(self, other: Any) -> Expression:
+        """The product."""
+        return self._with("*", other)
+
+    def __rmul__(self, other: Any) -> Expression:
+        """The product."""
+        return self._with("*", other, swapped=True)
+
+    def __truediv__(self, other: Any) -> Expression:
+        """The quotient."""
+        return self._with("/", other)
+
+    def __rtruediv__(self, other: Any) -> Expression:
+        """The quotient."""
+        return self._with("/", other, swapped=True)
+
+    def __neg__(self) -> Expression:
+        """The negative."""
+        return joined(f"-{self.operand()}", self)
+
+    def __lt__(self, other: Any) -> Condition:
+        """Whether it is less."""
+        return self._compared("<", other)
+
+    def __le__(self, other: Any) -> Condition:
+        """Whether it is not more."""
+        return self._compared("<=", other)
+
+    def __gt__(self, other: Any) -> Condition:
+        """Whether it is more."""
+        return self._compared(">", other)
+
+    def __ge__(self, other: Any) -> Condition:
+        """Whether it is not less."""
+        return self._compared(">=", other)
+
+    def _compared(self, sign: str, other: Any) -> Condition:
+        parts = self, expression(other)
+        text = f" {sign} ".join(part.operand(signed=True) for part in parts)
+        return Condition((joined(text, *parts),))
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """Comparisons all of which must hold."""
+
+    terms: tuple[Expression, ...]
+
+    def __and__(self, other: Condition) -> Condition:
+        """Both conditions."""
+        return Condition(self.terms + other.terms)
+
+    def __bool__(self) -> bool:
+        """Nothing decides it here.
+
+        Raises
+        ------
+        TypeError
+            Always: what depends on a condition is chosen by the arithmetic.
+        """
+        raise TypeError("a step cannot branch on a number: use `choose` or `either`")
+
+    def text(self) -> str:
+        """What stands between the parentheses of ``if``."""
+        if len(self.terms) == 1:
+            return self.terms[0].bare()
+        return " && ".join(f"({term.bare()})" for term in self.terms)
+
+
+def expression(value: Any) -> Expression:
+    """A number as an expression; constants become literals of float."""
+    if isinstance(value, Expression):
+        return value
+    return Expression(float_literal(float(value)))
+
+
+def joined(text: str, *parts: Expression, atom: bool = False, whole: str = "") -> Expression:
+    """An expression made of others."""
+    return Expression(
+        text,
+        atom=atom,
+        reads=frozenset[str]().union(*(part.reads for part in parts)),
+        members=frozenset[Origin]().union(*(part.members for part in parts)),
+        whole=whole,
+    )
+
+
+_WIDTH = 110
+
+
+def folded(begin: str, text: str, end: str, indent: str) -> list[str]:
+    """Lines of a statement, broken at operators and commas of the outermost parentheses.
+
+    Parameters
+    ----------
+    begin, end:
+        What stands before and behind the text.
+    indent:
+        White space of the first line.
+    """
+    if len(indent) + len(begin) + len(text) + len(end) <= _WIDTH:
+        return [f"{indent}{begin}{text}{end}"]
+    further = indent + "    "
+    lines, rest = [f"{indent}{begin.rstrip()}"], text + end
+    while len(further) + len(rest) > _WIDTH:
+        place = _break(rest, _WIDTH - len(further))
+        if not place:
+            break
+        lines.append(further + rest[:place].rstrip())
+        rest = rest[place:].lstrip()
+    return [*lines, further + rest]
+
+
+def _break(text: str, most: int) -> int:
+    """Last place, no further than ``most``, behind a comma, else before an operator, of the
+    outermost level that has one; 0 where there is none.
+    """
+    found: dict[tuple[int, bool], int] = {}
+    depth = 0
+    for at, sign in enumerate(text[: most + 1]):
+        depth += (sign in "({[") - (sign in ")}]")
+        behind = text[at - 1] == ","
+        before = text[at + 1 : at + 3] in ("+ ", "- ", "* ", "/ ", "&&", "? ", ": ")
+        if at >= most // 4 and sign == " " and (before or behind):
+            found[depth, not behind] = at
+    return found[min(found)] if found else 0
