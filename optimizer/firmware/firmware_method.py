@@ -83,6 +83,8 @@ class FirmwareMethod:
         The loops that a configuration amounts to. Raises InputError where it says too little.
     shortfalls:
         What the configuration cannot hold of what was asked.
+    needs:
+        Keys that a design may leave out and this firmware needs.
     """
 
     name: Firmware
@@ -91,3 +93,4 @@ class FirmwareMethod:
     configure: Callable[[Asked], Configuration]
     profile: Callable[[Configuration], LoopProfile]
     shortfalls: Callable[[Asked, Configuration], tuple[Shortfall, ...]]
+    needs: tuple[str, ...] = ()

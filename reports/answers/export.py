@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.control_design.gain_set import solve_gains
-from dqforge.optimizer.firmware.solve import FirmwareFit, check_drivable, method_of, solve_firmware
+from dqforge.optimizer.firmware.lacking import check_drivable
+from dqforge.optimizer.firmware.solve import FirmwareFit, method_of, solve_firmware
 from dqforge.reports.firmware.registry import TARGETS
 from dqforge.reports.firmware.text_file import read_text_file
 from dqforge.reports.firmware_files.exported import (
@@ -59,8 +60,7 @@ def answer_export_for(
     if into is not None and len(chosen) != 1:
         raise InputError("--into: a file is one firmware's; write a single --for NAME with it")
     existing = None if into is None else read_text_file(into)
-    for name in chosen:
-        check_drivable(design, name)
+    check_drivable(design, [method_of(name) for name in chosen])
     if existing is not None:
         check_existing(existing, TARGETS[chosen[0]])
     wanted = replace(design, export=replace(design.export, firmware=chosen))

@@ -72,21 +72,19 @@ def configuration(
         speed=_speed(own),
         own=dict(own),
         origins=field_origins(found, _FIELDS),
-        conventions=(*CONVENTIONS, *_doubt(own, found, version)),
+        conventions=(*CONVENTIONS, *_doubt(own, version)),
         contradictions=contradictions(own),
     )
 
 
-def _doubt(
-    own: Mapping[str, OwnValue], origins: Mapping[str, Origin], version: str
-) -> Iterator[str]:
+def _doubt(own: Mapping[str, OwnValue], version: str) -> Iterator[str]:
     """What is not certain of the version, and of the observer that a file does not name."""
     if version != VERSION:
         yield (
             f"the file does not say its version; its keys are those of firmware {version}, and its "
             f"loops are computed with the structure of {VERSION}: check them against that firmware"
         )
-    if origins and "foc_observer_type" not in own:
+    if "foc_observer_type" not in own:
         yield (
             "the file does not say foc_observer_type: "
             + (
