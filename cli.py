@@ -11,7 +11,11 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import typer
+try:
+    import typer
+except ModuleNotFoundError as error:  # before there is anything that could say it in another way
+    sys.stderr.write(f"dqforge: the package {error.name} is not installed; pip install dqforge\n")
+    raise SystemExit(2) from None
 
 from dqforge.reports import answers
 from dqforge.reports.command_line import flags as given
