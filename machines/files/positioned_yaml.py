@@ -20,6 +20,7 @@ import yaml
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
+from dqforge.machines.files.library_files import DESIGNS
 from dqforge.machines.files.yaml_messages import position_of, translated
 from dqforge.machines.places import KeyPath, Position, behind_option, dotted, nearest, option_at
 from dqforge.machines.wording import close_matches, shown
@@ -128,12 +129,19 @@ def _advice(path: Path, error: InputError) -> str:
     return error.message
 
 
+_MOST_NAMES = 3
+
+
 def _similar_files(path: Path) -> str:
     try:
         names = [entry.name for entry in path.parent.iterdir() if entry.suffix in (".yaml", ".yml")]
     except OSError:
         return "; its folder does not exist either"
     matches = close_matches(path.name, names)
+    if not matches and str(path) == path.name and not path.suffix:
+        known = DESIGNS.names()
+        begun = [name for name in known if name.startswith(path.name)]
+        matches = begun[:_MOST_NAMES] or close_matches(path.name, known)
     return f"; did you mean {' or '.join(matches)}?" if matches else ""
 
 

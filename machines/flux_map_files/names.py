@@ -11,7 +11,7 @@ import numpy as np
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.named_arrays import NamedArray, listed
-from dqforge.machines.flux_map_files.units import claimed, is_unit, split_name
+from dqforge.machines.flux_map_files.units import BRACKETED_CLAIM, claimed, is_unit, split_name
 
 KINDS = {
     "i_d": "i",
@@ -152,6 +152,7 @@ def _plain(name: str) -> str:
     """A name in small letters without signs, averages and what it says of peak values."""
     if found := _MEAN.match(name):
         name = found[1]
+    name = BRACKETED_CLAIM.sub("", name)
     name = re.sub(
         r"[\W_]*(?:peak|pk|rms|eff)$", "", name.split(".")[-1].strip(), flags=re.IGNORECASE
     )
