@@ -10,7 +10,7 @@ from __future__ import annotations
 import codecs
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +20,6 @@ import yaml
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
-from dqforge.machines.files.library_files import DESIGNS
 from dqforge.machines.files.yaml_messages import position_of, translated
 from dqforge.machines.places import KeyPath, Position, behind_option, dotted, nearest, option_at
 from dqforge.machines.wording import close_matches, shown
@@ -104,8 +103,8 @@ class YamlDocument:
             raise self.error(f"{dotted(path)}: {error.message}", path, key=key) from None
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """Content of a design file.
+def read_bytes(path: str | Path, known: Callable[[], list[str]] = list) -> bytes:
+    """Content of a design file; ``known`` are names that may stand in place of a file.
 
     Raises
     ------
@@ -115,13 +114,13 @@ def read_bytes(path: str | Path) -> bytes:
     try:
         return read_regular_file(path, MAX_BYTES)
     except InputError as error:
-        raise InputError(_advice(Path(path), error), source=str(path)) from None
+        raise InputError(_advice(Path(path), error, known), source=str(path)) from None
 
 
-def _advice(path: Path, error: InputError) -> str:
+def _advice(path: Path, error: InputError, known: Callable[[], list[str]]) -> str:
     """What to say of a design file that cannot be read."""
     if error.message.startswith("there is no such file"):
-        return f"no such file{_similar_files(path)}"
+        return f"no such file{_similar_files(path, known)}"
     if error.message.startswith("this is a folder"):
         return "this is a folder; name the design file in it"
     if "can be read" in error.message:
@@ -132,16 +131,16 @@ def _advice(path: Path, error: InputError) -> str:
 _MOST_NAMES = 3
 
 
-def _similar_files(path: Path) -> str:
+def _similar_files(path: Path, known: Callable[[], list[str]]) -> str:
     try:
         names = [entry.name for entry in path.parent.iterdir() if entry.suffix in (".yaml", ".yml")]
     except OSError:
         return "; its folder does not exist either"
     matches = close_matches(path.name, names)
     if not matches and str(path) == path.name and not path.suffix:
-        known = DESIGNS.names()
-        begun = [name for name in known if name.startswith(path.name)]
-        matches = begun[:_MOST_NAMES] or close_matches(path.name, known)
+        others = known()
+        begun = [name for name in others if name.startswith(path.name)]
+        matches = begun[:_MOST_NAMES] or close_matches(path.name, others)
     return f"; did you mean {' or '.join(matches)}?" if matches else ""
 
 

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.loader import load_design
 from dqforge.machines.design.schema import json_schema
 from dqforge.machines.errors import InputError
 from dqforge.machines.exploration import catalogue as studies
@@ -20,7 +21,6 @@ from dqforge.machines.files.library_files import (
     schema_bytes,
     with_modeline,
 )
-from dqforge.machines.files.positioned_yaml import read_bytes
 
 
 @pytest.mark.parametrize(
@@ -67,4 +67,4 @@ def test_the_modeline_stands_first_and_is_a_comment() -> None:
 @pytest.mark.parametrize("name", ["paper000", "abb", "thor-pmsyrm", "vdyno-trampa-6430"])
 def test_a_name_that_is_nearly_one_of_the_library_is_answered_with_it(name: str) -> None:
     with pytest.raises(InputError, match=rf"no such file; did you mean {name[:4]}"):
-        read_bytes(name)
+        load_design(name)
