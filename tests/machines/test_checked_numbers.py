@@ -46,7 +46,8 @@ def test_constructors_refuse_what_is_no_such_number(made: str, name: str) -> Non
 
 
 def test_numbers_of_numpy_are_taken() -> None:
-    made = dqforge.LinearMachine(np.int64(3), np.float32(0.5), 1e-3, 2e-3, np.float64(0.1), 20)
+    numbers: list[Any] = [np.int64(3), np.float32(0.5), 1e-3, 2e-3, np.float64(0.1), 20]
+    made = dqforge.LinearMachine(*numbers)
     assert made.torque_per_ampere == pytest.approx(0.45)
 
 

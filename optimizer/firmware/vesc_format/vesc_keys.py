@@ -34,9 +34,12 @@ against ``parameters_mcconf.xml`` of 3.57, 5.02, 6.00 and 7.01); 6.05 and later 
 loops depend on as 7.01 has them."""
 
 
-_OLD_SAMPLING = "foc_sample_v0_v7"
+_OLD_SAMPLING, _OLD_FREQUENCY = "foc_sample_v0_v7", "foc_f_sw"
 
-"""Key that 6.05 replaced."""
+"""Keys that 6.05 and 6.00 replaced."""
+
+
+_TWO_OBSERVERS_UNTIL = [age for age, _ in _AGES].index(_LAST_OF_TWO)
 
 
 def version_of(written: Collection[str], *, whole: bool) -> str:
@@ -56,6 +59,7 @@ def version_of(written: Collection[str], *, whole: bool) -> str:
     )
     if not whole:
         newest = len(_AGES) - (2 if _OLD_SAMPLING in written else 1)
+        newest = _TWO_OBSERVERS_UNTIL if _OLD_FREQUENCY in written else newest
     return _AGES[newest][0]
 
 
@@ -64,7 +68,7 @@ def has_two_observers(version: str) -> bool:
     two.
     """
     names = [age for age, _ in _AGES]
-    return version in names[: names.index(_LAST_OF_TWO) + 1]
+    return version in names[: _TWO_OBSERVERS_UNTIL + 1]
 
 
 def known_to(version: str, name: str) -> bool:

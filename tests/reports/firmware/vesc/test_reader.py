@@ -225,3 +225,4 @@ def test_a_header_may_leave_out_what_a_board_does_not_change() -> None:
     assert read(HEADER, "a.h").version == "7.01"
     old = HEADER.replace("#define GET", "#define MCCONF_FOC_SAMPLE_V0_V7 0\n#define GET")
     assert read(old, "a.h").version == "6.00 to 6.02"
+    assert read(old.replace("FOC_F_ZV", "FOC_F_SW"), "a.h").version == "5.03"
