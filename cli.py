@@ -10,7 +10,11 @@ from collections.abc import Sequence
 from functools import cache, partial
 from typing import Any
 
-import typer
+try:
+    import typer
+except ModuleNotFoundError as error:  # before there is anything that could say it in another way
+    sys.stderr.write(f"dqforge: the package {error.name} is not installed; pip install dqforge\n")
+    raise SystemExit(2) from None
 
 from dqforge.reports import answers
 from dqforge.reports.command_line import flags as given

@@ -81,6 +81,12 @@ class Design:
     halves: tuple[Machine, Machine] | None = None
     places: Places | None = field(default=None, compare=False, repr=False)
 
+    def __repr__(self) -> str:
+        """Name, machine and inverter in a few lines; `values` says all that the file says."""
+        machine = self.machine if self.phase_machine is None else self.phase_machine
+        inverter = f"{self.inverter.v_dc:g} V, {self.inverter.f_sw:g} Hz"
+        return f"Design {self.name!r}\n  {machine!r}\n  {inverter}, digest {self.digest[:12]}"
+
     @property
     def strategy(self) -> Strategy:
         """Which currents make the torque."""

@@ -70,6 +70,7 @@ from dqforge.machines.entries.former_keys import (
 )
 from dqforge.machines.entries.rules import si_of
 from dqforge.machines.errors import InputError, NoSolutionError
+from dqforge.machines.files.library_files import DESIGNS
 from dqforge.machines.files.positioned_yaml import YamlDocument, parse_yaml, read_bytes
 from dqforge.machines.places import Places
 from dqforge.machines.units.quantities import format_quantity
@@ -90,7 +91,7 @@ def load_design(path: str | Path, settings: Sequence[str] = ()) -> Design:
     InputError
         The file cannot be read, or its content is wrong; with the position where there is one.
     """
-    return load_text(read_bytes(path), str(path), Path(path).parent, settings)
+    return load_text(read_bytes(path, DESIGNS.names), str(path), Path(path).parent, settings)
 
 
 def load_text(

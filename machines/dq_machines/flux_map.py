@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.checked_numbers import owned_numbers
 from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.synchronous import FluxJet
 from dqforge.machines.errors import InputError
@@ -133,7 +134,7 @@ class FluxMap:
     def __post_init__(self) -> None:
         """Check the grid, own the arrays and compute the splines once."""
         for name in ("i_d", "i_q", "psi_d", "psi_q"):
-            owned = np.array(getattr(self, name), dtype=np.float64)
+            owned = owned_numbers(getattr(self, name), name)
             owned.flags.writeable = False
             object.__setattr__(self, name, owned)
         _check_grid(self.i_d, self.i_q, {"psi_d": self.psi_d, "psi_q": self.psi_q})
@@ -146,6 +147,15 @@ class FluxMap:
         table.flags.writeable = False
         object.__setattr__(self, "_axes", (_Axis.of(self.i_d), _Axis.of(self.i_q)))
         object.__setattr__(self, "_table", table)
+
+    def __repr__(self) -> str:
+        """One line: how many points, and where."""
+        ranges = (
+            f"{name}={axis[0]:.6g}..{axis[-1]:.6g} A"
+            for name, axis in (("i_d", self.i_d), ("i_q", self.i_q))
+        )
+        size = f"{self.i_d.size} x {self.i_q.size}"
+        return f"FluxMap({size}, {', '.join(ranges)}, extrapolate={self.extrapolate})"
 
     def inside(self, i_d: FloatArray, i_q: FloatArray) -> NDArray[np.bool_]:
         """Whether currents in A lie where the data are, on the rectangle or in the hull,

@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.checked_numbers import MACHINE, check_numbers
 from dqforge.machines.dq_machines.current_region import CurrentRegion
 from dqforge.machines.dq_machines.flux_map import FluxMap
 from dqforge.machines.dq_machines.synchronous import FluxJet, Machine, MachineFormulas
+from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 
 _SMALL_CURRENT = 1e-5
@@ -36,7 +38,13 @@ class SaturatedMachine(MachineFormulas):
     _origin: FluxJet = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Keep the values at zero current, which several properties read."""
+        """Check every number, and keep the values at zero current, which several properties
+        read.
+        """
+        check_numbers(self, MACHINE)
+        if not isinstance(self.flux_map, FluxMap):
+            got = type(self.flux_map).__name__
+            raise InputError(f"flux_map: expected a FluxMap, got {got}; make one by make_flux_map")
         zero = np.zeros(1)
         object.__setattr__(self, "_origin", self.flux_map.jet(zero, zero))
 

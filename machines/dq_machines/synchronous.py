@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.checked_numbers import MACHINE, Wanted, check_numbers
 from dqforge.machines.records import dataclass
 
 if TYPE_CHECKING:  # which works on the arrays that are named here
@@ -245,6 +246,13 @@ class MachineFormulas(FluxFormulas):
         return 1.5 * self.pole_pairs * self.psi_pm
 
 
+_NUMBERS = MACHINE | {
+    "l_d": Wanted("H", "1e-3"),
+    "l_q": Wanted("H", "1e-3"),
+    "psi_pm": Wanted("Wb", "0.1", zero=True),
+}
+
+
 @dataclass(frozen=True, slots=True)
 class LinearMachine(MachineFormulas):
     """A permanent-magnet or reluctance machine with constant inductances.
@@ -267,6 +275,11 @@ class LinearMachine(MachineFormulas):
         Viscous friction in N m s/rad.
     omega_m_max:
         Largest mechanical speed in rad/s, or None if unknown.
+
+    Raises
+    ------
+    InputError
+        A value is no finite number, of the wrong sign, or the pole pairs are not whole.
     """
 
     pole_pairs: int
@@ -278,6 +291,10 @@ class LinearMachine(MachineFormulas):
     inertia: float | None = None
     friction: float = 0.0
     omega_m_max: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        check_numbers(self, _NUMBERS)
 
     def flux(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Flux linkages (psi_d, psi_q) in Wb at currents in A, any shape."""

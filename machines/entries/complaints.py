@@ -145,9 +145,17 @@ def read_model(document: YamlDocument, model: type[_Model]) -> _Model:
         return model.model_validate(document.data)
     except ValidationError as error:
         faults = error.errors(include_url=False, include_input=False)
-    raise min(
-        (_complaint(fault, document, model) for fault in _without_echoes(faults)), key=_place
-    ) from None
+    faults = _without_echoes(faults)
+    found = [_complaint(fault, document, model) for fault in faults]
+    first = min(found, key=_place)
+    if faults[found.index(first)]["type"] == "missing":
+        lacking = [
+            _to_write(tuple(part for part in fault["loc"] if part not in TAGS))
+            for fault, complaint in zip(faults, found, strict=True)
+            if fault["type"] == "missing" and complaint is not first
+        ]
+        first.message += f"; and also {', '.join(lacking)}" if lacking else ""
+    raise first from None
 
 
 def _place(error: InputError) -> tuple[int, int]:
@@ -258,6 +266,14 @@ def _homes(key: str, model: type[BaseModel], path: KeyPath = ()) -> list[KeyPath
     return found
 
 
+def _to_write(path: KeyPath) -> str:
+    """A further key that is missing, with an example of its value."""
+    *section, key = path
+    example = _EXAMPLES.get(key, f"{key}: ...") if isinstance(key, str) else ""
+    around = dotted(tuple(section))
+    return f"{around}.{example}" if around and example else example or dotted(path)
+
+
 def _missing(path: KeyPath) -> str:
     *section, key = path
     if isinstance(key, int):
@@ -304,6 +320,8 @@ def _expected(fault: ErrorDetails, value: YamlValue, path: KeyPath, root: type[B
     model = str(fault["type"]).startswith("model_")
     if model and path[:2] == ("inverter", "device") and isinstance(value, str):
         return f"expected a section with keys, got {got}; write {{name: {value}}}"
+    if model and isinstance(value, str) and "file" in _section(path, root).model_fields:
+        return f"expected a section with keys, got {got}; write {{file: {value}}}"
     template = _TEMPLATES.get(fault["type"], "{got} is not understood here")
     return template.format(got=got, **fault.get("ctx", {}))
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import codecs
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import field
 from pathlib import Path
@@ -104,8 +104,8 @@ class YamlDocument:
             raise self.error(f"{dotted(path)}: {error.message}", path, key=key) from None
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """Content of a design file.
+def read_bytes(path: str | Path, known: Callable[[], list[str]] = list) -> bytes:
+    """Content of a design file; ``known`` are names that may stand in place of a file.
 
     Raises
     ------
@@ -115,13 +115,13 @@ def read_bytes(path: str | Path) -> bytes:
     try:
         return read_regular_file(path, MAX_BYTES)
     except InputError as error:
-        raise InputError(_advice(Path(path), error), source=str(path)) from None
+        raise InputError(_advice(Path(path), error, known), source=str(path)) from None
 
 
-def _advice(path: Path, error: InputError) -> str:
+def _advice(path: Path, error: InputError, known: Callable[[], list[str]]) -> str:
     """What to say of a design file that cannot be read."""
     if error.message.startswith("there is no such file"):
-        return f"no such file{_similar_files(path)}"
+        return f"no such file{_similar_files(path, known)}"
     if error.message.startswith("this is a folder"):
         return "this is a folder; name the design file in it"
     if "can be read" in error.message:
@@ -129,12 +129,19 @@ def _advice(path: Path, error: InputError) -> str:
     return error.message
 
 
-def _similar_files(path: Path) -> str:
+_MOST_NAMES = 3
+
+
+def _similar_files(path: Path, known: Callable[[], list[str]]) -> str:
     try:
         names = [entry.name for entry in path.parent.iterdir() if entry.suffix in (".yaml", ".yml")]
     except OSError:
         return "; its folder does not exist either"
     matches = close_matches(path.name, names)
+    if not matches and str(path) == path.name and not path.suffix:
+        others = known()
+        begun = [name for name in others if name.startswith(path.name)]
+        matches = begun[:_MOST_NAMES] or close_matches(path.name, others)
     return f"; did you mean {' or '.join(matches)}?" if matches else ""
 
 

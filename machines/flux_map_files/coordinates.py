@@ -153,7 +153,9 @@ def _apparent(parts: Parts, source: str) -> Parts:
         return parts
     if "i" in parts:
         raise InputError(
-            "inductances over amplitude and angle cannot be read; save i_d and i_q", source=source
+            "inductances over amplitude and angle cannot be read; save i_d and i_q, or name them "
+            "where the file has both: columns: {i_d: NAME, i_q: NAME}",
+            source=source,
         )
     shape = parts["l_d"].shape
     axes: tuple[FloatArray, FloatArray] | None = (parts["i_d"], parts["i_q"])
@@ -292,7 +294,9 @@ def cartesian(parts: Parts, source: str) -> tuple[Parts, tuple[str, ...]]:
     if len(passed) != 1:
         message = "what the angle of the current counts from cannot be told from the flux linkages"
         raise InputError(
-            f"{message}; save i_d and i_q instead of amplitude and angle", source=source
+            f"{message}; save i_d and i_q instead of amplitude and angle, or name them where the "
+            "file has both: columns: {i_d: NAME, i_q: NAME}",
+            source=source,
         )
     ((name, (i_d, i_q)),) = passed.items()
     rest = {key: part for key, part in parts.items() if key not in ("i", "beta")}

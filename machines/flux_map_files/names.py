@@ -13,6 +13,7 @@ import numpy as np
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.named_arrays import NamedArray, listed
 from dqforge.machines.flux_map_files.units import (
+    BRACKETED_CLAIM,
     UNITS,
     claimed,
     is_unit,
@@ -242,6 +243,7 @@ def _plain(name: str) -> str:
     """
     if found := _MEAN.match(name):
         name = found[1]
+    name = BRACKETED_CLAIM.sub("", name)
     name = re.sub(
         r"[\W_]*(?:peak|pk|rms|eff)$", "", name.split(".")[-1].strip(), flags=re.IGNORECASE
     )

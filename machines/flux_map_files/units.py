@@ -167,8 +167,14 @@ def factor(kind: str, unit: str) -> float:
     return UNITS[kind][plain_unit(unit)]
 
 
+BRACKETED_CLAIM = re.compile(r"\s*[(\[]\s*(?:peak|pk|rms|eff)\.?\s*[)\]]", re.IGNORECASE)
+
+"""What a name such as 'Id (Peak)' says of its values, in brackets of its own."""
+
+
 def split_name(name: str) -> tuple[str, str]:
     """Stem and unit of a name such as psi_d_mVs or 'i_d [A]', '' where it has no unit of these."""
+    name = BRACKETED_CLAIM.sub("", name)
     for found in _BEFORE_UNIT.finditer(name, 1):
         unit = name[found.end() :].rstrip(" ])}>|")
         if any(is_unit(kind, unit) for kind in UNITS):

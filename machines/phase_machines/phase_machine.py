@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dqforge.machines.arrays import FloatArray
+from dqforge.machines.checked_numbers import MACHINE, Wanted, check_numbers, owned_numbers
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 
@@ -155,6 +156,13 @@ def between(waveform: FloatArray, turns: int = 1) -> tuple[FloatArray, FloatArra
     return value, slope
 
 
+_NUMBERS = {name: MACHINE[name] for name in ("pole_pairs", "r_s", "i_max")} | {
+    "l_s": Wanted("H", "1e-3"),
+    "m_s": Wanted("H", "-1e-4", negative=True),
+    "turns": Wanted("", "1"),
+}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PhaseMachine:
     """A three-phase machine whose back-EMF has any shape.
@@ -193,7 +201,8 @@ class PhaseMachine:
 
     def __post_init__(self) -> None:
         """Own the waveform and check what would make no machine."""
-        owned = np.array(self.flux, dtype=np.float64)
+        check_numbers(self, _NUMBERS)
+        owned = owned_numbers(self.flux, "flux")
         owned.flags.writeable = False
         object.__setattr__(self, "flux", owned)
         if self.turns not in (1, self.pole_pairs):
@@ -220,6 +229,11 @@ class PhaseMachine:
                 f"l_s = {self.l_s:g} H and m_s = {self.m_s:g} H store no energy in some current: "
                 "l_s - m_s and l_s + 2 m_s must be positive"
             )
+
+    def __repr__(self) -> str:
+        """One line, the back-EMF by its number of angles."""
+        numbers = ", ".join(f"{name}={getattr(self, name)!r}" for name in _NUMBERS)
+        return f"PhaseMachine({numbers}, flux=3 x {self.angles} angles)"
 
     @classmethod
     def from_harmonics(

@@ -118,16 +118,24 @@ def explain(
         Those of the package, or others.
     """
     drive = on_machine(configuration.drive, machine)
-    # What the file says counts for what the firmware computes from it; the machine completes it.
-    told = on_machine(drive, configuration.drive)
-    method, profile = method_of(configuration.firmware, methods), None
+    profile = None
     try:
         with numerical_errors():
-            profile = method.profile(replace(configuration, drive=told))
+            profile = profile_of(configuration, machine, methods)
             judged = _advised(profile, judge(profile, drive), named=machine is not None)
     except (InputError, NoSolutionError) as error:
         judged = _nothing(error.message)
     return Explained(configuration, drive, profile, judged)
+
+
+def profile_of(
+    configuration: Configuration, machine: DriveValues | None = None, methods: Methods = METHODS
+) -> LoopProfile:
+    """The loops of a configuration; raises InputError where it says too little."""
+    # What the file says counts for what the firmware computes from it; the machine completes it.
+    told = on_machine(on_machine(configuration.drive, machine), configuration.drive)
+    method = method_of(configuration.firmware, methods)
+    return method.profile(replace(configuration, drive=told))
 
 
 def _advised(profile: LoopProfile, judged: JudgedFirmware, *, named: bool) -> JudgedFirmware:

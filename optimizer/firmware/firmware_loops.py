@@ -18,6 +18,7 @@ from dqforge.optimizer.firmware.gain_search.structure_box import (
     speed_plants_over,
 )
 from dqforge.optimizer.firmware.judge import JudgedFirmware, JudgedLoop, judge, judged_loop
+from dqforge.optimizer.firmware.lacking import check_drivable
 from dqforge.optimizer.firmware.registry import METHODS
 from dqforge.optimizer.loops.plants import SpeedLoop
 
@@ -133,6 +134,7 @@ def firmware_loops(
     method = methods.get(wanted.name)
     if method is None:
         raise InputError(f"control.firmware: '{wanted.name}' is not known here; use another")
+    check_drivable(design, [method])
     i_d, i_q, speed = own
     if design.control.tolerances is None:
         box = replace(box, spread=(1.0, 1.0))

@@ -84,6 +84,8 @@ class FirmwareMethod:
         The loops that a configuration amounts to. Raises InputError where it says too little.
     shortfalls:
         What the configuration cannot hold of what was asked.
+    needs:
+        Keys that a design may leave out and this firmware needs.
     """
 
     name: Firmware
@@ -92,3 +94,4 @@ class FirmwareMethod:
     configure: Callable[[Asked], Configuration]
     profile: Callable[[Configuration], LoopProfile]
     shortfalls: Callable[[Asked, Configuration], tuple[Shortfall, ...]]
+    needs: tuple[str, ...] = ()

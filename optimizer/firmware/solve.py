@@ -15,6 +15,7 @@ from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.asked import asked
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod, Shortfall
 from dqforge.optimizer.firmware.judge import JudgedFirmware, judge
+from dqforge.optimizer.firmware.lacking import check_drivable
 from dqforge.optimizer.firmware.registry import METHODS
 
 if TYPE_CHECKING:
@@ -104,7 +105,9 @@ def solve_firmware(
     """
     wanted = design.export.firmware if names is None else tuple(names)
     with about("export.firmware"):
-        return tuple(_fit(design, gains, method_of(name, methods)) for name in wanted)
+        found = [method_of(name, methods) for name in wanted]
+        check_drivable(design, found)
+        return tuple(_fit(design, gains, method) for method in found)
 
 
 def method_of(
@@ -124,17 +127,7 @@ def method_of(
     return found
 
 
-def check_drivable(design: Design, name: str) -> None:
-    """Refuse a machine of a kind that no firmware of others drives; raises InputError."""
-    if design.phase_machine is not None:
-        raise InputError(
-            f"export.firmware: {name} drives machines with a sinusoidal back-EMF, and this one has "
-            "model: waveform; leave it out"
-        )
-
-
 def _fit(design: Design, gains: Gains | None, method: FirmwareMethod) -> FirmwareFit:
-    check_drivable(design, method.name)
     if gains is None:
         raise InputError(
             f"export.firmware: {method.name} needs gains, and the design has none; write control: "

@@ -32,7 +32,7 @@ def observed_machine(design: Design) -> LinearMachine:
     from dqforge.optimizer.observers.conditions import loads_of
 
     load = loads_of(design)[0]
-    return replace(plain, l_d=load.l_d, l_q=load.l_q, psi_pm=load.psi_pm)
+    return replace(plain, l_d=load.l_d, l_q=load.l_q, psi_pm=max(load.psi_pm, 0.0))
 
 
 def solve_observer(design: Design) -> tuple[ReducedOrderObserver | None, PositionObserver | None]:

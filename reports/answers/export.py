@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from dqforge.machines.design.numerical import on_design
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
-from dqforge.optimizer.firmware.solve import FirmwareFit, check_drivable, method_of
+from dqforge.optimizer.firmware.lacking import check_drivable
+from dqforge.optimizer.firmware.solve import FirmwareFit, method_of
 from dqforge.reports.firmware.registry import TARGETS
 from dqforge.reports.firmware.text_file import MOST_BYTES, decoded_file
 from dqforge.reports.firmware_files.exported import (
@@ -67,8 +68,7 @@ def answer_export_for(
         raise InputError("--into: a file is one firmware's; write a single --for NAME with it")
     original = b"" if into is None else read_regular_file(into, MOST_BYTES)
     existing = None if into is None else decoded_file(original, str(into))
-    for name in chosen:
-        check_drivable(design, name)
+    check_drivable(design, [method_of(name) for name in chosen])
     if existing is not None:
         check_existing(existing, TARGETS[chosen[0]])
     stage("tuning")

@@ -59,6 +59,14 @@ def exit_code(command: Callable[[], object], locate: Callable[[DqforgeError], No
             raise
         code = 0  # the reader of a pipe has left; there is nobody to tell
         _drop_output()
+    except ImportError as error:
+        from dqforge.reports.operating_system.packages import without_package
+
+        missing = without_package(error)
+        if missing is None:
+            raise
+        tell(str(missing))  # which no place in a design is to blame for
+        code = missing.exit_code
     except OSError as error:
         code = 0 if _left_on_windows(error) else 1
         if code:

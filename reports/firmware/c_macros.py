@@ -23,6 +23,7 @@ from dqforge.reports.firmware.c_arithmetic import (
     evaluated,
     tokens_of,
 )
+from dqforge.reports.firmware.text_file import IN_RANGE, in_range
 
 MOST_DEFINITIONS = 20_000
 
@@ -125,6 +126,8 @@ class Macros:
         value = self.value(name)
         if value is None:
             self.refuse(name, f"is {shown(self.text(name))}, not a number; write one")
+        if not in_range(value):
+            self.refuse(name, f"is beyond every firmware's range; {IN_RANGE}")
         return float(value)
 
     def needed(self, name: str) -> float:

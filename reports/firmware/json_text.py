@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Iterator, Mapping
 from typing import Any, NoReturn
@@ -11,6 +10,7 @@ from typing import Any, NoReturn
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
 from dqforge.machines.wording import shown
+from dqforge.reports.firmware.text_file import IN_RANGE, in_range
 
 Path = tuple[str | int, ...]
 
@@ -22,6 +22,9 @@ _MOST_VALUES = 100_000
 
 
 _TOKEN = re.compile(r'"(?:\\.|[^"\\])*+"?|[{}\[\],:]|[^\s{}\[\],:"]++', re.DOTALL)
+
+
+_TOO_MANY_DIGITS = re.compile(r"\d{4000}")
 
 
 _AGAIN = "save the file again"
@@ -66,13 +69,9 @@ class JsonText:
             return None
         if isinstance(found, bool) or not isinstance(found, int | float):
             self.refuse(path, f"is {shown(_short(found))}, not a number; write one")
-        try:
-            value = float(found)
-        except OverflowError:
-            value = math.inf
-        if not math.isfinite(value):
-            self.refuse(path, "is too large; write a number below 1e308")
-        return value
+        if not in_range(found):
+            self.refuse(path, f"is beyond every firmware's range; {IN_RANGE}")
+        return float(found)
 
     def whole(self, *path: str | int) -> int | None:
         """The whole number at a path; as `number`."""
@@ -133,8 +132,10 @@ def parsed_json(text: str, source: str, *, constants: bool = False) -> JsonText:
     except InputError:
         raise
     except (ValueError, RecursionError):
+        digits = _TOO_MANY_DIGITS.search(text)
+        line = 1 if digits is None else _line(text, digits.start())
         message = "a number has too many digits; write at most 17"
-        raise InputError(message, source=source) from None
+        raise InputError(message, source=source, line=line) from None
     if twice:
         line = _line(text, max(text.rfind(json.dumps(twice[0])), 0))
         message = f"the key {shown(twice[0])} stands there twice; remove one"

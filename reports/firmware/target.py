@@ -49,6 +49,8 @@ class Target:
     of_project:
         Own names of what a board or a project decides (scales of its sensing, thresholds of its
         faults): an existing file keeps them, whatever a new one would say.
+    one_meaning:
+        Whether an own name stands for the same number in files of every version.
     """
 
     method: FirmwareMethod
@@ -58,3 +60,4 @@ class Target:
     read: Callable[[str, str], Configuration]
     read_several: Callable[[Sequence[tuple[str, str]]], Configuration] | None = None
     of_project: frozenset[str] = frozenset()
+    one_meaning: bool = False

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import codecs
-import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 from dqforge.machines.errors import InputError
 from dqforge.machines.files.input_files import read_regular_file
 from dqforge.machines.records import dataclass
+from dqforge.machines.wording import shown
 
 if TYPE_CHECKING:
     from dqforge.optimizer.firmware.configuration import OwnValue
@@ -28,6 +28,14 @@ _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
 _LONGEST_NUMBER = 60
+
+
+_LEAST, _MOST = 1e-30, 1e30
+
+
+IN_RANGE = f"write one from {_LEAST:g} to {_MOST:g}"
+
+"""What to write for a number that `in_range` refuses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,15 +116,26 @@ def _encoding(content: bytes) -> str:
     return "utf-8-sig" if content.startswith(codecs.BOM_UTF8) else "utf-8"
 
 
+def in_range(value: float) -> bool:
+    """Whether the float32 of a firmware can hold it, and products of a few such numbers a float."""
+    return value == 0.0 or _LEAST <= abs(value) <= _MOST
+
+
 def plain_number(text: str) -> float | None:
     """Value of a decimal number as files write it; None of anything else, and of what is not
-    finite.
+    `in_range`.
     """
     stripped = text.strip()
     if len(stripped) > _LONGEST_NUMBER or not _NUMBER.fullmatch(stripped):
         return None
     value = float(stripped)
-    return value if math.isfinite(value) else None
+    return value if in_range(value) else None
+
+
+def no_number(text: str) -> str:
+    """What is wrong with a text of which `plain_number` makes nothing, and what to write."""
+    kind = "beyond every firmware's range" if _NUMBER.fullmatch(text.strip()) else "not a number"
+    return f"is {shown(text[:_LONGEST_NUMBER])}, {kind}; {IN_RANGE}"
 
 
 def number_text(value: OwnValue, digits: int) -> str:

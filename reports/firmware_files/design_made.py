@@ -6,15 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dqforge.machines.design.loader import load_text
+from dqforge.machines.design.numerical import numerical_errors
 from dqforge.machines.design.overrides import overridden, read_override
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, NoSolutionError
 from dqforge.machines.files.positioned_yaml import parse_yaml
 from dqforge.machines.places import leading_path
 from dqforge.machines.records import dataclass
-from dqforge.optimizer.firmware.configuration import Configuration, DriveValues, PiGains
-from dqforge.optimizer.firmware.explained import explain
+from dqforge.optimizer.firmware.configuration import Configuration, Origin, PiGains
+from dqforge.optimizer.firmware.explained import profile_of
 from dqforge.reports.firmware_files.design_text import MadeDesign, design_of
-from dqforge.reports.firmware_files.recognised import read_configuration
+from dqforge.reports.firmware_files.recognised import in_file, read_configuration
 
 _SOURCE = "design.yaml"
 
@@ -51,13 +52,15 @@ def design_from_files(files: Sequence[Path], settings: Sequence[str] = ()) -> De
     configuration, read = read_configuration(files)
     names = [Path(file.source).name for file in read]
     given = {".".join(read_override(setting).parts) for setting in settings}
-    made = design_of(configuration, names, pll=_pll(configuration), given=given)
+    with in_file(str(files[0])):
+        made = design_of(configuration, names, pll=_pll(configuration), given=given)
     text = made.text
     if settings and made.missing:
         also = " ".join(f"--set {key}='{example}'" for key, example in made.missing)
         raise InputError(
             f"the file does not say all that a design needs; give {also} as well",
             source=str(files[0]),
+            line=1,
         )
     if not made.missing:
         text = _checked(text, settings, made, configuration, str(files[0]))
@@ -66,11 +69,23 @@ def design_from_files(files: Sequence[Path], settings: Sequence[str] = ()) -> De
 
 def _pll(configuration: Configuration) -> PiGains | None:
     """The phase-locked loop that makes the speed of a firmware."""
-    known = DriveValues(t_s=configuration.drive.t_s)
-    profile = explain(configuration, known).profile
-    if profile is None or profile.speed is None or profile.speed.feedback.kind != "pll":
+    try:
+        with numerical_errors():
+            profile = profile_of(configuration)
+    except (InputError, NoSolutionError):
+        return None
+    if profile.speed is None or profile.speed.feedback.kind != "pll":
         return None
     return PiGains(profile.speed.feedback.kp, profile.speed.feedback.ki)
+
+
+def _origin(path: str, made: MadeDesign, configuration: Configuration) -> Origin | None:
+    """Where the value of a key of the design stands, or of the first one below it."""
+    below = (name for key, name in made.origins.items() if key.startswith(path) and path)
+    names = (made.origins.get(path, ""), *below)
+    return next(
+        (configuration.origins[name] for name in names if name in configuration.origins), None
+    )
 
 
 def _checked(
@@ -91,9 +106,9 @@ def _checked(
         if error.source != _SOURCE:
             raise
         path = ".".join(str(part) for part in leading_path(error.message))
-        origin = configuration.origins.get(made.origins.get(path, ""))
+        origin = _origin(path, made, configuration)
         if origin is None:
-            raise InputError(error.message, source=file) from None
+            raise InputError(error.message, source=file, line=1) from None
         message = f"{origin.key} {origin.text}: {error.message}"
         raise InputError(message, source=file, line=origin.line) from None
     return text

@@ -271,6 +271,7 @@ class _Writer:
             self.lines.append(
                 f"  firmware: {{name: {found.firmware}, pll_kp: {pll.kp!r}, pll_ki: {pll.ki!r}}}"
             )
+            self.origins |= {f"control.firmware.pll_{gain}": f"pll.{gain}" for gain in ("kp", "ki")}
         t_s = found.drive.t_s
         if t_s is not None and t_s > 0.0:
             text = rate_text(t_s)

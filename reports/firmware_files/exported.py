@@ -14,7 +14,7 @@ from dqforge.optimizer.firmware.configuration import Configuration, DriveValues
 from dqforge.reports.firmware.registry import TARGETS
 from dqforge.reports.firmware.target import FileTitle, Target
 from dqforge.reports.firmware.text_file import TextFile, decoded_file
-from dqforge.reports.firmware_files.recognised import Targets, read_file, together
+from dqforge.reports.firmware_files.recognised import Targets, in_file, read_file, together
 
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
@@ -80,7 +80,12 @@ def _into(design: Design, fit: FirmwareFit, existing: TextFile, target: Target) 
     """The existing file with the values of the design, and no other file."""
     check_existing(existing, target)
     own = PurePath(existing.source).name
-    files = target.write(fit.configuration, file_title(design, fit), existing.text)
+    try:
+        with in_file(existing.source):
+            files = target.write(fit.configuration, file_title(design, fit), existing.text)
+    except InputError as error:
+        error.source = existing.source  # which writers do not know
+        raise
     alike = [name for name in files if PurePath(name).suffix == PurePath(own).suffix]
     readable = [name for name in alike or files if _recognised(target, own, files[name])]
     if not readable:
@@ -102,7 +107,9 @@ def check_existing(existing: TextFile, target: Target) -> None:
     """
     if not target.recognise(PurePath(existing.source).name, existing.text):
         raise InputError(
-            f"is no file of {target.title}; name one that it writes", source=existing.source
+            f"is no file of {target.title}; name one that it writes",
+            source=existing.source,
+            line=1,
         )
     read_file(target, existing)
 
@@ -142,6 +149,8 @@ def read_back(
     if not whole:
         alone = target.read_several is not None
         decided = _without(_own(configuration) if alone else configuration, target.of_project)
+        if target.one_meaning:
+            decided = replace(decided, version=found.version)
         differences = [(names, misread(decided, found))]
     else:
         # A file of several may say less than they do together (one inductance, without the ratio).

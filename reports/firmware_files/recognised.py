@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -39,7 +40,7 @@ def target_of_file(file: TextFile, targets: Targets = TARGETS) -> Target:
     found = recognised(file, targets)
     if found is None:
         message = f"no firmware is known that writes this; known are: {known_files(targets)}"
-        raise InputError(message, source=file.source)
+        raise InputError(message, source=file.source, line=1)
     return found
 
 
@@ -63,7 +64,7 @@ def read_configuration(
                 f"is a file of {other.method.name}, the first is one of {target.method.name}; name "
                 "files of one firmware"
             )
-            raise InputError(message, source=file.source)
+            raise InputError(message, source=file.source, line=1)
     return together(target, files), files
 
 
@@ -76,7 +77,7 @@ def together(target: Target, files: Sequence[TextFile]) -> Configuration:
         As `read_file`.
     """
     if target.read_several is not None and len(files) > 1:
-        with numerical_errors():
+        with in_file(files[0].source):
             return target.read_several([(file.text, file.source) for file in files])
     found = read_file(target, files[0])
     for file in files[1:]:
@@ -92,11 +93,24 @@ def read_file(target: Target, file: TextFile) -> Configuration:
     InputError
         It is not what the firmware writes, or its numbers are beyond all bounds.
     """
+    with in_file(file.source):
+        return target.read(file.text, file.source)
+
+
+@contextmanager
+def in_file(source: str) -> Iterator[None]:
+    """Block that works on a file: its refusals and numerical trouble are InputError with the file
+    and a line, the first where they are about the file as a whole.
+    """
     try:
         with numerical_errors():
-            return target.read(file.text, file.source)
+            yield
     except NoSolutionError as error:
-        raise InputError(error.message, source=file.source) from None
+        raise InputError(error.message, source=source, line=1) from None
+    except InputError as error:
+        error.source = source if error.source is None else error.source
+        error.line = 1 if error.line is None else error.line
+        raise
 
 
 def merged(first: Configuration, second: Configuration) -> Configuration:

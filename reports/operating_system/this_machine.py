@@ -8,12 +8,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from importlib import metadata
 from pathlib import Path
 
 from dqforge import __version__
 from dqforge.machines.records import dataclass
 from dqforge.reports.operating_system.host_compiler import NO_COMPILER
+from dqforge.reports.operating_system.packages import Package, packages
 from dqforge.reports.operating_system.system import processors
 from dqforge.reports.operating_system.trial import Trial, try_compiler
 from dqforge.reports.operating_system.ways_to_get import WAYS
@@ -39,36 +39,6 @@ COMPILERS = {
     "c++": "run, export, verify (C++11)",
 }
 
-PACKAGES = {
-    "casadi": "phase currents of salient machines",
-    "clarabel": "convex problems of cvxpy",
-    "cvxpy": "observers by matrix inequalities, fits with side conditions",
-    "daqp": "phase currents of machines with any back-EMF",
-    "distributed": "dqforge explore on several cores and on clusters",
-    "h5py": "HDF5 files, MAT files of version 7.3",
-    "jinja2": "headers and reports",
-    "matplotlib": "figures",
-    "nlopt": "searches of a few variables",
-    "numpy": "arrays",
-    "osqp": "a second opinion on phase currents",
-    "piqp": "phase currents of machines with any back-EMF",
-    "pyarrow": "parts of a study (dqforge explore)",
-    "pydantic": "checks of the design file",
-    "pymoo": "search.method: nsga2 of a study",
-    "python-calamine": "spreadsheets (XLSX, XLS, ODS)",
-    "python-flint": "proven error bounds",
-    "pyyaml": "design files",
-    "rich": "tables in a terminal",
-    "scipy": "splines, linear algebra",
-    "typer": "the command line",
-    "xarray": "to_xarray of results, from Python",
-    "ziglang": "a C and C++ compiler where none is installed",
-}
-"""Packages of Python, and what they are for."""
-
-EXTRAS = ("h5", "explore", "cc")
-"""Optional parts that a user installs; the others are for work on dqforge itself."""
-
 
 @dataclass(frozen=True, slots=True)
 class Program:
@@ -80,29 +50,6 @@ class Program:
     path: str = ""
     version: str = ""
     lacks: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Package:
-    """A package of Python.
-
-    Parameters
-    ----------
-    name, use:
-        As the package index has it; what it is for.
-    version:
-        Empty where it is not installed.
-    needed:
-        Whether dqforge needs it for more than a part of its work.
-    get:
-        Command that installs it.
-    """
-
-    name: str
-    use: str
-    version: str
-    needed: bool
-    get: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,29 +127,6 @@ def _program(name: str) -> Program:
     return Program(name, PROGRAMS[name], get, path, _version(path), lacks)
 
 
-def _packages() -> tuple[Package, ...]:
-    """Those that the installed dqforge says that it needs or can use, and xarray."""
-    found: dict[str, tuple[bool, str]] = {"xarray": (False, "python -m pip install xarray")}
-    for line in metadata.requires("dqforge") or ():
-        name = re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0].lower()
-        extra = re.search(r"extra\s*==\s*[\"']([a-z0-9]+)[\"']", line)
-        if extra is None:
-            found[name] = (True, f"python -m pip install {name}")
-        elif extra[1] in EXTRAS and name not in found:
-            found[name] = (False, f"python -m pip install 'dqforge[{extra[1]}]'")
-    return tuple(
-        Package(name, PACKAGES.get(name, ""), _installed(name), needed, get)
-        for name, (needed, get) in sorted(found.items())
-    )
-
-
-def _installed(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return ""
-
-
 def _terminal() -> Terminal:
     stream = sys.stdout
     encoding = (getattr(stream, "encoding", None) or "").lower()
@@ -224,5 +148,5 @@ def look() -> Machine:
         terminal=_terminal(),
         trials=(try_compiler("c"), try_compiler("c++")),
         programs=tuple(_program(name) for name in PROGRAMS),
-        packages=_packages(),
+        packages=packages(),
     )

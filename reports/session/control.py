@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from dqforge.reports.simulation.design_run import DriveSimulation, StepFigures
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Tuning(DrawnResult):
     """Gains of a design: ``gains.i_d``, ``gains.i_q``, ``gains.speed`` with kp,
     ki and margins in SI units.
@@ -102,7 +102,7 @@ def tune(design: Design) -> Tuning:
     return Tuning(design, gains, fixed, proof, observer_evidence(design, gains.position))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class SimulatedDrive(DrawnResult):
     """A drive in the time domain with the emitted controller in the loop.
 

@@ -26,7 +26,7 @@ from dqforge.reports.verification.host import Verification
 from dqforge.reports.written_headers import verify_folder
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Solution(Result):
     """Everything that a design asks for; ``found`` holds all of it, with the evidence."""
 
@@ -74,7 +74,7 @@ def solve(design: Design) -> Solution:
     return Solution(solved.solve(design))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Emission(Result):
     """What is emitted of a design: ``files`` by name, the headers, their test vectors and
     ``result.json`` as texts.

@@ -43,7 +43,7 @@ def _paths(files: Places) -> list[Path]:
     return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FirmwareFile(Result):
     """What files of another firmware say, and what that amounts to in its loops."""
 
@@ -115,7 +115,7 @@ def design_from_firmware(files: Places, changes: Mapping[str, str] | None = None
     return load_text(made.text.encode("utf-8"), "design made of a firmware's file")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FirmwareExport(Result):
     """A design as another firmware runs it: ``files`` by name, and what they hold and cost."""
 

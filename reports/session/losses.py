@@ -48,7 +48,7 @@ _MOST_MARGIN = 0.9
 _SLOWEST, _FASTEST = 1.0, 1e7
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Losses(DrawnResult):
     """Losses of S strategies with M modulators at P points.
 
@@ -96,7 +96,7 @@ class Losses(DrawnResult):
         return plot_losses(self.design, self.found)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class LossMap(DrawnResult):
     """Losses of alternatives over N torques in N m and M mechanical speeds in rad/s.
 

@@ -46,7 +46,7 @@ _UNITS = {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class OperatingPoints(Result):
     """Currents of least loss, arrays of the common shape of torque and speed.
 
@@ -124,7 +124,7 @@ class OperatingPoints(Result):
         return _grid_dataset(self, wanted[:, 0], speed[0])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class OperatingMap(DrawnResult):
     """Operating points of the motoring quadrant on a grid of N torques by M speeds,
     and the limits around them.

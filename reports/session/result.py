@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 _MOST_ROWS = 40
 
 
+_MOST_LINES, _WIDEST = 9, 100
+
+
 _UNITS = {
     "_rad_per_s": "rad/s",
     "_Nms_per_rad": "N m s/rad",
@@ -71,6 +74,14 @@ class Result(ABC):
         found = as_lists(self.plain())
         assert isinstance(found, dict)
         return found
+
+    def __repr__(self) -> str:
+        """At most ten lines; `to_dict` has everything."""
+        rows = _rows(self.plain(), "")
+        lines = [" ".join(f"  {name}: {text} {unit}".split()) for name, text, unit in rows]
+        if len(lines) > _MOST_LINES:
+            lines[_MOST_LINES - 1 :] = [f"{len(rows) - _MOST_LINES + 1} more: to_dict() has them"]
+        return "\n  ".join([type(self).__name__, *(line[:_WIDEST] for line in lines)])
 
     def _repr_html_(self) -> str:
         return html_table(type(self).__name__, self.plain())

@@ -45,7 +45,7 @@ def _angles(count: int) -> FloatArray:
     return np.asarray(2.0 * np.pi * np.arange(count) / count, dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class BackEmf(DrawnResult):
     """What a capture of the back-EMF holds.
 
@@ -193,7 +193,7 @@ def read_back_emf(
     return BackEmf(CaptureReading(", ".join(path.name for path in paths), capture, result, pairs))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Waveforms(DrawnResult):
     """Phase currents of every rule at one operating point: dq, dqx, dqy,
     and the best within all limits.

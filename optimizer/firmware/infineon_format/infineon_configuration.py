@@ -175,6 +175,8 @@ _FIELDS = {
     "current_q.ki": (("ctrl.curr.ki.q", "ctrl.curr.bw"), "ki, or bw times r, V/(A s)"),
     "speed.kp": (("ctrl.speed.kp", "ctrl.speed.bw"), "times pole pairs, A s/rad"),
     "speed.ki": (("ctrl.speed.ki", "ctrl.speed.bw"), "times pole pairs, A/rad"),
+    "pll.kp": (("obs.pll.kp", "obs.pll.w0"), "kp times the flux linkage, or w0, 1/s"),
+    "pll.ki": (("obs.pll.ki", "obs.pll.w0"), "ki times the flux linkage, or w0^2/2, 1/s^2"),
 }
 
 

@@ -43,6 +43,11 @@ def conventions(values: Values) -> Iterator[str]:
             f"torque_constant {constant:.6g} N m/A (peak of phase) is 8.27/KV: KV "
             f"{8.26993 / constant:.5g} rpm per volt between two phases (peak)"
         )
+    elif "controller.config.vel_limit" in values:
+        yield (
+            "the file has no torque_constant, as before 0.5.1: in 0.4 speeds and gains were counts "
+            "of the encoder, here they are taken as turns; check vel_limit"
+        )
     if "motor.config.phase_inductance" in values:
         yield "phase_inductance stands for both axes"
     if "controller.config.vel_gain" in values:

@@ -15,6 +15,7 @@ from dqforge.optimizer.firmware.configuration import (
 from dqforge.optimizer.firmware.field_origins import Fields, field_origins
 from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.simplefoc_format.simplefoc_keys import (
+    BEFORE,
     DEFAULTS,
     FOC_CURRENT,
     LOOP_PERIOD,
@@ -65,7 +66,7 @@ def configuration(
     assumed = (_ASSUMED_PERIOD,) if own and LOOP_PERIOD not in own else ()
     return Configuration(
         firmware="simplefoc",
-        version=VERSION,
+        version=BEFORE if "phase_inductance" in own else VERSION,
         name=name,
         drive=_drive(own),
         current_d=_pair(own, "PID_current_d") if controlled else None,

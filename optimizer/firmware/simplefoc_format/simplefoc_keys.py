@@ -12,6 +12,11 @@ from dqforge.optimizer.firmware.own_values import number, rounded
 VERSION = "2.4"
 
 
+BEFORE = f"before {VERSION}"
+
+"""Version of files with ``phase_inductance``, one for both axes."""
+
+
 SIGNIFICANT = 6
 
 """Significant digits that are written: a line of the Commander takes 19 characters."""

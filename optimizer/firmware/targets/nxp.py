@@ -7,6 +7,7 @@ import math
 from dqforge.machines.errors import InputError
 from dqforge.optimizer.firmware.configuration import Configuration, PiGains
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
+from dqforge.optimizer.firmware.lacking import MAX_SPEED
 from dqforge.optimizer.firmware.nxp_mcat.mcat_design import own_values
 from dqforge.optimizer.firmware.nxp_mcat.mcat_edition import (
     EDITIONS,
@@ -183,4 +184,6 @@ def _emf_scale(sheet: McatSheet) -> float:
     return (full or 1.0) / (sheet.amperes or 1.0)
 
 
-NXP = FirmwareMethod("nxp", FLOAT_2025.version, "axes", configure, profile, shortfalls)
+NXP = FirmwareMethod(
+    "nxp", FLOAT_2025.version, "axes", configure, profile, shortfalls, needs=(MAX_SPEED,)
+)

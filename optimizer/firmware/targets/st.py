@@ -13,6 +13,7 @@ from dqforge.optimizer.firmware.configuration import (
     PiGains,
 )
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
+from dqforge.optimizer.firmware.lacking import CURRENT_SENSING
 from dqforge.optimizer.firmware.own_values import needed, number
 from dqforge.optimizer.firmware.st_format.st_configuration import st_configuration
 from dqforge.optimizer.firmware.st_format.st_gains import current_integers, speed_integers
@@ -247,4 +248,4 @@ def _listed(values: tuple[int, ...]) -> str:
     return "{" + ",".join(str(value) for value in values) + "}"
 
 
-ST = FirmwareMethod("st", VERSION, "axes", configure, profile, shortfalls)
+ST = FirmwareMethod("st", VERSION, "axes", configure, profile, shortfalls, needs=(CURRENT_SENSING,))

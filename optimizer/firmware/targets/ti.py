@@ -12,6 +12,7 @@ from dqforge.optimizer.firmware.configuration import (
     PiGains,
 )
 from dqforge.optimizer.firmware.firmware_method import Asked, FirmwareMethod
+from dqforge.optimizer.firmware.lacking import INERTIA
 from dqforge.optimizer.firmware.own_values import needed
 from dqforge.optimizer.firmware.profile import (
     AntiWindup,
@@ -296,4 +297,4 @@ def _speed_loop(found: Configuration, t_s: float, wind_up: AntiWindup) -> SpeedC
     return SpeedController(pi, estimate, ramp)
 
 
-TI = FirmwareMethod("ti", VERSION, "axes", configure, profile, shortfalls)
+TI = FirmwareMethod("ti", VERSION, "axes", configure, profile, shortfalls, needs=(INERTIA,))

@@ -35,7 +35,9 @@ from dqforge.optimizer.firmware.vesc_format.vesc_contradictions import OBSERVER_
 from dqforge.optimizer.firmware.vesc_format.vesc_keys import (
     KEYS,
     VERSION,
+    has_two_observers,
     kept,
+    known_to,
     loop_number,
 )
 from dqforge.optimizer.firmware.vesc_format.vesc_shortfalls import shortfalls as found_shortfalls
@@ -66,6 +68,9 @@ FAST_FILTERS = {1: 0.01, 2: 0.2}
 
 
 _SAME = 1.001
+
+
+_TWO_OBSERVERS = ("ortega original", "ortega iterative")
 
 
 _OBSERVERS = (
@@ -291,7 +296,8 @@ def _speed_loop(found: Configuration, t_s: float) -> SpeedController | None:
     if found.speed is None:
         return None
     own, pairs = found.own, pole_pairs(found.own)
-    ramp = loop_number(own, "s_pid_ramp_erpms_s")
+    ramped_at_all = known_to(found.version, "s_pid_ramp_erpms_s") or "s_pid_ramp_erpms_s" in own
+    ramp = loop_number(own, "s_pid_ramp_erpms_s") if ramped_at_all else 0.0
     pi = PiController(
         found.speed.kp,
         found.speed.ki,
@@ -316,8 +322,11 @@ def _speed_estimate(found: Configuration, t_s: float) -> SpeedEstimate:
 
 def _observer(found: Configuration) -> FluxObserver:
     own = found.own
-    index = int(loop_number(own, "foc_observer_type"))
-    name = _OBSERVERS[index] if 0 <= index < len(_OBSERVERS) else f"foc_observer_type {index}"
+    chosen = known_to(found.version, "foc_observer_type") or "foc_observer_type" in own
+    index = int(loop_number(own, "foc_observer_type")) if chosen else 0
+
+    names = _TWO_OBSERVERS if has_two_observers(found.version) else _OBSERVERS
+    name = names[index] if 0 <= index < len(names) else f"foc_observer_type {index}"
     gain, psi = number(own, "foc_observer_gain"), number(own, "foc_motor_flux_linkage")
     corrects = name.startswith("ortega") and gain is not None and psi is not None
     rate = gain * psi * psi if corrects and gain is not None and psi is not None else None

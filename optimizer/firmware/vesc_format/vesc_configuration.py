@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from dqforge.optimizer.firmware.configuration import (
     Configuration,
@@ -15,7 +15,12 @@ from dqforge.optimizer.firmware.configuration import (
 from dqforge.optimizer.firmware.field_origins import field_origins
 from dqforge.optimizer.firmware.own_values import number
 from dqforge.optimizer.firmware.vesc_format.vesc_contradictions import contradictions
-from dqforge.optimizer.firmware.vesc_format.vesc_keys import VERSION, loop_number
+from dqforge.optimizer.firmware.vesc_format.vesc_keys import (
+    LOOP_DEFAULTS,
+    VERSION,
+    known_to,
+    loop_number,
+)
 
 LOOP_RATES = (25.0, 50.0, 100.0, 250.0, 500.0, 1000.0, 2500.0, 5000.0, 10000.0)
 
@@ -67,9 +72,27 @@ def configuration(
         speed=_speed(own),
         own=dict(own),
         origins=field_origins(found, _FIELDS),
-        conventions=CONVENTIONS,
+        conventions=(*CONVENTIONS, *_doubt(own, version)),
         contradictions=contradictions(own),
     )
+
+
+def _doubt(own: Mapping[str, OwnValue], version: str) -> Iterator[str]:
+    """What is not certain of the version, and of the observer that a file does not name."""
+    if version != VERSION:
+        yield (
+            f"the file does not say its version; its keys are those of firmware {version}, and its "
+            f"loops are computed with the structure of {VERSION}: check them against that firmware"
+        )
+    if "foc_observer_type" not in own:
+        yield (
+            "the file does not say foc_observer_type: "
+            + (
+                f"VESC Tool's default of {VERSION}, {LOOP_DEFAULTS['foc_observer_type']}, is taken"
+                if known_to(version, "foc_observer_type")
+                else "firmware of that age has the original observer of Ortega alone"
+            )
+        )
 
 
 def erpm_per_speed(pole_pairs: float) -> float:
@@ -152,4 +175,6 @@ _FIELDS = {
     "current_q.ki": ("foc_current_ki", "as it is, V/(A s)"),
     "speed.kp": ("s_pid_kp", "times 30/pi times pole pairs times l_current_max/20, A s/rad"),
     "speed.ki": ("s_pid_ki", "times 30/pi times pole pairs times l_current_max/20, A/rad"),
+    "pll.kp": ("foc_pll_kp", "as it is, 1/s"),
+    "pll.ki": ("foc_pll_ki", "as it is, 1/s^2"),
 }

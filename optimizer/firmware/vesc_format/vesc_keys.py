@@ -6,7 +6,7 @@ Names, kinds and permitted values are those of VESC Tool's ``res/config/7.01/par
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Literal
 
 from dqforge.machines.errors import InputError
@@ -15,6 +15,67 @@ from dqforge.optimizer.firmware.configuration import Number, OwnValue
 from dqforge.optimizer.firmware.own_values import number, rounded
 
 VERSION = "7.01"
+
+
+_LAST_OF_TWO = "5.03"
+
+
+_AGES = (
+    ("before 3.66", ()),
+    ("3.66 to 5.01", ("foc_observer_type", "foc_cc_decoupling")),
+    ("5.02", ("s_pid_ramp_erpms_s",)),
+    (_LAST_OF_TWO, ("sp_pid_loop_rate",)),
+    ("6.00 to 6.02", ("foc_sl_openloop_boost_q", "foc_sl_openloop_max_q")),
+    (VERSION, ("s_pid_speed_source", "foc_control_sample_mode")),
+)
+
+"""Versions of the firmware with the keys that came with each (CHANGELOG.md of vedderb/bldc, held
+against ``parameters_mcconf.xml`` of 3.57, 5.02, 6.00 and 7.01); 6.05 and later have the keys that
+loops depend on as 7.01 has them."""
+
+
+_OLD_SAMPLING, _OLD_FREQUENCY = "foc_sample_v0_v7", "foc_f_sw"
+
+"""Keys that 6.05 and 6.00 replaced."""
+
+
+_TWO_OBSERVERS_UNTIL = [age for age, _ in _AGES].index(_LAST_OF_TWO)
+
+
+def version_of(written: Collection[str], *, whole: bool) -> str:
+    """Version of the firmware whose keys a file has.
+
+    Parameters
+    ----------
+    written:
+        Names of keys as the file spells them.
+    whole:
+        Whether the file has all keys of its version, as XML of the tool does: then what it lacks
+        says as much as what it has. A header may leave out what a board does not change.
+    """
+    newest = max(
+        (age for age, (_, keys) in enumerate(_AGES) if any(key in written for key in keys)),
+        default=0,
+    )
+    if not whole:
+        newest = len(_AGES) - (2 if _OLD_SAMPLING in written else 1)
+        newest = _TWO_OBSERVERS_UNTIL if _OLD_FREQUENCY in written else newest
+    return _AGES[newest][0]
+
+
+def has_two_observers(version: str) -> bool:
+    """Whether foc_observer_type 1 stands for another observer than today: before 6.00 there were
+    two.
+    """
+    names = [age for age, _ in _AGES]
+    return version in names[: _TWO_OBSERVERS_UNTIL + 1]
+
+
+def known_to(version: str, name: str) -> bool:
+    """Whether the firmware of a version has a key."""
+    names = [age for age, _ in _AGES]
+    since = next((age for age, (_, keys) in enumerate(_AGES) if name in keys), 0)
+    return version not in names or names.index(version) >= since
 
 
 SIGNIFICANT = 6

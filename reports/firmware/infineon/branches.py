@@ -32,6 +32,7 @@ def kept_by_build(text: str, source: str, symbols: Collection[str]) -> str:
         Conditions are not closed, or closed without being opened; with the line.
     """
     branches: list[tuple[bool, bool]] = []  # whether this branch counts, whether one has
+    opened: list[int] = []  # lines of the conditions that are open
     kept = []
     for index, line in enumerate(without_comments(text, source).split("\n")):
         found = _DIRECTIVE.fullmatch(line)
@@ -40,10 +41,10 @@ def kept_by_build(text: str, source: str, symbols: Collection[str]) -> str:
             continue
         kept.append(" " * len(line))
         _step(branches, found[1], found[2], symbols, (source, index + 1))
+        opened = [*opened, index + 1][: len(branches)]
     if branches:
-        raise InputError(
-            "a condition has no #endif; write it, or copy the whole file", source=source
-        )
+        message = "the condition has no #endif; write it, or copy the whole file"
+        raise InputError(message, source=source, line=opened[-1])
     return "\n".join(kept)
 
 

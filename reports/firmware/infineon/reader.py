@@ -17,7 +17,7 @@ from dqforge.reports.firmware.c_arithmetic import NotArithmeticError, Unknown, e
 from dqforge.reports.firmware.c_macros import Definition, Macros, read_assignments
 from dqforge.reports.firmware.infineon.branches import kept_by_build
 from dqforge.reports.firmware.infineon.names import CONSTANTS, FUNCTIONS, KINDS, member
-from dqforge.reports.firmware.text_file import plain_number
+from dqforge.reports.firmware.text_file import IN_RANGE, in_range, no_number, plain_number
 
 ROTOR_FRAME = ("CTRL_METHOD_RFO",)
 
@@ -147,12 +147,15 @@ def _as_kind(found: Macros, definition: Definition, name: str, value: Number | s
     if (kind == "word") != isinstance(value, str):
         wanted = "an enumerator such as En" if kind == "word" else "a number"
         _refuse(found, definition, f"is {shown(definition.text)}; write {wanted}")
-    if isinstance(value, str) or kind == "real":
-        return value if isinstance(value, str) else float(value)
-    whole = float(value)
-    if not whole.is_integer() or not 0 <= whole <= 2**31:
+    if isinstance(value, str):
+        return value
+    if not in_range(value):
+        _refuse(found, definition, f"is beyond every firmware's range; {IN_RANGE}")
+    if kind == "real":
+        return float(value)
+    if not float(value).is_integer() or not 0 <= value <= 2**31:
         _refuse(found, definition, f"is {value:g}; write a whole number")
-    return int(whole)
+    return int(value)
 
 
 def _refuse_unless_open(found: Macros, definition: Definition) -> None:
@@ -179,6 +182,6 @@ def _table(text: str, place: str) -> str | None:
         raise InputError(message, source=place, line=line)
     for part, value in zip(parts, numbers, strict=True):
         if value is None:
-            message = f"the table has {shown(part)}, not a number; write one"
+            message = f"a point of the table {no_number(part)}"
             raise InputError(message, source=place, line=line)
     return ", ".join(f"{value:.7g}" for value in numbers if value is not None)

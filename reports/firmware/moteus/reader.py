@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import PurePath
 
 from dqforge.machines.errors import InputError
-from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.configuration import Configuration, Origin
 from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
+    FILTER,
     GEAR,
     KNOWN,
     OF_OUTPUT,
@@ -18,7 +18,7 @@ from dqforge.optimizer.firmware.one_bandwidth.moteus_keys import (
     configuration,
 )
 from dqforge.reports.firmware.moteus.config_lines import ConfigLine, config_lines
-from dqforge.reports.firmware.text_file import plain_number
+from dqforge.reports.firmware.text_file import no_number, plain_number
 
 ENDING = ".moteus.cfg"
 
@@ -63,6 +63,8 @@ _FIELDS = {
     "t_s": "servo.pwm_rate_hz",
     "speed.kp": "servo.pid_position.kd",
     "speed.ki": "servo.pid_position.kp",
+    "pll.kp": FILTER,
+    "pll.ki": FILTER,
 }
 
 
@@ -155,7 +157,7 @@ def _origin(line: ConfigLine) -> Origin:
 def _number(key: str, origin: Origin, place: str) -> float | int:
     value = plain_number(origin.text)
     if value is None:
-        complaint = f"is {shown(origin.text[:40])}, not a finite number; write one"
+        complaint = no_number(origin.text)
     elif key in WHOLE and not (value.is_integer() and 0.0 <= value <= 65535.0):
         complaint = f"is {value:g}; write a whole number from 0 to 65535"
     elif value < 0.0 and key != "motor.inductance_d_scale":

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.records import dataclass
-from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.nxp_mcat.mcat_names import FLAGS, INPUTS, SPELLINGS
 from dqforge.reports.firmware.json_text import JsonText, parsed_json
 from dqforge.reports.firmware.nxp.names import (
@@ -18,7 +17,7 @@ from dqforge.reports.firmware.nxp.names import (
     HEADING_LINE,
     LOOP_WORDS,
 )
-from dqforge.reports.firmware.text_file import plain_number
+from dqforge.reports.firmware.text_file import no_number, plain_number
 
 _OBJECT = re.compile(r"/\*\s*(\{.*?\})\s*\*/", re.DOTALL)
 
@@ -148,7 +147,7 @@ def line_inputs(text: str, place: str) -> Iterator[InputLine]:
             key = loop[LOOP_WORDS.index(what)]
         if key:
             if plain_number(found[2]) is None:
-                message = f"{found[1].strip()} is {shown(found[2])}, not a number; write one"
+                message = f"{found[1].strip()} {no_number(found[2])}"
                 raise InputError(message, source=place, line=number)
             yield InputLine(key, found[2], number)
 

@@ -201,6 +201,8 @@ _FIELDS = {
     "current_q.ki": "M1_Q_KI_GAIN",
     "speed.kp": "M1_SPEED_PI_PROP_GAIN",
     "speed.ki": "M1_SPEED_PI_INTEG_GAIN",
+    "pll.kp": "M1_TO_KP_GAIN",
+    "pll.ki": "M1_TO_KI_GAIN",
 }
 
 _UNROUNDED = {"i_max": "speedLoopUpperLimit", "omega_m_max": "parametersNnom"}

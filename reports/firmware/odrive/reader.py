@@ -42,6 +42,8 @@ _FIELDS = {
     "current_q.ki": "motor.config.current_control_bandwidth",
     "speed.kp": "controller.config.vel_gain",
     "speed.ki": "controller.config.vel_integrator_gain",
+    "pll.kp": "encoder.config.bandwidth",
+    "pll.ki": "encoder.config.bandwidth",
 }
 
 
@@ -96,6 +98,7 @@ def read(text: str, place: str) -> Configuration:
     tree = parsed_json(text, place, constants=True)
     _refuse_later(tree)
     axis = chosen_axis(tree)
+    _refuse_earlier(tree, axis)
     origins = {key: _origin(tree, axis, key) for key in KINDS if _stands(tree, axis, key)}
     values = {key: value for key in origins if (value := _value(tree, axis, key)) is not None}
     if not values:
@@ -192,6 +195,17 @@ def _refuse_later(tree: JsonText) -> None:
     for key in tree.root:
         if str(key).startswith(_LATER):
             _later(tree, (key,))
+
+
+def _refuse_earlier(tree: JsonText, axis: str) -> None:
+    """Refuse backups of ODrive 0.4 by a key that 0.5 has not: its speeds are in counts."""
+    path = path_of(axis, "controller.config.setpoints_in_cpr")
+    if tree.value(*path) is not None:
+        tree.refuse(
+            path,
+            "is of ODrive 0.4, whose speeds and gains are in counts of the encoder: this reads "
+            "0.5; update the firmware, calibrate, and save it with odrivetool backup-config",
+        )
 
 
 def _later(tree: JsonText, path: tuple[str, ...]) -> NoReturn:

@@ -161,6 +161,8 @@ FIELDS = {
     "current_d.ki": ("PID_FLUX_KI_DEFAULT", "over TF_KIDIV, times v_dc/sqrt(3) f over full scale"),
     "speed.kp": ("PID_SPEED_KP_DEFAULT", "over SP_KPDIV, full scale/32768 per 0.1 Hz"),
     "speed.ki": ("PID_SPEED_KI_DEFAULT", "over SP_KIDIV, full scale/32768 f per 0.1 Hz"),
+    "pll.kp": ("PLL_KP_GAIN", "over PLL_KPDIV, per control period"),
+    "pll.ki": ("PLL_KI_GAIN", "over PLL_KIDIV, per control period"),
 }
 
 """Macros behind the values of a configuration, and how they are converted."""

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import PurePath
 
 from dqforge.machines.errors import InputError
 from dqforge.machines.wording import shown
 from dqforge.optimizer.firmware.configuration import Configuration, Number, Origin
 from dqforge.optimizer.firmware.vesc_format.vesc_configuration import configuration
+from dqforge.optimizer.firmware.vesc_format.vesc_keys import version_of
 from dqforge.reports.firmware.c_macros import read_macros
 from dqforge.reports.firmware.safe_xml import parsed_xml
-from dqforge.reports.firmware.text_file import plain_number
+from dqforge.reports.firmware.text_file import no_number, plain_number
 from dqforge.reports.firmware.vesc.names import FORMER, READ, WHOLE, WORDS, define
 
 ROOT = "MCConfiguration"
@@ -58,7 +60,8 @@ def read(text: str, place: str) -> Configuration:
     InputError
         It is none, or a value of it is no number; with the line.
     """
-    own, origins = _in_xml(text, place) if is_xml(text) else _in_header(text, place)
+    xml = is_xml(text)
+    own, origins, written = _in_xml(text, place) if xml else _in_header(text, place)
     if not own:
         raise InputError(
             "this file holds none of VESC's keys of a motor; save the motor configuration as XML "
@@ -68,19 +71,21 @@ def read(text: str, place: str) -> Configuration:
     kind = origins.get("motor_type")
     if kind is not None and own["motor_type"] != FIELD_ORIENTED:
         raise InputError(
-            f"{kind.key} is {kind.text}: this motor does not run with field-oriented control (2)",
+            f"{kind.key} is {kind.text}: this motor does not run with field-oriented control; "
+            "detect it as FOC with VESC Tool, which writes 2",
             source=place,
             line=kind.line,
         )
-    return configuration(PurePath(place).stem, own, origins)
+    version = version_of(written, whole=xml)
+    return configuration(PurePath(place).stem, own, origins, version)
 
 
-Found = tuple[dict[str, Number], dict[str, Origin]]
+Found = tuple[dict[str, Number], dict[str, Origin], Collection[str]]
 
 
 def _in_xml(text: str, place: str) -> Found:
-    """Values and origins by the name of the key; of several elements of one name the last counts,
-    as VESC Tool reads them.
+    """Values and origins by the name of the key, and every name as it is written; of several
+    elements of one name the last counts, as VESC Tool reads them.
     """
     root = parsed_xml(text, place)
     if root.tag != ROOT:
@@ -97,7 +102,7 @@ def _in_xml(text: str, place: str) -> Found:
         if name in READ:
             origins[name] = Origin(element.tag, element.text.strip(), element.line)
             own[name] = _checked(name, plain_number(element.text), origins[name], place)
-    return own, origins
+    return own, origins, {element.tag for element in root.children}
 
 
 def _in_header(text: str, place: str) -> Found:
@@ -106,6 +111,7 @@ def _in_header(text: str, place: str) -> Found:
     own: dict[str, Number] = {}
     origins: dict[str, Origin] = {}
     former = [(old, new) for old, new in FORMER.items() if define(old) in macros]
+    spelled = {old for old, _ in former} | {name for name in READ if define(name) in macros}
     for written, name in (*former, *((name, name) for name in READ)):
         macro = define(written)
         said = macros.text(macro)
@@ -114,13 +120,13 @@ def _in_header(text: str, place: str) -> Found:
             value = macros.number(macro) if value is None else value
             origins[name] = Origin(macro, said, macros.line(macro))
             own[name] = _checked(name, value, origins[name], place)
-    return own, origins
+    return own, origins, spelled
 
 
 def _checked(name: str, value: float | None, origin: Origin, place: str) -> Number:
     """The value of a key, a whole number where it holds one."""
     if value is None:
-        complaint = f"is {shown(origin.text)}, not a number; write one"
+        complaint = no_number(origin.text)
     elif name in WHOLE and not value.is_integer():
         complaint = f"is {value:g}; write a whole number"
     else:

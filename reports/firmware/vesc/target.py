@@ -14,4 +14,5 @@ TARGET = Target(
     recognise,
     read,
     of_project=frozenset(OF_PROJECT),
+    one_meaning=True,
 )

@@ -10,7 +10,9 @@ import pytest
 import yaml
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.loader import load_design
 from dqforge.machines.design.schema import json_schema
+from dqforge.machines.errors import InputError
 from dqforge.machines.exploration import catalogue as studies
 from dqforge.machines.exploration.study_schema import study_json_schema
 from dqforge.machines.files.library_files import (
@@ -60,3 +62,9 @@ def test_the_modeline_stands_first_and_is_a_comment() -> None:
     assert line == b"# yaml-language-server: $schema=design.schema.json"
     assert rest == text
     assert yaml.safe_load(told) == yaml.safe_load(text)
+
+
+@pytest.mark.parametrize("name", ["paper000", "abb", "thor-pmsyrm", "vdyno-trampa-6430"])
+def test_a_name_that_is_nearly_one_of_the_library_is_answered_with_it(name: str) -> None:
+    with pytest.raises(InputError, match=rf"no such file; did you mean {name[:4]}"):
+        load_design(name)

@@ -19,7 +19,9 @@ from scipy.io import savemat
 
 from dqforge.machines.arrays import FloatArray
 from dqforge.machines.errors import InputError
+from dqforge.machines.files.named_arrays import NamedArray
 from dqforge.machines.flux_map_files.files import read_flux_points
+from dqforge.machines.flux_map_files.names import choose
 from dqforge.machines.flux_maps.building import FluxMapReading, build_flux_map
 from dqforge.machines.flux_maps.flux_points import FluxPoints
 
@@ -855,3 +857,20 @@ def test_damaged_files_are_refused_in_one_line_or_read(name: str) -> None:
             length = int(generator.choice([1, 3, 40, len(damaged) // 3]))
             damaged[place : place + length] = texts[int(generator.integers(0, len(texts)))]
         assert "\n" not in complaint(bytes(damaged), source)
+
+
+@pytest.mark.parametrize("claim", ["(Peak)", "[peak]", "[A] (Peak)", "(Peak) [A]"])
+def test_a_claim_in_brackets_hides_no_name(claim: str) -> None:
+    """Id (Peak) beside Is and its angle, as a tool of finite elements exports them."""
+    named = {
+        f"Id {claim}": MESH_D,
+        f"Iq {claim}": MESH_Q,
+        "Is": np.hypot(MESH_D, MESH_Q),
+        "beta": np.degrees(np.arctan2(MESH_Q, MESH_D)),
+        "Flux_d": PSI_D,
+        "Flux_q": PSI_Q,
+    }
+    arrays = [NamedArray("", name, values) for name, values in named.items()]
+    chosen = choose(arrays, {}, "map.csv")
+    assert chosen["i_d"].values is MESH_D
+    assert "i" not in chosen

@@ -13,8 +13,9 @@ import pytest
 from hidden_compilers import hide_compilers
 
 from dqforge.reports.answers.doctor import answer_doctor
-from dqforge.reports.operating_system import host_compiler, system, this_machine
-from dqforge.reports.operating_system.this_machine import PACKAGES, PROGRAMS, look
+from dqforge.reports.operating_system import host_compiler, packages, system, this_machine
+from dqforge.reports.operating_system.packages import PACKAGES
+from dqforge.reports.operating_system.this_machine import PROGRAMS, look
 from dqforge.reports.operating_system.trial import try_compiler
 from dqforge.reports.operating_system.ways_to_get import WAYS
 
@@ -126,8 +127,8 @@ def test_there_is_a_way_to_every_program_and_the_extra_exists() -> None:
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text("utf-8"))
     extras = project["project"]["optional-dependencies"]
     assert extras["cc"][0].startswith("ziglang")
-    assert set(this_machine.EXTRAS) <= set(extras)
-    for extra in this_machine.EXTRAS:
+    assert set(packages.EXTRAS) <= set(extras)
+    for extra in packages.EXTRAS:
         names = {line.split(">")[0] for line in extras[extra]}
         assert names <= set(PACKAGES)
 

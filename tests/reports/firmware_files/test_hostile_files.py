@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
 import pytest
-from firmware_files import scooter_files
+from firmware_files import scooter, scooter_files, scooter_fit
 
 from dqforge import cli
-from dqforge.machines.errors import InputError
+from dqforge.machines.errors import InputError, VerificationError
 from dqforge.optimizer.firmware.explained import explain
+from dqforge.optimizer.firmware.solve import FirmwareFit
 from dqforge.reports.firmware.registry import TARGETS
-from dqforge.reports.firmware.text_file import decoded_file
+from dqforge.reports.firmware.text_file import decoded_file, read_text_file
+from dqforge.reports.firmware_files.design_made import design_from_files
 from dqforge.reports.firmware_files.design_text import design_of
+from dqforge.reports.firmware_files.exported import firmware_files
 from dqforge.reports.firmware_files.recognised import read_file, recognised
 
 FIRMWARE = tuple(name for name, _ in TARGETS.items())  # loaded before the network is refused
@@ -69,6 +74,81 @@ def test_files_that_are_cut_off_are_read_or_refused(name: Any) -> None:
         step = max(1, len(content) // STEPS)
         outcomes = {outcome(content[:end], file) for end in range(0, len(content), step)}
         assert len(outcomes) > 1
+
+
+NUMBER = re.compile(rb"(?<![\w.])[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![\w.])")
+INSTEAD = [b"inf", b"-inf", b"nan", b"1e309", b"1" + b"0" * 400, b"1e300", b"1e-300", b"0", b"-1"]
+INSTEAD += [b"", b"text", b"0.5"]
+PLACED = re.compile(r"(.+?):(\d+)(:\d+)?: .+", re.ASCII)
+
+
+def mutants(content: bytes, generator: random.Random, count: int) -> list[bytes]:
+    """A file with one of its numbers replaced, or a line left out, doubled or cut, or its end."""
+    found, numbers, lines = [], [*NUMBER.finditer(content)], content.split(b"\n")
+    for _ in range(count):
+        start, end = generator.choice(numbers).span()
+        found.append(content[:start] + generator.choice(INSTEAD) + content[end:])
+        k = generator.randrange(len(lines))
+        half = lines[k][: len(lines[k]) // 2]
+        instead = generator.choice([[], [lines[k]] * 2, [half]])
+        behind = [] if generator.random() < 0.2 else lines[k + 1 :]
+        found.append(b"\n".join([*lines[:k], *instead, *behind]))
+    return found
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", FIRMWARE)
+def test_refusals_name_file_and_line(name: Any, count: int, tmp_path: Path) -> None:
+    """Whatever became of a file, `new --from` and `export --into` read it, or say in one line where
+    and what is wrong, and what to write.
+    """
+    generator, fit = random.Random(f"{name} {count}"), scooter_fit(name)
+    for file, content in scooter_files(name).items():
+        path = tmp_path / file
+        for mutant in [*INJURED.get(file, ()), *mutants(content, generator, count)]:
+            path.write_bytes(mutant)
+            for read in (new_from, into):
+                said = refusal(read, path, fit)
+                placed = PLACED.fullmatch(said)
+                assert placed is not None or not said, said
+                if placed is not None:
+                    assert placed[1] == str(path)
+                    assert 1 <= int(placed[2]) <= mutant.count(b"\n") + 1
+                    assert re.search(r"; |expected|give |write ", said), said
+
+
+def refusal(read: Callable[[Path, FirmwareFit], None], path: Path, fit: FirmwareFit) -> str:
+    """What a reader says against a file, "" where it takes it."""
+    try:
+        read(path, fit)
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+def new_from(path: Path, fit: FirmwareFit) -> None:
+    del fit
+    made = design_from_files([path])
+    if made.missing:
+        design_from_files([path], [f"{key}={example}" for key, example in made.missing])
+
+
+def into(path: Path, fit: FirmwareFit) -> None:
+    with suppress(VerificationError):  # which says that the file keeps something else
+        firmware_files(scooter(), fit, read_text_file(path))
+
+
+INJURED: dict[str, list[bytes]] = {
+    "scooter_params.h": [
+        b"#ifdef A\nparams.motor.P = 8.0f;\n",
+        b"params.motor.P = 1" + b"0" * 400 + b";\n",
+    ],
+    "scooter_mcconf.h": [b"#define MCCONF_FOC_MOTOR_R 1" + b"0" * 400 + b"\n"],
+    "scooter_mcconf.xml": [
+        b"<MCConfiguration>\n<foc_f_zv>1e-309</foc_f_zv>\n</MCConfiguration>",
+    ],
+}
+"""What reached a user without a line, or ended in an OverflowError."""
 
 
 @pytest.mark.parametrize("changes", [CHANGES, pytest.param(100, marks=pytest.mark.slow)])

@@ -129,6 +129,11 @@ def test_the_map_is_that_of_the_command(capsys: pytest.CaptureFixture[str]) -> N
     np.testing.assert_array_equal(chart.points.torque_request[:, 0], chart.torque)
 
 
+_AXIS = np.linspace(-10.0, 10.0, 5)
+_D, _Q = np.meshgrid(_AXIS, _AXIS, indexing="ij")
+FALLING = dqforge.FluxMap(_AXIS, _AXIS, 0.1 + 1e-3 * _D, -1e-3 * _Q)
+
+
 REFUSALS: list[tuple[dict[str, Any], str]] = [
     ({"torque": "50 N m"}, "torque: expected numbers in N m, got '50 N m'"),
     (
@@ -148,12 +153,8 @@ REFUSALS: list[tuple[dict[str, Any], str]] = [
     ({"objective": "iron"}, "objective: expected copper or total, got 'iron'"),
     ({"drive": "ipm"}, "drive: expected a Design, a LinearMachine or a SaturatedMachine, got str"),
     (
-        {"drive": dqforge.LinearMachine(4, 0.02, -1e-3, 1e-3, 0.1, 10.0)},
-        "l_d: expected a positive number in SI units, got -0.001",
-    ),
-    (
-        {"drive": dqforge.LinearMachine(0, 0.02, 1e-3, 1e-3, 0.1, 10.0)},
-        "pole_pairs: expected a whole number above 0",
+        {"drive": dqforge.SaturatedMachine(4, 0.02, FALLING, 10.0)},
+        "l_q: expected a positive number in SI units, got -0.001",
     ),
 ]
 

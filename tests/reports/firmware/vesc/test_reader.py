@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dqforge.machines.errors import InputError
+from dqforge.optimizer.firmware.targets.vesc import profile
 from dqforge.reports.firmware.vesc.reader import read, recognise
 
 # The layout that VESC Tool writes (auto-formatted, values alone), with values of our own.
@@ -191,3 +192,37 @@ def test_what_is_of_others_is_not_recognised() -> None:
     assert not recognise("a.xml", "<AppConfiguration></AppConfiguration>")
     assert not recognise("a.h", "#define M1_PWM_FREQ 10000\n")
     assert not recognise("a.json", '{"MCCONF_X": 1}')
+
+
+@pytest.mark.parametrize(
+    ("keys", "version", "observer"),
+    [
+        ((), "before 3.66", "ortega original"),
+        (("foc_observer_type",), "3.66 to 5.01", "ortega iterative"),
+        (("foc_observer_type", "s_pid_ramp_erpms_s"), "5.02", "ortega iterative"),
+        (("foc_observer_type", "sp_pid_loop_rate"), "5.03", "ortega iterative"),
+        (("foc_observer_type", "foc_sl_openloop_max_q"), "6.00 to 6.02", "mxlemming"),
+        (("foc_observer_type", "foc_control_sample_mode"), "7.01", "mxlemming"),
+    ],
+)
+def test_the_version_is_inferred_from_the_keys_and_doubted(
+    keys: tuple[str, ...], version: str, observer: str
+) -> None:
+    """The keys of res/config of each version; a file of 2017 gets no observer of 2023."""
+    lines = ["foc_current_kp", "foc_current_ki", "foc_motor_r", "foc_motor_l", "foc_f_sw"]
+    text = "".join(f"<{key}>1</{key}>\n" for key in (*lines, *keys))
+    found = read(f"<MCConfiguration>\n{text}</MCConfiguration>", "motor.xml")
+    assert found.version == version
+    profiled = profile(found).observer
+    assert profiled is not None
+    assert profiled.name == observer
+    doubts = [sentence for sentence in found.conventions if "does not say its version" in sentence]
+    assert len(doubts) == (version != "7.01")
+    assert any("foc_observer_type" in said for said in found.conventions) == (not keys)
+
+
+def test_a_header_may_leave_out_what_a_board_does_not_change() -> None:
+    assert read(HEADER, "a.h").version == "7.01"
+    old = HEADER.replace("#define GET", "#define MCCONF_FOC_SAMPLE_V0_V7 0\n#define GET")
+    assert read(old, "a.h").version == "6.00 to 6.02"
+    assert read(old.replace("FOC_F_ZV", "FOC_F_SW"), "a.h").version == "5.03"
