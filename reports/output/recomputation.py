@@ -15,6 +15,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.reading import MAX_FILE_BYTES
 from dqforge.machines.errors import InputError, VerificationError
+from dqforge.optimizer.firmware.solve import method_of
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.firmware.text_file import decoded_file
@@ -283,7 +284,8 @@ def _firmware(
     chosen, into = part.options.get(FIRMWARES, ""), part.options.get(EXISTING)
     _check_options(folder, part, {FIRMWARES: (chosen,), EXISTING: inputs})
     existing = None if into is None else decoded_file(inputs[into], into)
-    made = solved_files(design, chosen.split(","), existing)
+    names = [method_of(name, option=FIRMWARES).name for name in chosen.split(",")]
+    made = solved_files(design, names, existing)
     return {name: content for _, files in made for name, content in files.items()}
 
 
