@@ -9,13 +9,14 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import get_args
 
 from dqforge import __version__
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.reading import MAX_FILE_BYTES
 from dqforge.machines.errors import InputError, VerificationError
-from dqforge.optimizer.firmware.solve import method_of
+from dqforge.machines.names import Firmware
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
 from dqforge.reports.firmware.text_file import decoded_file
@@ -284,7 +285,7 @@ def _firmware(
     chosen, into = part.options.get(FIRMWARES, ""), part.options.get(EXISTING)
     _check_options(folder, part, {FIRMWARES: (chosen,), EXISTING: inputs})
     existing = None if into is None else decoded_file(inputs[into], into)
-    names = [method_of(name, option=FIRMWARES).name for name in chosen.split(",")]
+    names = [name for name in get_args(Firmware) if name in chosen.split(",")]
     made = solved_files(design, names, existing)
     return {name: content for _, files in made for name, content in files.items()}
 
