@@ -9,6 +9,7 @@ from dataclasses import field, replace
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.numerical import on_design
+from dqforge.machines.names import Firmware
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.control_design.observed_refusal import require_observed
@@ -193,7 +194,7 @@ def run_again(
 
 
 def solved_files(
-    design: Design, names: Sequence[str], existing: TextFile | None = None
+    design: Design, names: Sequence[Firmware], existing: TextFile | None = None
 ) -> list[tuple[FirmwareFit, dict[str, bytes]]]:
     """What a design amounts to in each of these firmwares, and the files that hold it; as
     `firmware_files`.

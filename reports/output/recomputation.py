@@ -9,12 +9,14 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import field
 from pathlib import Path
+from typing import get_args
 
 from dqforge import __version__
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.design.reading import MAX_FILE_BYTES
 from dqforge.machines.errors import InputError, VerificationError
+from dqforge.machines.names import Firmware
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.solution import Solution
 from dqforge.reports.firmware.design_simulation import simulate_with_firmware
@@ -284,7 +286,8 @@ def _firmware(
     chosen, into = part.options.get(FIRMWARES, ""), part.options.get(EXISTING)
     _check_options(folder, part, {FIRMWARES: (chosen,), EXISTING: inputs})
     existing = None if into is None else decoded_file(inputs[into], into)
-    made = solved_files(design, chosen.split(","), existing)
+    names = [name for name in get_args(Firmware) if name in chosen.split(",")]
+    made = solved_files(design, names, existing)
     return {name: content for _, files in made for name, content in files.items()}
 
 

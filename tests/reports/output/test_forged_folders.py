@@ -199,7 +199,7 @@ def samples_changed(content: bytes, chance: random.Random) -> bytes:
         with zipfile.ZipFile(made := io.BytesIO(content), "a") as archive:
             archive.comment = b"more"
         return made.getvalue()
-    np.savez(made, **arrays)  # type: ignore[arg-type]
+    np.savez(made, **arrays)
     return made.getvalue()
 
 
@@ -240,7 +240,8 @@ def forgeries(made: Made, count: int, seed: int) -> Iterator[tuple[str, Change]]
             changed[name] = b""
         else:
             changed[name] = made.files[chance.choice([each for each in names if each != name])]
-        plain = None if changed[name] is None else changed[name].replace(b"\r\n", b"\n")
+        now = changed[name]
+        plain = None if now is None else now.replace(b"\r\n", b"\n")
         if plain == content and not altered:
             continue
         k += 1

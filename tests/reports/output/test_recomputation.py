@@ -227,14 +227,14 @@ def changes(
             yield name, changed
 
 
-def forge(folder: Path, **changed: str) -> None:
-    """Make the manifest again for what lies in a folder now; ``changed`` of its parts."""
+def forge(folder: Path) -> None:
+    """Make the manifest again for what lies in a folder now."""
     manifest = find_manifest(folder)
     assert manifest is not None
     parts = {}
     for name, part in manifest.parts.items():
         there = {key: (folder / key).read_bytes() for key in part.files if (folder / key).exists()}
-        parts[name] = replace(part, files=part_of("", there).files, **changed)
+        parts[name] = replace(part, files=part_of("", there).files)
     (folder / MANIFEST).write_bytes(to_bytes(Manifest(parts)))
 
 
