@@ -302,4 +302,14 @@ def voltage_errors(
             np.max(off[nominal]),
             np.max(more[nominal]),
         ]
-    return VoltageErrors(*np.max(found, axis=1).tolist(), 2 * samples.torque.size)
+    worst = [float(value) for value in np.max(found, axis=1)]
+    return VoltageErrors(
+        voltage_excess=worst[0],
+        current_excess=worst[1],
+        torque=worst[2],
+        missed=worst[3],
+        loss_relative=worst[4],
+        torque_nominal=worst[5],
+        loss_nominal=worst[6],
+        samples=2 * samples.torque.size,
+    )

@@ -5,7 +5,6 @@ inductances and against dense currents of saturated ones.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -185,7 +184,7 @@ def test_torque_and_loss_over_the_link_are_those_of_the_exact_quadratic(seed: in
 
 
 @SLOW
-@pytest.mark.parametrize("seed", [3, 7, 11])
+@pytest.mark.parametrize("seed", [3, 7])
 def test_torque_and_loss_over_the_link_of_saturated_machines(seed: int) -> None:
     check(seed, by_rays, 16, 1e-3)
 
@@ -207,9 +206,9 @@ def test_the_least_flux_linkage_is_that_of_the_least_voltage(seed: int) -> None:
 def test_a_speed_that_the_least_voltage_cannot_have_is_refused_with_one_that_it_can(
     over: float,
 ) -> None:
-    machine = LinearMachine(4, 0.0, 1e-3, 1e-3, 0.1, 20.0, None)
-    machine, v_max = with_drop(machine, 0.13)
-    fast = over * 120.0 / (1.0 - machine.l_d * machine.i_max / machine.psi_pm)
+    stiff = LinearMachine(4, 0.0, 1e-3, 1e-3, 0.1, 20.0, None)
+    machine, v_max = with_drop(stiff, 0.13)
+    fast = over * 120.0 / (1.0 - stiff.l_d * stiff.i_max / stiff.psi_pm)
     with pytest.raises(
         NoSolutionError, match=r"80 % of .* V, .*lower the speed to \d+ rpm"
     ) as held:
@@ -218,5 +217,4 @@ def test_a_speed_that_the_least_voltage_cannot_have_is_refused_with_one_that_it_
     assert voltage_region(machine, machine.i_max, v_max, omega_m).omega_e > 0.0
     with pytest.raises(NoSolutionError, match="lower the speed to"):
         voltage_region(machine, machine.i_max, v_max, 1.02 * omega_m)
-    stiff = replace(machine, r_s=0.0)
     assert voltage_region(stiff, machine.i_max, v_max, omega_m).omega_e > 0.0
