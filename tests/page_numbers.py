@@ -24,6 +24,7 @@ from dqforge.machines.design.design import Design
 from dqforge.machines.design.loader import load_text
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.names import Core, Topology
+from dqforge.machines.phase_machines.phase_machine import PhaseMachine
 from dqforge.machines.plants.scenario import Scenario, constant
 from dqforge.optimizer.control_design.gain_set import solve_gains
 from dqforge.optimizer.fixed_phase_control.design import FixedPhaseFit
@@ -140,6 +141,7 @@ def phase_nodes() -> Rows:
     found = phase_solution("four-leg")
     machine, loops = found.design.phase_machine, found.gains.phases
     assert loops is not None
+    assert isinstance(machine, PhaseMachine)
     emitted = loops.control.shape.flux.shape[1]
     yield ("nodes", "torque error of the table, p-p", "averaged at 750 rpm, 1 N m", "bytes")
     for nodes in (48, 96, 120, 144, 192):
