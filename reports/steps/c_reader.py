@@ -405,3 +405,12 @@ def _needed(like: Any, members: set[Origin]) -> Iterator[tuple[str, Any]]:
     for member in fields(like):
         if (c_name(type(like)), member.name) in members:
             yield member.name, getattr(like, member.name)
+
+
+def record_numbers(like: Any, members: set[Origin]) -> Iterator[float]:
+    """Numbers of a record in the order of its type."""
+    for _, value in _needed(like, members):
+        if is_dataclass(value):
+            yield from record_numbers(value, members)
+        else:
+            yield from value if isinstance(value, tuple) else (value,)

@@ -82,8 +82,8 @@ def tried(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) -> Ob
 
 
 def method_of(step: Step) -> Any:
-    names = {"name": "tried", "code": "tried", "gains": TriedGains, "members": MEMBERS}
-    return replace(METHODS["flux"], start=start, step=step, **names)
+    own = replace(METHODS["flux"], name="tried", code="tried", gains=TriedGains, members=MEMBERS)
+    return replace(own, start=start, step=step)
 
 
 def test_the_c_of_a_step_is_the_step(tmp_path: Path) -> None:
