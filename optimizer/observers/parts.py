@@ -96,7 +96,7 @@ class Arithmetic(Floats):
         name:
             Of a local variable.
         value:
-            A number, a vector, a condition, a numpy array of numbers, which get a name each, or a
+            A number, a vector, a numpy array of numbers, which get a name each, or a
             tuple of a record, which gets a shorter one.
         meaning:
             What it is, with its unit.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Mapping
 from dataclasses import field, fields, replace
 
@@ -25,7 +24,7 @@ from dqforge.machines.plants.scenario import (
 from dqforge.machines.random_drives.random_drive import RandomDrive
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.observers.methods.flux import design as flux_gains
-from dqforge.optimizer.observers.methods.flux_gains import FluxGains
+from dqforge.optimizer.observers.methods.registry import METHODS
 from dqforge.optimizer.observers.tuning_numbers import LARGEST_TURN, ObserverTuning
 from dqforge.optimizer.saliency.wave_steps import WaveGains
 from dqforge.optimizer.start_up.plan import StartUpPlan, start_up_plan
@@ -34,6 +33,7 @@ from dqforge.reports.plain_data import PlainData
 from dqforge.reports.simulation.plant_input import Drive, RunInput, run_input
 from dqforge.reports.start_up.members import settings_bytes
 from dqforge.reports.start_up_bench.bench_program import StartInput
+from dqforge.reports.steps.observer_text import gains_bytes
 
 PREFIX = "bench"
 
@@ -211,20 +211,6 @@ def control_gains(drive: RandomDrive, template: Mapping[str, object]) -> PlainDa
     }
 
 
-def flux_bytes(gains: FluxGains) -> bytes:
-    """Bytes of ``<prefix>_flux_gains_t`` on this machine.
-
-    Parameters
-    ----------
-    gains:
-        Of the flux observer.
-    """
-    path, pll = gains.path, gains.pll
-    model = (path.t_s, path.drop, path.half_drop, path.end)
-    numbers = (*model, gains.l_d, gains.l_q, gains.psi_pm, gains.floor, pll.l_1, pll.l_2)
-    return struct.pack("=12f", *numbers, gains.alpha_0, gains.alpha_1)
-
-
 def flux_bytes_of(drive: RandomDrive) -> bytes:
     """Bytes of the gains of a drive's flux observer.
 
@@ -235,7 +221,7 @@ def flux_bytes_of(drive: RandomDrive) -> bytes:
     """
     t_s = 1.0 / drive.f_s
     top = min(1.2 * drive.omega_rated, LARGEST_TURN / t_s)
-    return flux_bytes(flux_gains(drive.machine, observer_tuning(drive), t_s, top))
+    return gains_bytes(METHODS["flux"], flux_gains(drive.machine, observer_tuning(drive), t_s, top))
 
 
 def saturation_table(drive: RandomDrive) -> FloatArray:

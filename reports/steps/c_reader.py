@@ -20,7 +20,6 @@ from dqforge.machines.transforms import Reals
 from dqforge.optimizer.observers.parts import AlphaBeta, Arithmetic, Dq, Member, Pair, Rotation
 from dqforge.reports.c_code.numbers import comment_text, float_literal
 from dqforge.reports.steps.symbols import (
-    Condition,
     Expression,
     Origin,
     expression,
@@ -158,9 +157,6 @@ class StepReader(Arithmetic):
                     named[id(item)] = self._named(own, item, "" if named else meaning)
                 found[at] = named.get(id(item), item)
             return found
-        if isinstance(value, Condition):
-            self._declare("int", name, f"({value.text()}) ? 1 : 0", meaning, value.terms)
-            return Condition((Expression(f"{name} != 0", atom=False),))
         if isinstance(value, tuple):
             parts = tuple(map(expression, value))
             if not hasattr(value, "_fields"):
@@ -409,3 +405,12 @@ def _needed(like: Any, members: set[Origin]) -> Iterator[tuple[str, Any]]:
     for member in fields(like):
         if (c_name(type(like)), member.name) in members:
             yield member.name, getattr(like, member.name)
+
+
+def record_numbers(like: Any, members: set[Origin]) -> Iterator[float]:
+    """Numbers of a record in the order of its type."""
+    for _, value in _needed(like, members):
+        if is_dataclass(value):
+            yield from record_numbers(value, members)
+        else:
+            yield from value if isinstance(value, tuple) else (value,)

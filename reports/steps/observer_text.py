@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from struct import pack
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from dqforge.reports.steps.c_reader import (
     StepReader,
     c_name,
     comment,
+    record_numbers,
     record_structs,
     record_values,
     struct,
@@ -67,6 +69,15 @@ def observer_text(method: ObserverMethod, gains: Any, prefix: str, macro: str) -
         ],
     ]
     return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def gains_bytes(method: ObserverMethod, gains: Any) -> bytes:
+    """Bytes of ``<prefix>_<code>_gains_t``, for runs that are given their own."""
+    functions = Functions()
+    for started in (False, True):
+        _path(method, gains, "", functions, started)
+    numbers = list(record_numbers(gains, functions.members))
+    return pack(f"={len(numbers)}f", *numbers)
 
 
 def _state_members(members: StateMembers, prefix: str) -> list[tuple[str, str]]:

@@ -260,7 +260,7 @@ def ekf_step(
     current = o.let("corrected", Dq(foretold.d + shift[0], foretold.q + shift[1]), "current, A")
     sound = _ekf_sound(gains, current, speed, upper[_DIAGONAL], det, shift[3])
     return o.either(
-        o.let("sound", sound, "within the range of a filter that works"),
+        sound,
         lambda: ObserverState((), o.wrap(theta + shift[3]), speed, True, (*current, *upper)),
         lambda: _ekf_begun(gains, theta, state.omega_e, i, o),
     )

@@ -61,7 +61,7 @@ def horner(o: Arithmetic, k: tuple[float, ...], x: Any) -> Any:
 
 
 def tried(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) -> ObserverState:
-    """Members that change places, an array, a call, a condition and both branches."""
+    """Members that change places, an array, a call and both branches."""
     n, m = state.scalars
     (e,) = state.vectors
     turn = o.let("turn", o.rotation(o.let("x", o.wrap(state.theta_e + 0.5 * v[0]))))
@@ -73,7 +73,7 @@ def tried(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) -> Ob
     speed = o.let("speed", o.call(horner, gains.k, root))
     held = o.let("held", limited(o, speed, gains.limit))
     own = o.let("own", n)
-    good = o.let("good", (held <= 1e3) & (held >= -1e3) & (c[1] < 2.0))
+    good = (held <= 1e3) & (held >= -1e3) & (c[1] < 2.0)
     return o.either(
         good,
         lambda: ObserverState((seen,), o.wrap(state.theta_e + held), held, True, (m, own)),
@@ -82,8 +82,8 @@ def tried(gains: Any, state: ObserverState, v: Any, i: Any, o: Arithmetic) -> Ob
 
 
 def method_of(step: Step) -> Any:
-    names = {"name": "tried", "code": "tried", "gains": TriedGains, "members": MEMBERS}
-    return replace(METHODS["flux"], start=start, step=step, **names)
+    own = replace(METHODS["flux"], name="tried", code="tried", gains=TriedGains, members=MEMBERS)
+    return replace(own, start=start, step=step)
 
 
 def test_the_c_of_a_step_is_the_step(tmp_path: Path) -> None:
