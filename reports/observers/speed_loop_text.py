@@ -249,6 +249,13 @@ def promise_lines(gains: LoopGains | None) -> list[str]:
     box = "control.tolerances" if found.corners.named else "the usual tolerances"
     held = found.corners
     words = promise_words(held) if held.binding.any else "holds at no speed"
+    if held.dead_time is not None:
+        lost, lossy = " or ".join(f"{value:.3g}" for value in held.lost), held.dead_time
+        span = (
+            f"from {_rpm(lossy.low, held.pole_pairs, up=True)} to "
+            f"{_rpm(lossy.high, held.pole_pairs)}"
+        )
+        words += f". With {lost} V of dead time, an indication: {span if lossy.any else 'nowhere'}"
     return textwrap.wrap(
         f"Speed loop on the {found.observer}, corners of {box} ({_limit_words(held)}), no dead "
         f"time: {words}.",

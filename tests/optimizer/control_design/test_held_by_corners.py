@@ -92,7 +92,6 @@ def test_given_gains_that_fail_at_a_corner_are_refused_with_gains_that_hold(
         require_observed(design, solve_gains(design))
     text = refused.value.message
     assert "there is no speed at which it holds" in text
-    assert "control.observer.method: flux" in text
     narrow = re.search(r"tolerances of ([\d.]+) % of these", text)
     assert narrow is not None
     share = float(narrow.group(1)) / 100.0
@@ -123,7 +122,7 @@ def test_an_error_of_the_speed_above_the_limit_of_the_design_ends_the_range(
         return
     monkeypatch.setattr(observed_remedies, "_narrower", lambda *_: 0.0)
     monkeypatch.setattr(observed_remedies, "_other_method", lambda *_: None)
-    with pytest.raises(NoSolutionError, match=r"wrong by .* max_speed_error of 11\.\d+ %"):
+    with pytest.raises(NoSolutionError, match=r"wrong by .*max_speed_error of 11\.\d+ %"):
         require_observed(design, gains)
 
 
