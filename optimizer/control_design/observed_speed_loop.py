@@ -41,6 +41,7 @@ from dqforge.optimizer.observed_drive.stability_limits import (
     largest_stable_factor,
     least_pll_bandwidth,
 )
+from dqforge.optimizer.observed_drive.steps_borne import steps_borne
 from dqforge.optimizer.observed_drive.tolerance_corners import (
     cases_of,
     corner_box,
@@ -270,6 +271,9 @@ def judge_observed(
     if observer is None and thorough:
         box = tracked_box(design) if position is None else corner_box(design)
         corners = judge_corners(drive, machine, pi, box, top, least)
+        if corners.binding.any:
+            steps = steps_borne(drive, machine, pi, box, corners.binding)
+            corners = replace(corners, steps=steps)
         own = replace(own, corners=replace(corners, leaves=_leaves(design)))
     silent = DisturbanceResponse(np.nan, np.nan)
     return replace(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +16,6 @@ from dqforge.optimizer.loops.observed_margins import (
     SpeedRange,
 )
 from dqforge.optimizer.observed_drive.fixed_points import SteadyDrives, steady_drives
-from dqforge.optimizer.observed_drive.steps_borne import steps_borne
 from dqforge.optimizer.observed_drive.tolerance_corners import CornerBox, cases_of
 
 if TYPE_CHECKING:
@@ -203,7 +202,7 @@ def judge_corners(
     lossy = None
     if box.lost:
         lossy = speed_range(drive, machine, speed, box, top, dead_time=True, least=least)
-    found = CornerJudgement(
+    return CornerJudgement(
         box.named,
         box.limits,
         box.loads,
@@ -214,6 +213,3 @@ def judge_corners(
         most_error=box.most_error,
         pole_pairs=machine.pole_pairs,
     )
-    if not found.binding.any:
-        return found
-    return replace(found, steps=steps_borne(drive, machine, speed, box, found.binding))
