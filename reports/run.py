@@ -24,6 +24,7 @@ from dqforge.reports.firmware_files.settled import settling_verdicts
 from dqforge.reports.main_header.dialect import Dialect
 from dqforge.reports.main_header.dialects.neutral.names import NEUTRAL
 from dqforge.reports.main_header.header import header_files
+from dqforge.reports.observers.speed_loop_text import promise_lines, with_promise
 from dqforge.reports.pages.console import shares, stage
 from dqforge.reports.pages.envelope import to_text
 from dqforge.reports.plain_data import PlainData
@@ -53,7 +54,17 @@ Told = Iterator[tuple[str, dict[str, bytes]]]
 
 
 def _emitted(solution: Solution, capabilities: Capabilities, dialect: Dialect) -> Told:
-    """What is emitted, in a few words, with its files."""
+    """What is emitted, in a few words, with its files; where a speed loop runs on an observer, each
+    says at which speeds.
+    """
+    loops = solution.loops
+    lines = promise_lines(None if loops is None else loops.speed)
+    for words, files in _made(solution, capabilities, dialect):
+        yield words, {name: with_promise(name, content, lines) for name, content in files.items()}
+
+
+def _made(solution: Solution, capabilities: Capabilities, dialect: Dialect) -> Told:
+    """As `_emitted`, without the speeds."""
     yield "current reference, gains and bases of the drive", header_files(solution, dialect)
     for capability, found in asked_for(capabilities, Outcome(solution)):
         for kind in capability.headers:

@@ -268,6 +268,11 @@ class Tolerances:
         return both_sides(getattr(self, name))
 
 
+SPEED_ERROR = 0.2
+
+"""Largest error of an observed speed, relative, of a design that names none."""
+
+
 @dataclass(frozen=True, slots=True)
 class ObserverSettings:
     """Speed or position observer.
@@ -279,7 +284,8 @@ class ObserverSettings:
     neurons of both ``hidden_layers``, time constant of ``correction_filter`` in s and
     ``correction_limit`` in rad.
     Of trackers that inject: ``wave``, its amplitude ``voltage`` in V, ``samples`` per period of it,
-    and ``period`` in s between sequences of pulses.
+    and ``period`` in s between sequences of pulses. ``max_speed_error`` is the relative error of
+    the speed within the tolerances beyond which a speed loop on it does not count as holding.
     """
 
     pole: float | None = None
@@ -296,6 +302,7 @@ class ObserverSettings:
     hidden_layers: tuple[int, int] | None = None
     correction_filter: float | None = None
     correction_limit: float | None = None
+    max_speed_error: float = SPEED_ERROR
 
 
 @dataclass(frozen=True, slots=True)

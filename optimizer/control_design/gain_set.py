@@ -187,6 +187,11 @@ def solve_gains(design: Design, *, proofs: bool = True) -> GainSet:
     if control.speed_loop is not None:
         lag = _observer_lag(design, i_q, position, tracker)
         speed = tune_speed_loop(machine, i_q, control, speed_corners(), lag)
+    slowed = None
+    if speed is not None and position is not None:
+        slowed = _spread_of_corners(design, (i_d, i_q, speed), position)
+        if slowed is not None:
+            speed = tune_speed_loop(machine, i_q, _with_spread(control, slowed), None, lag)
     phases = _phases(design, i_d, i_q)
     robust = None
     zero = None if phases is None else phases.zero
@@ -206,7 +211,9 @@ def solve_gains(design: Design, *, proofs: bool = True) -> GainSet:
         from dqforge.optimizer.control_design.observed_speed_loop import judge_observed
 
         loops = (i_d, i_q, speed)
-        speed = judge_observed(design, loops, observer, position, tracker, thorough=proofs)
+        speed = judge_observed(
+            design, loops, observer, position, tracker, thorough=proofs, slowed=slowed
+        )
         robust = None if robust is None else replace(robust, speed=None)
     measured = _measured(design, i_q, speed)
     if measured is not None:  # corners and proofs know nothing of its delay
@@ -318,6 +325,26 @@ def _observer_lag(
     from dqforge.optimizer.observed_drive.tuning_rule import speed_lag
 
     return speed_lag(position, delays, settings.spread)
+
+
+def _spread_of_corners(
+    design: Design, loops: tuple[LoopGains, LoopGains, LoopGains], position: PositionObserver
+) -> float | None:
+    """Spread with which the rule's speed loop holds at every corner; None where its own one does,
+    no slower one does, or the spread is given.
+    """
+    settings = design.control.speed_loop
+    if settings is None or not settings.counts_observer:
+        return None
+    from dqforge.optimizer.control_design.observed_speed_loop import held_by_corners
+
+    factor = held_by_corners(design, loops, position)
+    return None if factor is None or factor == 1.0 else settings.spread / factor
+
+
+def _with_spread(control: ControlSettings, spread: float) -> ControlSettings:
+    assert control.speed_loop is not None
+    return replace(control, speed_loop=replace(control.speed_loop, spread=spread))
 
 
 def _per_unit(

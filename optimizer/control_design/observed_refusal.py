@@ -1,4 +1,4 @@
-"""What is refused of a drive whose speed loop runs on a position observer."""
+"""What is refused of a drive whose speed loop runs on a position observer or a tracker."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from dqforge.machines.units.quantities import format_quantity
 if TYPE_CHECKING:
     from dqforge.machines.design.design import Design
     from dqforge.optimizer.control_design.gain_set import GainSet
-    from dqforge.optimizer.loops.observed_margins import ObservedLoop
+    from dqforge.optimizer.loops.observed_margins import CornerJudgement, ObservedLoop
 
 _ROUNDING = 1e-6
 
 
 @on_design("control")
 def require_observed(design: Design, gains: GainSet | None) -> None:
-    """Refuse a speed loop that does not hold on its position observer, and sensorless control
-    below the speeds at which every corner of the tolerances is stable.
+    """Refuse a speed loop that does not hold on its position observer, one that does not hold at
+    every corner of the tolerances up to the top speed of the drive, and sensorless control below
+    the speeds at which it does.
 
     Dead time is not counted: what it does to the loop is an indication.
 
@@ -35,10 +36,10 @@ def require_observed(design: Design, gains: GainSet | None) -> None:
     Raises
     ------
     NoSolutionError
-        The loop is unstable or has less margin than required; says how it swings and what holds.
+        The loop is unstable, has less margin than required or fails at a corner; says how it
+        swings, or the corner, and what holds.
     InputError
-        `simulation.sensorless.above` lies below the lowest speed, or no speed holds; names the
-        corner.
+        `simulation.sensorless.above` lies below the lowest speed; names the corner.
     """
     speed = None if gains is None else gains.speed
     if gains is None or speed is None or speed.observed is None:
@@ -47,6 +48,7 @@ def require_observed(design: Design, gains: GainSet | None) -> None:
         return
     if not speed.observed.holds:
         raise NoSolutionError(_refused(design, speed.method, speed.observed))
+    _require_corners(design, gains, speed.observed)
     _require_speeds(design, speed.observed, tracked=gains.tracker is not None)
 
 
@@ -79,23 +81,42 @@ def _up(value: float) -> str:
     return f"{np.ceil(value / unit - 1e-9) * unit:.6g}"
 
 
+def _box(corners: CornerJudgement) -> str:
+    if corners.named:
+        return "of control.tolerances"
+    return "of the usual tolerances (control.tolerances names none)"
+
+
+def _require_corners(design: Design, gains: GainSet, found: ObservedLoop) -> None:
+    """Refuse a loop that does not hold at every corner up to the top speed."""
+    corners = found.corners
+    if corners is None or corners.holds:
+        return
+    from dqforge.optimizer.control_design.observed_remedies import remedies
+
+    held, failing = corners.binding, corners.failing
+    if held.any:
+        span = f"holds from {_rpm(design, held.low)} to {_rpm(design, held.high)} only"
+    else:
+        span = "there is no speed at which it holds"
+    at = "" if failing is None else f"; at {_rpm(design, failing.omega)} {failing.words}"
+    ways = remedies(design, gains, corners)
+    write = f"; write {', or '.join(ways)}" if ways else "; narrow the tolerances"
+    raise NoSolutionError(
+        f"control.observer: the speed loop on the {found.observer} does not hold at all corners "
+        f"{_box(corners)}: {span}{at}{write}"
+    )
+
+
 def _require_speeds(design: Design, found: ObservedLoop, *, tracked: bool) -> None:
     """Refuse sensorless control where a corner is unstable."""
     wanted = None if design.simulation is None else design.simulation.sensorless
     corners = found.corners
     if wanted is None or corners is None:
         return
-    key, box = "simulation.sensorless.above", "of control.tolerances"
-    if not corners.named:
-        box = "of the usual tolerances (control.tolerances names none)"
+    key, box = "simulation.sensorless.above", _box(corners)
     low, below = corners.binding.low, corners.binding.below
     failing = "" if below is None else f"; below it fails {below.words}"
-    if not corners.binding.any:
-        at = "" if below is None else f"; at {_rpm(design, below.omega)} {below.words}"
-        raise InputError(
-            f"{key}: there is no speed at which the speed loop on the {found.observer} holds at "
-            f"all corners {box}{at}; narrow the tolerances, or leave sensorless out"
-        )
     pole_pairs = design.machine.pole_pairs
     if tracked and below is None:  # it may hold from rest, and nothing that is tried fails
         return

@@ -27,20 +27,27 @@ from dqforge.optimizer.loops.observed_margins import ObservedLoop
 from dqforge.optimizer.loops.pi_methods import largest_factor
 from dqforge.optimizer.loops.plants import DisturbanceResponse, PiLoop, close_pi
 from dqforge.optimizer.observed_drive.design_drive import (
+    machine_top,
     observed_drive,
     position_estimator,
+    reachable_speed,
     speed_estimator,
     top_speed,
 )
 from dqforge.optimizer.observed_drive.drive_cases import DriveCases, drive_cases
 from dqforge.optimizer.observed_drive.fixed_points import SteadyDrives, steady_drives
 from dqforge.optimizer.observed_drive.limit_cycle import limit_cycle
-from dqforge.optimizer.observed_drive.speed_range import SpeedPi, judge_corners
+from dqforge.optimizer.observed_drive.speed_range import SpeedPi, judge_corners, settling
 from dqforge.optimizer.observed_drive.stability_limits import (
     largest_stable_factor,
     least_pll_bandwidth,
 )
-from dqforge.optimizer.observed_drive.tolerance_corners import corner_box, tracked_box
+from dqforge.optimizer.observed_drive.steps_borne import steps_borne
+from dqforge.optimizer.observed_drive.tolerance_corners import (
+    cases_of,
+    corner_box,
+    tracked_box,
+)
 from dqforge.optimizer.observed_drive.tuning_rule import speed_lag
 from dqforge.optimizer.sampled_systems import (
     ComplexArray,
@@ -65,6 +72,15 @@ _SHARES = np.array([0.1, 0.25, 0.5, 1.0])
 
 
 _POINTS = 1500
+
+
+_RESERVE = 1.5  # factor of the gains that the corners of a chosen loop bear
+
+
+_CHOSEN_AT = (1.0, 0.4, 0.1)  # shares of the top speed, downwards
+
+
+_FACTORS = tuple((0.8 ** np.arange(8)).tolist())  # a slower integral takes seconds after a step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,6 +135,69 @@ def _slower(
     return slower_speed_pi(settings, loops[2], t_sum, (inertia, design.machine.friction))
 
 
+def held_by_corners(
+    design: Design,
+    loops: tuple[LoopGains, LoopGains, LoopGains],
+    position: PositionObserver,
+) -> float | None:
+    """Largest factor at which the rule's loop holds at every corner of the tolerances, and is
+    stable there with `_RESERVE` times the gains; 1 where it is already, None where no slower one is
+    at the top speed. Lower speeds at which no factor helps are left to the range.
+
+    Parameters
+    ----------
+    design:
+        With a speed loop.
+    loops:
+        i_d, i_q and speed, as tuned.
+    position:
+        The observer.
+    """
+    settings = design.control.speed_loop
+    assert settings is not None
+    machine, box = linearised(design.machine), corner_box(design)
+    corners = (*box.corners(dead_time=False), *box.corners(dead_time=False, braking=True))
+    drive = observed_drive(design, loops[:2], position_estimator(position))
+    slower, inertia = _slower(design, loops, position, None), inertia_of(design.machine)
+
+    def holds(steady: SteadyDrives, factor: float) -> bool:
+        kp, ki = slower(factor)
+        loop = SpeedPi(kp, ki, settings.ratio)
+        stable = steady.radius(settings.ratio, _RESERVE * kp, _RESERVE * ki) < 1.0
+        return bool(np.all(stable & (settling(steady, loop, inertia) >= 1.0)))
+
+    top, chosen = top_speed(design), 1.0
+    held: list[SteadyDrives] = []
+    for share in _CHOSEN_AT:
+        steady = steady_drives(drive, cases_of(machine, corners, share * top))
+        every = [*held, steady]
+        factor = next(
+            (
+                each
+                for each in _FACTORS
+                if each <= chosen and all(holds(one, each) for one in every)
+            ),
+            None,
+        )
+        if factor is None:
+            break
+        chosen, held = factor, every
+    return chosen if held else None
+
+
+def slower_advice(
+    design: Design,
+    loops: tuple[LoopGains, LoopGains, LoopGains],
+    position: PositionObserver,
+    factor: float,
+) -> str:
+    """What to write for the loop that `held_by_corners` found."""
+    settings = design.control.speed_loop
+    assert settings is not None
+    slower = _slower(design, loops, position, None)
+    return speed_advice(settings, slower(ROUNDED * factor), factor)
+
+
 def judge_observed(
     design: Design,
     loops: tuple[LoopGains, LoopGains, LoopGains],
@@ -127,6 +206,7 @@ def judge_observed(
     tracker: TunedTracker | None = None,
     *,
     thorough: bool = True,
+    slowed: float | None = None,
 ) -> LoopGains:
     """The speed loop's gains with poles and margins as they are over the observer.
 
@@ -139,6 +219,8 @@ def judge_observed(
         states no loop of its own; one with a loop is judged where it tracks.
     thorough:
         Whether corners are looked at, and what makes an unstable loop stable.
+    slowed:
+        Spread of the loop where `held_by_corners` chose it.
     """
     speed, settings = loops[2], design.control.speed_loop
     assert settings is not None
@@ -176,6 +258,8 @@ def judge_observed(
         settings.min_phase_margin,
         float(crossover[worst]),
         "",
+        slowed=slowed,
+        beyond=machine_top(design) if reachable_speed(design) < machine_top(design) else None,
     )
     slower = _slower(design, loops, position, tracker)
     if not own.holds:
@@ -188,6 +272,9 @@ def judge_observed(
     if observer is None and thorough:
         box = tracked_box(design) if position is None else corner_box(design)
         corners = judge_corners(drive, machine, pi, box, top, least)
+        if corners.binding.any:
+            steps = steps_borne(drive, machine, pi, box, corners.binding)
+            corners = replace(corners, steps=steps)
         own = replace(own, corners=replace(corners, leaves=_leaves(design)))
     silent = DisturbanceResponse(np.nan, np.nan)
     return replace(

@@ -4,6 +4,9 @@ what the observer leaves, how it swings where it is unstable, and where all corn
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Literal
+
 import numpy as np
 
 from dqforge.machines.arrays import FloatArray
@@ -47,46 +50,86 @@ class Corner:
         return ", ".join(parts + [f"dead time {self.lost:.3g} V"] * (self.lost != 0.0))
 
 
+Failure = Literal["unstable", "speed-error", "voltage"]
+
+"""What ends a range: a loop that is not stable, a speed that is told too wrongly, or a voltage that
+the dc link does not have."""
+
+
 @dataclass(frozen=True, slots=True)
 class FailingCorner:
     """The worst corner at an electrical speed ``omega`` in rad/s.
 
     ``radius`` is the largest modulus of a pole of the speed period, inf where the drive has no
-    steady state.
+    steady state; ``speed_error`` the largest error of the speed over all corners, relative;
+    ``settling`` how fast its slowest mode dies away, over the least rate that counts as holding.
+    ``why`` is what fails there, None where nothing does.
     """
 
     omega: float
     corner: Corner
     radius: float
+    speed_error: float = 0.0
+    why: Failure | None = "unstable"
+    settling: float = -np.inf
 
     @property
     def words(self) -> str:
-        """The corner, and whether it swings or has no steady state."""
-        end = (
-            f"unstable, largest pole {self.radius:.4g}"
-            if np.isfinite(self.radius)
-            else "no steady state"
-        )
+        """The corner, and what fails there."""
+        if self.why == "voltage":
+            end = "the dc link lacks the voltage"
+        elif self.why == "speed-error":
+            end = f"the speed is wrong by {100.0 * self.speed_error:.3g} %"
+        elif self.radius < 1.0:
+            share = f"{100.0 * self.settling:.2g} % of the least rate"
+            end = f"swings or creeps for long, dying away at {share}"
+        elif np.isfinite(self.radius):
+            end = f"unstable, largest pole {self.radius:.4g}"
+        else:
+            end = "no steady state"
         return f"{self.corner.words}: {end}"
 
 
 @dataclass(frozen=True, slots=True)
 class SpeedRange:
-    """Electrical speeds in rad/s between which every corner is stable; nan where none is.
+    """Electrical speeds in rad/s between which every corner holds; nan where none does.
 
-    ``below`` is the worst corner just below ``low``; None where the lowest speed tried still
-    holds. ``corners`` is the number of corners at each speed.
+    ``below`` and ``above`` are the worst corners just below ``low`` and just above ``high``; None
+    where the lowest and the highest speed tried still hold; without a range those at the lowest and
+    the highest. ``corners`` is the number of corners at
+    each speed, ``speed_error`` the largest error of the speed in the range, relative.
     """
 
     low: float
     high: float
     below: FailingCorner | None
     corners: int
+    above: FailingCorner | None = None
+    speed_error: float = 0.0
 
     @property
     def any(self) -> bool:
         """Whether there is a speed at which all corners hold."""
         return bool(np.isfinite(self.low))
+
+
+@dataclass(frozen=True, slots=True)
+class StepsBorne:
+    """Steps that a drive on its observer bears at every corner, within the limits of torque and
+    voltage.
+
+    A ``load`` step in N m, from none to as much either way or back, at steady mechanical speeds
+    from ``load_low`` to ``load_high`` in rad/s (electrical): between, the dip stays above the
+    lowest speed. A step of the reference of up to ``speed`` in rad/s (electrical) with that load or
+    none, both of its ends within the range, that after an overshoot by ``overshoot`` of the step
+    stays in it.
+    """
+
+    load: float
+    load_low: float
+    load_high: float
+    speed: float
+    overshoot: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +141,9 @@ class CornerJudgement:
     that it may cost and ``dead_time`` the range with them, an indication; None without. ``braking``
     is the range where the load drives the shaft with as much, None where it was not looked at.
     ``leaves`` is the electrical speed in rad/s down to which the simulation stays on the observer,
-    None where it never runs on it.
+    None where it never runs on it. ``most_error`` is the speed error, relative, that ends a range;
+    ``steps`` what steps are borne within `binding`, None where there is no range; ``pole_pairs``
+    lead from electrical to mechanical speeds.
     """
 
     named: bool
@@ -109,13 +154,42 @@ class CornerJudgement:
     dead_time: SpeedRange | None = None
     braking: SpeedRange | None = None
     leaves: float | None = None
+    most_error: float = np.inf
+    steps: StepsBorne | None = None
+    pole_pairs: int = 1
 
     @property
     def binding(self) -> SpeedRange:
-        """The range that begins later: motoring or braking."""
+        """Where the drive holds motoring and braking."""
         if self.braking is None or not self.exact.any:
             return self.exact
-        return self.exact if self.braking.low <= self.exact.low else self.braking
+        if not self.braking.any:
+            return self.braking
+        late = max(self.exact, self.braking, key=lambda part: part.low)
+        early = min(self.exact, self.braking, key=lambda part: part.high)
+        if late.low > early.high:
+            return replace(late, low=np.nan, high=np.nan)
+        return SpeedRange(
+            late.low,
+            early.high,
+            late.below,
+            self.exact.corners + self.braking.corners,
+            early.above,
+            max(self.exact.speed_error, self.braking.speed_error),
+        )
+
+    @property
+    def failing(self) -> FailingCorner | None:
+        """What keeps the range from the top speed; None where nothing but the voltage does."""
+        found = self.binding
+        worst = found.above or (None if found.any else found.below)
+        return None if worst is None or worst.why == "voltage" else worst
+
+    @property
+    def holds(self) -> bool:
+        """Whether there is a range, and nothing but the voltage of the link ends it upwards."""
+        found = self.binding
+        return found.any and self.failing is None
 
     @property
     def left_unstable(self) -> bool:
@@ -164,6 +238,12 @@ class ObservedLoop:
     corners:
         Where all corners of the tolerances hold; None for a speed observer, and for a tracker
         without a loop of its own.
+    slowed:
+        Spread of the speed loop where the one of the rule was too fast for the corners; None where
+        it was not.
+    beyond:
+        Largest electrical speed of the design in rad/s where the dc link does not reach it: the
+        speeds end where it does. None where it reaches it.
     """
 
     observer: str
@@ -180,6 +260,8 @@ class ObservedLoop:
     stable_advice: str = ""
     pll_least: float | None = None
     corners: CornerJudgement | None = None
+    slowed: float | None = None
+    beyond: float | None = None
 
     @property
     def stable(self) -> bool:

@@ -16,6 +16,7 @@ from dqforge.optimizer.observed_drive.estimator_columns import (
     SpeedEstimator,
 )
 from dqforge.optimizer.observers.tuning_numbers import LARGEST_TURN
+from dqforge.optimizer.operating_points.characteristics import free_largest_speed
 from dqforge.optimizer.operating_points.current_choice import CurrentChoice
 
 if TYPE_CHECKING:
@@ -78,10 +79,42 @@ def observed_drive(
     )
 
 
-def top_speed(design: Design) -> float:
-    """Largest electrical speed in rad/s: that of the machine, as far as sampling lets it be
-    observed.
+def machine_top(design: Design) -> float:
+    """Largest electrical speed in rad/s that the design names."""
+    machine, bases = design.machine, design.control.bases
+    omega_m = bases.speed if machine.omega_m_max is None else machine.omega_m_max
+    return machine.pole_pairs * omega_m
+
+
+def reachable_speed(design: Design) -> float:
+    """Electrical speed in rad/s up to which the dc link has the voltage without load; inf where
+    nothing ends it. With field weakening that of any currents within their limit.
     """
-    machine, control = design.machine, design.control
-    omega_m = control.bases.speed if machine.omega_m_max is None else machine.omega_m_max
-    return min(machine.pole_pairs * omega_m, LARGEST_TURN / control.t_s)
+    machine = linearised(design.machine)
+    if design.weakening is not None:
+        found = free_largest_speed(machine, design.v_max, design.i_max)
+        return np.inf if found is None else found
+    choice = CurrentChoice(machine, design.operation.strategy, design.i_max)
+    locus, friction = current_locus(choice), machine.friction / machine.pole_pairs
+
+    def excess(omega: float) -> float:
+        torque = np.array([min(friction * omega, choice.largest_torque())])
+        i = complex(locus(torque)[0])
+        psi = machine.psi_pm + machine.l_d * i.real + 1j * machine.l_q * i.imag
+        return abs(machine.r_s * i + 1j * omega * psi) - design.v_max
+
+    low, high = 0.0, machine_top(design)
+    if excess(high) <= 0.0:
+        return np.inf
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if excess(middle) <= 0.0 else (low, middle)
+    return low
+
+
+def top_speed(design: Design) -> float:
+    """Largest electrical speed in rad/s: that of the machine, as far as the dc link reaches it and
+    sampling lets it be observed.
+    """
+    observed = LARGEST_TURN / design.control.t_s
+    return min(machine_top(design), reachable_speed(design), observed)

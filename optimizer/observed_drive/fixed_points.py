@@ -97,6 +97,19 @@ class SteadyDrives:
         order = np.argsort(-np.abs(values), axis=1, kind="stable")
         return np.take_along_axis(values, order, axis=1)
 
+    def decay(self, ratio: int, kp: float, ki: float) -> tuple[FloatArray, FloatArray]:
+        """Rates in 1/s at which the slowest of the modes that swing, and of all, dies away, shapes
+        (M,): negative where one grows, inf where none swings, -inf where there is no steady state.
+        """
+        poles = self.poles(ratio, kp, ki)
+        with np.errstate(divide="ignore"):
+            rate = -np.log(np.abs(poles)) / (ratio * self.t_s)
+        rate = np.where(np.isnan(rate), -np.inf, rate)
+        swinging = np.abs(np.angle(poles)) >= np.abs(rate) * ratio * self.t_s
+        lost = np.isinf(rate) & (rate < 0.0)
+        swings = np.min(np.where(swinging | lost, rate, np.inf), axis=1)
+        return swings, np.min(rate, axis=1)
+
     def radius(self, ratio: int, kp: float, ki: float) -> FloatArray:
         """Largest modulus of a pole, shape (M,); inf where there is no steady state."""
         size = np.abs(self.poles(ratio, kp, ki)[:, 0])

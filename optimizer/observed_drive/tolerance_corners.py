@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dqforge.machines.design.settings import SPEED_ERROR
 from dqforge.machines.dq_machines.synchronous import LinearMachine, linearised
 from dqforge.machines.records import dataclass
 from dqforge.optimizer.loops.observed_margins import Corner
@@ -34,13 +35,16 @@ class CornerBox:
     ``named`` says whether the design names tolerances; else the box is the usual one of the
     observers' conditions. ``limits`` are the least and largest relative errors by name, exact
     values left out; ``loads`` in N m; ``lost`` the voltages in V that the dead time may cost,
-    empty where it costs none.
+    empty where it costs none. ``v_max`` in V is the phase amplitude that the link has,
+    ``most_error`` the largest error of the speed that counts as holding, relative.
     """
 
     named: bool
     limits: dict[str, tuple[float, float]]
     loads: tuple[float, ...]
     lost: tuple[float, ...]
+    v_max: float = np.inf
+    most_error: float = np.inf
 
     def corners(self, *, dead_time: bool, braking: bool = False) -> tuple[Corner, ...]:
         """Every combination of the limits with every load, and with the dead time or without;
@@ -71,12 +75,16 @@ def corner_box(design: Design) -> CornerBox:
             for name in RELATIVE
         }
     choice = CurrentChoice(linearised(machine), design.operation.strategy, design.i_max)
+    observer = design.control.observer
     lost = tuple(dict.fromkeys(value for value in lost_voltage(design) if value != 0.0))
     return CornerBox(
         tolerances is not None,
         {name: pair for name, pair in limits.items() if pair != (0.0, 0.0)},
         (0.0, LOAD_SHARE * choice.largest_torque()),
         lost,
+        # a weakened field needs less voltage than the currents that are followed here
+        np.inf if design.weakening is not None else design.v_max,
+        SPEED_ERROR if observer is None else observer.max_speed_error,
     )
 
 

@@ -122,7 +122,7 @@ def _largest_speed(machine: Machine, v_max: float, i_max: float) -> tuple[float 
     """Largest electrical speed in rad/s at which any current keeps the voltage limit, or None;
     and if data hold it.
     """
-    free, region = _free_largest_speed(machine, v_max, i_max), region_that_holds(machine, i_max)
+    free, region = free_largest_speed(machine, v_max, i_max), region_that_holds(machine, i_max)
     if region is None:
         return free, False
     limits = make_limits(
@@ -154,8 +154,10 @@ def _largest_speed(machine: Machine, v_max: float, i_max: float) -> tuple[float 
     return (None if fastest >= _FASTEST else fastest), True
 
 
-def _free_largest_speed(machine: Machine, v_max: float, i_max: float) -> float | None:
-    """As `_largest_speed`, wherever the data of a flux map end."""
+def free_largest_speed(machine: Machine, v_max: float, i_max: float) -> float | None:
+    """Largest electrical speed in rad/s at which any current keeps the voltage limit, None where
+    every speed does; wherever the data of a flux map end.
+    """
 
     def kept(omega_e: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
         volts = np.full_like(omega_e, v_max)

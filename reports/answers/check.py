@@ -77,12 +77,12 @@ def _refuse(design: Design) -> tuple[str, ...]:
     if _speed_on_observer(design):
         from dqforge.optimizer.control_design.gain_set import solve_gains
         from dqforge.optimizer.control_design.observed_refusal import require_observed
-        from dqforge.reports.observers.speed_loop_text import leaving_notes
+        from dqforge.reports.observers.speed_loop_text import beyond_notes, leaving_notes
 
         stage("judging the speed loop on its observer")
         gains = solve_gains(design)
         require_observed(design, gains)
-        leaving = leaving_notes(gains.speed)
+        leaving = (*leaving_notes(gains.speed), *beyond_notes(gains.speed))
     stage("judging the start")
     if control.start_up is not None:
         from dqforge.optimizer.start_up.solve import solve_start_up

@@ -5,11 +5,18 @@ the header and JSON.
 from __future__ import annotations
 
 import math
+import textwrap
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from dqforge.optimizer.loops.loop_gains import LoopGains
-    from dqforge.optimizer.loops.observed_margins import ObservedLoop, SpeedRange
+    from dqforge.optimizer.loops.observed_margins import (
+        CornerJudgement,
+        FailingCorner,
+        ObservedLoop,
+        SpeedRange,
+        StepsBorne,
+    )
     from dqforge.reports.plain_data import PlainData
 
 
@@ -60,6 +67,16 @@ def observed_notes(gains: LoopGains | None) -> tuple[str, ...]:
     worst = f"{found.omega[found.worst] / (2.0 * math.pi):.3g} Hz"
     state = "" if found.stable else f"; unstable, largest pole {found.radius[found.worst]:.4g}"
     swinging = () if found.cycle is None else (f"unstable as it is, {found.cycle.words}",)
+    slowed = (
+        ()
+        if found.slowed is None
+        else (
+            (
+                f"control.speed_loop.spread is raised to {found.slowed:.4g}, with the observer's "
+                "lag as a delay, so that the loop holds at every corner of the tolerances"
+            ),
+        )
+    )
     return (
         (
             f"the speed loop runs on the {found.observer}: with its lag, at the worst speed "
@@ -70,8 +87,26 @@ def observed_notes(gains: LoopGains | None) -> tuple[str, ...]:
             "time, no load"
         ),
         left_words(gains),
+        *slowed,
+        *beyond_notes(gains),
         *swinging,
         *corner_notes(found),
+    )
+
+
+def beyond_notes(gains: LoopGains | None) -> tuple[str, ...]:
+    """That the largest speed of the design lies beyond the voltage of the link; nothing where it
+    does not.
+    """
+    found = None if gains is None else gains.observed
+    if found is None or found.beyond is None:
+        return ()
+    return (
+        (
+            f"the largest speed, {_hertz(found.beyond)} (electrical), is beyond the voltage of the "
+            f"dc link, which reaches {_hertz(float(found.omega[-1]))} without load: the speed loop "
+            "is judged up to there"
+        ),
     )
 
 
@@ -81,23 +116,50 @@ def corner_notes(found: ObservedLoop) -> tuple[str, ...]:
     if corners is None:
         return ()
     box = "control.tolerances" if corners.named else "the usual tolerances"
-    limits = ", ".join(
-        f"{name} {100.0 * low:+.3g} to {100.0 * high:+.3g} %"
-        for name, (low, high) in corners.limits.items()
-    )
-    loads = " and ".join(f"{load:.3g}" for load in corners.loads)
     exact = (
-        f"corners of {box} ({limits or 'exact data'}; loads of {loads} N m), no dead time: "
-        f"{range_words(corners.exact)}"
+        f"corners of {box} ({_limit_words(corners)}), no dead time: {range_words(corners.exact)}"
     )
     told: tuple[str, ...] = (exact,)
     if corners.braking is not None:
         told = (*told, f"braking with as much: {range_words(corners.braking)}")
+    if corners.binding.any:
+        told = (*told, promise_words(corners))
     if corners.dead_time is None:
         return told
     lost = " or ".join(f"{value:.3g}" for value in corners.lost)
     dead_time = f"an indication: with {lost} V of dead time {range_words(corners.dead_time)}"
     return (*told, dead_time)
+
+
+_DIGEST = b" * Input file: SHA-256 "
+
+
+def with_promise(name: str, content: bytes, lines: list[str]) -> bytes:
+    """A file of C with comment lines behind the checksum of its input; others as they are.
+
+    Parameters
+    ----------
+    name, content:
+        Of the file.
+    lines:
+        Of `promise_lines`.
+    """
+    place = content.find(_DIGEST)
+    if not lines or place < 0 or not name.endswith((".h", ".c")) or name.endswith("_vectors.h"):
+        return content
+    end = content.index(b"\n", place) + 1
+    told = "".join(f" * {line}\n" for line in lines).encode("ascii")
+    return content[:end] + told + content[end:]
+
+
+def _limit_words(corners: CornerJudgement) -> str:
+    """The box: relative errors by name, and loads."""
+    limits = ", ".join(
+        f"{name} {100.0 * low:+.3g} to {100.0 * high:+.3g} %"
+        for name, (low, high) in corners.limits.items()
+    )
+    loads = " and ".join(f"{load:.3g}" for load in corners.loads)
+    return f"{limits or 'exact data'}; loads of {loads} N m"
 
 
 def leaving_notes(gains: LoopGains | None) -> tuple[str, ...]:
@@ -119,11 +181,86 @@ def leaving_notes(gains: LoopGains | None) -> tuple[str, ...]:
 
 
 def corner_words(gains: LoopGains | None) -> tuple[str, ...]:
-    """Speeds at which all corners are stable, without dead time; none for a speed observer."""
+    """Speeds at which all corners hold, without dead time, and the steps that are borne there; none
+    for a speed observer.
+    """
     found = None if gains is None else gains.observed
     if found is None or found.corners is None:
         return ()
-    return (range_words(found.corners.exact),)
+    corners = found.corners
+    return (
+        range_words(corners.binding),
+        *((promise_words(corners),) if corners.binding.any else ()),
+    )
+
+
+def promise_words(corners: CornerJudgement) -> str:
+    """Where a drive may run on its observer, and what it bears there; of a range that is there."""
+    found, turn = corners.binding, corners.pole_pairs
+    parts = [
+        (
+            f"every corner holds from {_rpm(found.low, turn, up=True)} to "
+            f"{_rpm(found.high, turn)}, motoring and braking"
+        ),
+        f"there the speed is wrong by {_error_text(found.speed_error)} at most",
+    ]
+    if corners.steps is not None:
+        parts += _step_words(corners.steps, turn)
+    return "; ".join([*parts, "below, and so of a reversal, nothing is promised"])
+
+
+def _error_text(error: float) -> str:
+    return "0.1 %" if error < 1e-3 else f"{math.ceil(1e3 * error - 1e-9) / 10.0:.4g} %"
+
+
+def _step_words(steps: StepsBorne, pole_pairs: int) -> list[str]:
+    if not steps.load > 0.0:
+        return ["no step of the load is promised"]
+    return [
+        (
+            f"steps of the load by up to {_down(steps.load)} N m are borne from "
+            f"{_rpm(steps.load_low, pole_pairs, up=True)} to {_rpm(steps.load_high, pole_pairs)}"
+        ),
+        (
+            f"steps of the speed by up to {_rpm(steps.speed, pole_pairs)} where they stay inside "
+            f"with {100.0 * steps.overshoot:.2g} % of overshoot"
+        ),
+    ]
+
+
+def _down(value: float, *, up: bool = False) -> str:
+    """Three digits, rounded to the safe side."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    count = math.ceil(value / unit - 1e-9) if up else math.floor(value / unit + 1e-9)
+    return f"{count * unit:.4g}"
+
+
+def _rpm(omega: float, pole_pairs: int, *, up: bool = False) -> str:
+    return f"{_down(omega / pole_pairs * 30.0 / math.pi, up=up)} rpm"
+
+
+def promise_lines(gains: LoopGains | None) -> list[str]:
+    """Comment lines for every file that is flashed; none where no speed loop runs on an observer of
+    the position.
+    """
+    found = None if gains is None else gains.observed
+    if found is None or found.corners is None:
+        return []
+    box = "control.tolerances" if found.corners.named else "the usual tolerances"
+    held = found.corners
+    words = promise_words(held) if held.binding.any else "holds at no speed"
+    if held.dead_time is not None:
+        lost, lossy = " or ".join(f"{value:.3g}" for value in held.lost), held.dead_time
+        span = (
+            f"from {_rpm(lossy.low, held.pole_pairs, up=True)} to "
+            f"{_rpm(lossy.high, held.pole_pairs)}"
+        )
+        words += f". With {lost} V of dead time, an indication: {span if lossy.any else 'nowhere'}"
+    return textwrap.wrap(
+        f"Speed loop on the {found.observer}, corners of {box} ({_limit_words(held)}), no dead "
+        f"time: {words}.",
+        100,
+    )
 
 
 def range_words(found: SpeedRange) -> str:
@@ -134,7 +271,9 @@ def range_words(found: SpeedRange) -> str:
         )
         return f"stable at no speed{below}"
     span = f"stable from {_hertz(found.low)} to {_hertz(found.high)} (electrical)"
-    return span if found.below is None else f"{span}; below, {found.below.words}"
+    below = "" if found.below is None else f"; below, {found.below.words}"
+    above = "" if found.above is None else f"; above, {found.above.words}"
+    return f"{span}{below}{above}"
 
 
 def margin_words(gains: LoopGains) -> str:
@@ -164,6 +303,8 @@ def plain_observed(gains: LoopGains) -> PlainData:
             else {"omega_rad_per_s": found.cycle.omega, "swing_rad_per_s": found.cycle.swing},
             "stable_advice": found.stable_advice,
             "pll_least_rad_per_s": found.pll_least,
+            "slowed_to_spread": found.slowed,
+            "beyond_rad_per_s": found.beyond,
             "corners": _plain_corners(found),
         }
     }
@@ -181,25 +322,44 @@ def _plain_corners(found: ObservedLoop) -> PlainData | None:
         "lost_V": list(corners.lost),
         "dead_time": None if corners.dead_time is None else _plain_range(corners.dead_time),
         "braking": None if corners.braking is None else _plain_range(corners.braking),
+        "binding": _plain_range(corners.binding),
+        "most_speed_error": corners.most_error,
+        "steps": None if corners.steps is None else _plain_steps(corners.steps),
         "leaves_rad_per_s": corners.leaves,
         "left_unstable": corners.left_unstable,
     }
 
 
+def _plain_steps(steps: StepsBorne) -> PlainData:
+    return {
+        "load_Nm": steps.load,
+        "load_from_rad_per_s": steps.load_low,
+        "load_to_rad_per_s": steps.load_high,
+        "speed_rad_per_s": steps.speed,
+        "overshoot": steps.overshoot,
+    }
+
+
+def _plain_failing(failing: FailingCorner | None) -> PlainData | None:
+    if failing is None:
+        return None
+    return {
+        "omega_rad_per_s": failing.omega,
+        "errors": failing.corner.errors,
+        "load_Nm": failing.corner.load,
+        "lost_V": failing.corner.lost,
+        "largest_pole": failing.radius if math.isfinite(failing.radius) else None,
+        "speed_error": failing.speed_error,
+        "why": failing.why,
+    }
+
+
 def _plain_range(found: SpeedRange) -> PlainData:
-    below = found.below
-    failing = None
-    if below is not None:
-        failing = {
-            "omega_rad_per_s": below.omega,
-            "errors": below.corner.errors,
-            "load_Nm": below.corner.load,
-            "lost_V": below.corner.lost,
-            "largest_pole": below.radius if math.isfinite(below.radius) else None,
-        }
     return {
         "corners": found.corners,
         "low_rad_per_s": found.low if found.any else None,
         "high_rad_per_s": found.high if found.any else None,
-        "failing_below": failing,
+        "speed_error": found.speed_error if found.any else None,
+        "failing_below": _plain_failing(found.below),
+        "failing_above": _plain_failing(found.above),
     }

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator
 
+from dqforge.machines.design.settings import SPEED_ERROR
 from dqforge.machines.entries.kinds import (
     Bandwidth,
     SampleInterval,
@@ -43,6 +44,9 @@ CorrectionTime = Annotated[Quantity, QuantityRule("time", 1e-3, 1.0)]
 
 
 CorrectionLimit = Annotated[Quantity, QuantityRule("angle", 1e-3, 2.0)]
+
+
+SpeedError = Annotated[Quantity, QuantityRule("number", 1e-4, 0.5)]
 
 
 InjectedVoltage = Annotated[Quantity, QuantityRule("voltage", 1e-3, 2e4)]
@@ -108,6 +112,13 @@ class ObserverSection(Section):
         default=None,
         description=f"for {_users('period')}: from one sequence of pulses to the next (s)",
     )
+    max_speed_error: SpeedError | None = Field(
+        default=None,
+        description=(
+            "largest error of the speed within the tolerances at which the speed loop counts as "
+            f"holding (share or %); default {100.0 * SPEED_ERROR:.3g} %"
+        ),
+    )
     tuning: ObserverTuningName = Field(
         default="named",
         description="named: what is left open has its usual value; optimised: it is searched for",
@@ -119,6 +130,10 @@ _OBSERVER_ENTRIES = (
     *("wave", "voltage", "samples", "period"),
     *("hidden_layers", "correction_filter", "correction_limit"),
 )
+
+
+_TOLD_NO_SPEED = (SPEED_OBSERVER, "zero-crossing", "emf-integration")
+"""Methods whose speed loop is not judged on them."""
 
 
 def check_observer(
@@ -135,6 +150,15 @@ def check_observer(
             "rad/s"
         )
         raise document.error(message, path, key=True)
+    if observer.max_speed_error is not None and (
+        path != ("control", "observer") or observer.method in _TOLD_NO_SPEED
+    ):
+        raise document.error(
+            f"{where}.max_speed_error is for a speed loop that runs on control.observer, by a "
+            "method that observes the position; remove it",
+            (*path, "max_speed_error"),
+            key=True,
+        )
     for key in _OBSERVER_ENTRIES:
         if getattr(observer, key) is not None and key not in used:
             raise document.error(

@@ -170,9 +170,12 @@ def test_sensorless_control_below_the_lowest_speed_is_refused(
     require_observed(flux_template(above=least), gains)
 
 
-def test_sensorless_control_of_what_holds_at_no_speed_is_refused(
-    chosen: tuple[Design, GainSet],
+def test_what_holds_at_no_speed_is_refused_with_and_without_a_simulation(
+    chosen: tuple[Design, GainSet], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    from dqforge.optimizer.control_design import observed_remedies
+
+    monkeypatch.setattr(observed_remedies, "remedies", lambda *_: ["less"])
     gains = chosen[1]
     assert gains.speed is not None
     assert gains.speed.observed is not None
@@ -181,8 +184,9 @@ def test_sensorless_control_of_what_holds_at_no_speed_is_refused(
     )
     observed = replace(gains.speed.observed, corners=nowhere)
     broken = replace(gains, speed=replace(gains.speed, observed=observed))
-    with pytest.raises(InputError, match="there is no speed at which"):
-        require_observed(flux_template(above="100"), broken)
+    for design in (flux_template(above="100"), flux_template()):
+        with pytest.raises(NoSolutionError, match="no speed at which it holds; write less"):
+            require_observed(design, broken)
 
 
 def judged_as(gains: GainSet, corners: CornerJudgement) -> GainSet:
