@@ -28,9 +28,11 @@ def answer_run(design: Design, *, verify: bool) -> Answer:
     plain = {"verification": plain_verification(output.verification)}
     verified = () if output.verification is None else output.verification.languages
     options = {COMMAND: "run", VERIFIED: ",".join(verified)}
-    return Answer(
-        design.name, tables, plain, files=Files(output.files, RUN, design, options=options)
+    follow = (
+        "read {out}/report.html, then include the headers; 'dqforge verify {out}' tries them again"
     )
+    files = Files(output.files, RUN, design, options=options, follow=follow)
+    return Answer(design.name, tables, plain, files=files)
 
 
 def answer_export(

@@ -67,7 +67,7 @@ def respond(
         listed = _listed(answer.files, out, written)
         sys.stdout.write(to_text(command, answer.name, answer.plain | listed))
     else:
-        _print(answer, written)
+        _print(answer, written, out)
     sys.stdout.flush()
     return answer.exit_code
 
@@ -123,7 +123,7 @@ def _draw(answer: Answer, plot: Path | None) -> None:
     save(answer.figure(), plot)
 
 
-def _print(answer: Answer, written: Written | None) -> None:
+def _print(answer: Answer, written: Written | None, out: Path | None) -> None:
     show(answer.tables)
     lines = list(answer.notes)
     if written is not None:
@@ -135,4 +135,6 @@ def _print(answer: Answer, written: Written | None) -> None:
             ("kept, of the design as it was before", written.kept),
         )
         lines += [f"{what}: {' '.join(names)}" for what, names in changed if names]
+        if answer.files is not None and answer.files.follow:
+            lines.append(f"next: {answer.files.follow.format(out=out)}")
     sys.stdout.write("".join(f"{line}\n" for line in lines))

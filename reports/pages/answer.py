@@ -37,6 +37,8 @@ class Files:
         Options of the command on which the files depend, for `dqforge verify`.
     given:
         Further files that they were made from, by name.
+    follow:
+        What to do next with them, ``{out}`` for their folder.
     """
 
     contents: Mapping[str, bytes]
@@ -45,6 +47,7 @@ class Files:
     named: bool = True
     options: Mapping[str, str] = field(default_factory=dict)
     given: Mapping[str, bytes] = field(default_factory=dict)
+    follow: str = ""
 
 
 @dataclass(frozen=True, slots=True)
