@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from dqforge.reports.operating_system.packages import Package
 from dqforge.reports.operating_system.this_machine import (
     COMPILERS,
     LEAST_FREE,
     Machine,
-    Package,
     Program,
     look,
 )

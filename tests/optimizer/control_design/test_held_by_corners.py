@@ -11,6 +11,7 @@ from observed_runs import random_design
 
 from dqforge.machines.design.design import Design
 from dqforge.machines.design.settings import Tolerances
+from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import NoSolutionError
 from dqforge.machines.names import ObserverMethodName
 from dqforge.optimizer.control_design import observed_remedies
@@ -152,6 +153,7 @@ def test_range_error_and_steps_stand_in_every_file_in_json_and_in_the_summary(
 def test_a_top_speed_beyond_the_link_is_judged_where_the_link_ends_and_remarked() -> None:
     design = by_rule(1, "flux")
     machine = design.machine
+    assert isinstance(machine, LinearMachine)
     assert machine.omega_m_max is not None
     fast = replace(machine, omega_m_max=2.0 * machine.omega_m_max)
     far = replace(design, machine=fast)

@@ -65,7 +65,7 @@ def test_the_smallest_size_that_holds_is_taken(seed: int) -> None:
     shares = np.array([1.0, *(generator.uniform(-0.15, 0.15, 4) / (orders[1:] / 3.0))])
 
     def random_wave(theta: np.ndarray) -> np.ndarray:
-        return -0.2 * np.sum(shares * np.sin(orders * theta[..., None]), axis=-1)
+        return np.asarray(-0.2 * np.sum(shares * np.sin(orders * theta[..., None]), axis=-1))
 
     theta = 2.0 * np.pi * np.arange(720) / 720
     flux = np.stack([random_wave(theta - 2.0 * np.pi * k / 3.0) for k in range(3)])

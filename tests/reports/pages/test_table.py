@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dqforge.machines.design import catalogue
+from dqforge.machines.design.design import Design
 from dqforge.machines.errors import DqforgeError
 from dqforge.reports.answers import check, fit, losses, mtpa, tune
 from dqforge.reports.pages import console
+from dqforge.reports.pages.answer import Answer
 from dqforge.reports.pages.table import Table, fitted
 
 WIDTHS = (80, 100, 120, 160, 200)
@@ -94,7 +98,7 @@ def test_many_rows_are_parted_behind_their_first_column() -> None:
 
 
 MTPA = (None, None, None, "svpwm", "0 %", "copper")
-ANSWERS = {
+ANSWERS: dict[str, Callable[[Design], Answer]] = {
     "check": check.answer_check,
     "tune": tune.answer_tune,
     "fit": fit.answer_fit,
