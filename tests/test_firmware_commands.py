@@ -185,7 +185,7 @@ def test_a_swing_that_only_the_firmware_has_is_found_in_time(
         (["--into", "a.xml"], "--into: say whose file it is"),
         (["--for", "vesc", "--for", "moteus", "--into", "a.xml"], "--into: a file is one"),
         (["--for", "vesc", "--into", "a.xml"], "a.xml: there is no such file"),
-        (["--for", "vesc", "--into", "scooter.yaml"], "scooter.yaml: is no file of VESC"),
+        (["--for", "vesc", "--into", "scooter.yaml"], "scooter.yaml:1: is no file of VESC"),
         (["--for", "vesc", "--set", "control.gains=false"], "gains"),
     ],
 )
@@ -353,7 +353,7 @@ def test_a_design_that_is_there_is_kept(call: Call, tmp_path: Path) -> None:
     [
         (["--machine", "paper001-pmsm-bench"], "--from and --machine both say what is to be made"),
         (["--set", "inverter.v_dc=48 V", "--set", "nonsense"], "--set: expected key=value"),
-        (["--from", "scooter.yaml"], "scooter.yaml: no firmware is known"),
+        (["--from", "scooter.yaml"], "scooter.yaml:1: no firmware is known"),
     ],
 )
 def test_wrong_wishes_of_a_new_design_are_refused(

@@ -20,7 +20,7 @@ from dqforge.machines.files.number_table import read_table
 from dqforge.machines.files.plain_numbers import read_numeric_table
 from dqforge.machines.flux_map_files import names
 from dqforge.machines.flux_map_files.coordinates import cartesian, claims, in_si, spread
-from dqforge.machines.flux_map_files.losses import loss_of
+from dqforge.machines.flux_map_files.loss_columns import loss_of
 from dqforge.machines.flux_map_files.operating_points import (
     BLUR,
     NOTHING,

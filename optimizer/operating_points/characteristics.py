@@ -157,6 +157,13 @@ def _largest_speed(machine: Machine, v_max: float, i_max: float) -> tuple[float 
 def free_largest_speed(machine: Machine, v_max: float, i_max: float) -> float | None:
     """Largest electrical speed in rad/s at which any current keeps the voltage limit, None where
     every speed does; wherever the data of a flux map end.
+
+    Parameters
+    ----------
+    machine:
+        Any machine.
+    v_max, i_max:
+        Phase amplitudes in V and A.
     """
 
     def kept(omega_e: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

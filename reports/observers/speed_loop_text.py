@@ -230,6 +230,8 @@ def _step_words(steps: StepsBorne, pole_pairs: int) -> list[str]:
 
 def _down(value: float, *, up: bool = False) -> str:
     """Three digits, rounded to the safe side."""
+    if not value > 0.0:
+        return "0"
     unit = 10.0 ** (math.floor(math.log10(value)) - 2)
     count = math.ceil(value / unit - 1e-9) if up else math.floor(value / unit + 1e-9)
     return f"{count * unit:.4g}"
@@ -251,16 +253,19 @@ def promise_lines(gains: LoopGains | None) -> list[str]:
     words = promise_words(held) if held.binding.any else "holds at no speed"
     if held.dead_time is not None:
         lost, lossy = " or ".join(f"{value:.3g}" for value in held.lost), held.dead_time
-        span = (
-            f"from {_rpm(lossy.low, held.pole_pairs, up=True)} to "
-            f"{_rpm(lossy.high, held.pole_pairs)}"
-        )
-        words += f". With {lost} V of dead time, an indication: {span if lossy.any else 'nowhere'}"
+        words += f". With {lost} V of dead time, an indication: {_span(lossy, held.pole_pairs)}"
     return textwrap.wrap(
         f"Speed loop on the {found.observer}, corners of {box} ({_limit_words(held)}), no dead "
         f"time: {words}.",
         100,
     )
+
+
+def _span(found: SpeedRange, pole_pairs: int) -> str:
+    if not found.any:
+        return "nowhere"
+    low = _rpm(found.low, pole_pairs, up=True)
+    return f"from {low} to {_rpm(found.high, pole_pairs)}"
 
 
 def range_words(found: SpeedRange) -> str:

@@ -55,6 +55,21 @@ def slowed() -> tuple[Design, GainSet]:
     return design, solve_gains(design)
 
 
+def test_a_range_that_the_dead_time_leaves_nothing_of_is_said(
+    slowed: tuple[Design, GainSet],
+) -> None:
+    speed = slowed[1].speed
+    assert speed is not None
+    assert speed.observed is not None
+    held = corners_of(slowed[1])
+    nowhere = replace(held.exact, low=np.nan, high=np.nan)
+    lossy = replace(held, lost=(0.5,), dead_time=nowhere)
+    seen = replace(speed, observed=replace(speed.observed, corners=lossy))
+    assert (
+        "with 0.5 v of dead time, an indication: nowhere" in " ".join(promise_lines(seen)).lower()
+    )
+
+
 def test_a_loop_of_the_rule_is_slowed_down_until_every_corner_holds(
     slowed: tuple[Design, GainSet],
 ) -> None:
