@@ -24,6 +24,7 @@ from dqforge.reports.pages.chapters import CHAPTERS
 from dqforge.reports.pages.html_table import HtmlTable, counted
 from dqforge.reports.pages.html_text import NARROW, count, number, quantity, symbols, unit_text
 from dqforge.reports.pages.page_figure import page_figure
+from dqforge.reports.pages.table import NUMBER_AND_UNIT
 from dqforge.reports.pages.templating import render
 from dqforge.reports.plain_data import PlainData
 from dqforge.reports.summary import flashed, watched
@@ -185,7 +186,10 @@ def report_context(
         "scripts": page_scripts(FIGURES, FOLDING),
         "sections": _contents(design, written, beside),
         "flashed": [
-            (symbols(row.label), symbols(row.value), symbols(row.meaning))
+            tuple(
+                symbols(NUMBER_AND_UNIT.sub(NARROW, text))
+                for text in (row.label, row.value, row.meaning)
+            )
             for row in flashed(outcome, capabilities)
         ],
         "watched": [symbols(text) for text in watched(outcome, capabilities)],

@@ -17,7 +17,7 @@ _SHORT = 24
 _FEW_ROWS = 4
 _LEAST_SENTENCE = 20
 _GLUE = "\x1f"
-_NUMBER_AND_UNIT = re.compile(r"(?<=\d) (?=[^\W\d_]|[%°Ω/])")
+NUMBER_AND_UNIT = re.compile(r"(?<=\d) (?=[^\W\d_]|[%°Ω/])")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ def _sentence(cell: str) -> bool:
 
 def _lines(text: str, width: int) -> list[str]:
     """A text in lines of a width, broken at spaces, but not between a number and its unit."""
-    glued = _NUMBER_AND_UNIT.sub(_GLUE, text)
+    glued = NUMBER_AND_UNIT.sub(_GLUE, text)
     lines = textwrap.wrap(glued, max(width, 1), break_long_words=False, break_on_hyphens=False)
     return [line.replace(_GLUE, " ") for line in lines] or [""]
 

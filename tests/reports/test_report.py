@@ -338,7 +338,7 @@ def test_what_to_flash_stands_before_its_evidence() -> None:
     assert solution.loops is not None
     page = render_report(solution, None)
     loop = solution.loops.i_q
-    order = ('id="summary"', f"kp {loop.kp:.5g} V/A", "What to look out for", 'id="evidence"')
+    order = ('id="summary"', f"kp {loop.kp:.5g}\u202fV/A", "What to look out for", 'id="evidence"')
     places = [page.index(words) for words in order]
     assert places == sorted(places)
     first, second, last = run_tables(solution, None)
