@@ -3,10 +3,10 @@
 `tests/costs.json` keeps the seconds of processor time of every file of tests that takes long (its
 cases share what they set up, so that a file costs the same whichever of them run), and of every
 case of the campaign; what is not listed is cheap and always runs. ``--drawn 90`` fills 90 s of
-processor time: first the files beside the modules that the working tree or the last commit
-changes, then others in an order that the commit gives, so that each has its turn; without the
-option all of them run. ``--keep-costs`` writes the file anew from what a run without the option
-took.
+processor time: first the files beside the modules that the working tree or the commits of the
+last day change, then others in an order that the commit gives, so that each has its turn; without
+the option all of them run. ``--always PATH`` keeps what lies there whatever it costs.
+``--keep-costs`` writes the file anew from what a run without the option took.
 
 As a program, ``python tests/drawn_cases.py 2 NAME...`` prints the two names whose turn it is.
 """
@@ -19,7 +19,7 @@ import os
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -53,8 +53,13 @@ def seed() -> str:
 
 @cache
 def changed_rooms() -> frozenset[str]:
-    """Folders of the product and of its tests that the working tree or the last commit changes."""
-    names = _git("diff", "--name-only", "HEAD~1").split()
+    """Folders of the product and its tests that the working tree or the last day's commits change.
+
+    The day ends with the last commit, so that the same commit draws the same.
+    """
+    day_before = int(_git("show", "-s", "--format=%ct") or 0) - 86400
+    names = _git("log", f"--since=@{day_before}", "--format=", "--name-only").split()
+    names += _git("diff", "--name-only", "HEAD").split()
     names += _git("ls-files", "--others", "--exclude-standard").split()
     folders = (Path(name).parent.as_posix().removesuffix("/templates") for name in names)
     return frozenset(folder.removeprefix("tests/") for folder in folders)
@@ -96,12 +101,18 @@ def cost_of(item: pytest.Item, costs: dict[str, float]) -> float:
     return costs.get(unit_of(item), UNKNOWN_S if of_the_campaign(item) else 0.0)
 
 
-def drawn(items: list[pytest.Item], budget: float, costs: dict[str, float]) -> list[pytest.Item]:
-    """The cheap cases, and of the costly ones those whose turn it is, as long as seconds are left.
+def drawn(
+    items: list[pytest.Item], budget: float, costs: dict[str, float], always: Sequence[str] = ()
+) -> list[pytest.Item]:
+    """The cheap cases and what lies below ``always``, and of the others those whose turn it is, as
+    long as seconds are left.
 
     Their order is that of ``items``.
     """
-    units = {unit_of(item): cost_of(item, costs) for item in items}
+    units = {
+        unit_of(item): 0.0 if item.nodeid.startswith(tuple(always)) else cost_of(item, costs)
+        for item in items
+    }
     left, kept = budget, set()
     for unit in sorted(units, key=lambda unit: (not near(unit), turn(unit))):
         if units[unit] <= left or units[unit] == 0.0:
@@ -165,6 +176,9 @@ def add_options(parser: pytest.Parser) -> None:
         metavar="SECONDS",
         help="of what is costly only so many: what lies near a change, then drawn by the commit",
     )
+    parser.addoption(
+        "--always", nargs="+", default=(), metavar="PATH", help="with --drawn: not to be left out"
+    )
     parser.addoption("--keep-costs", action="store_true", help="write tests/costs.json anew")
 
 
@@ -181,7 +195,7 @@ def leave_out(config: pytest.Config, items: list[pytest.Item]) -> None:
     budget: Any = config.getoption("--drawn")
     if budget is None:
         return
-    kept = drawn(items, budget, kept_costs())
+    kept = drawn(items, budget, kept_costs(), config.getoption("--always"))
     config.hook.pytest_deselected(items=[item for item in items if item not in set(kept)])
     items[:] = kept
 
