@@ -40,7 +40,7 @@ KINDS = {
     "formulas": r"optimizer/|machines/(\w+_machines|losses|modulation|plants|transforms|back_emf)",
     "emitted code": r"reports/(?!pages/)\w+/templates/(?!.*(html|harness|vectors|main)).*\.j2$",
 }
-BINARY = {"+": "-", "-": "+", "*": "/", "/": "*", "**": "*", "//": "*", "%": "*", "@": "@"}
+BINARY = {"+": "-", "-": "+", "*": "/", "/": "*", "**": "*", "//": "*", "%": "*"}
 COMPARISONS = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
 OF_C = {" + ": " - ", " - ": " + ", " * ": " / ", " < ": " >= ", " > ": " <= ", " <= ": " > "}
 Span = Callable[["ast.expr | ast.stmt"], tuple[int, int]]
@@ -94,9 +94,16 @@ def _operator(source: str, left: int, right: int, swaps: dict[str, str]) -> tupl
     return left + found.start(), left + found.end(), swaps[found.group()]
 
 
+def _swapped(a: tuple[int, int], b: tuple[int, int], source: str) -> tuple[int, int, str]:
+    """Two places, each with what stood in the other."""
+    return a[0], b[1], source[slice(*b)] + source[a[1] : b[0]] + source[slice(*a)]
+
+
 def _of_node(node: ast.AST, where: Span, source: str) -> Iterator[tuple[int, int, str]]:
     """Changes of one node: characters from, to, and what they become."""
     match node:
+        case ast.BinOp(left=first, right=second, op=ast.MatMult()):
+            yield _swapped(where(first), where(second), source)
         case ast.BinOp(left=left, right=right):
             yield _operator(source, where(left)[1], where(right)[0], BINARY)
         case ast.Compare(left=left, comparators=[right], ops=[op]) if not isinstance(
@@ -108,8 +115,7 @@ def _of_node(node: ast.AST, where: Span, source: str) -> Iterator[tuple[int, int
         case ast.Constant(value=float() as value):
             yield *where(node), repr(1.25 * value if value else 1.0)
         case ast.Call(args=[first, second]) if not isinstance(second, ast.Starred):
-            a, b = where(first), where(second)
-            yield a[0], b[1], source[slice(*b)] + source[a[1] : b[0]] + source[slice(*a)]
+            yield _swapped(where(first), where(second), source)
         case ast.AugAssign():
             yield *where(node), "pass"
         case ast.Expr(value=ast.Call()):
