@@ -170,7 +170,8 @@ def changes(root: Path) -> list[Change]:
         places = _in_python(source) if name.endswith(".py") else _in_template(source)
         for start, end, text in places:
             line = source.count("\n", 0, start) + 1
-            found.append(Change(kind, name, start, end, text, source[start:end], line))
+            if text != source[start:end]:
+                found.append(Change(kind, name, start, end, text, source[start:end], line))
     return found
 
 
