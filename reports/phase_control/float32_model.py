@@ -412,9 +412,7 @@ class PhaseControlModel:
         low = np.where(torque < -most, -most, _ZERO)
         return np.where(torque > most, most, np.where(torque >= -most, torque, low))
 
-    def of_currents(
-        self, measured: SingleArray, reference: Singles
-    ) -> tuple[Singles, SingleArray]:
+    def of_currents(self, measured: SingleArray, reference: Singles) -> tuple[Singles, SingleArray]:
         """References (d, q) in A with the torque in N m that `control_step` takes beside them."""
         made, gains = self.structure, self.gains
         if not (made.by_torque or made.neutral):
