@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.util import cache_from_source
 from pathlib import Path
 
@@ -56,4 +57,5 @@ class CompiledTemplates(BytecodeCache):
             written.write_bytes(bucket.bytecode_to_string())
             written.replace(path)
         except OSError:
-            written.unlink(missing_ok=True)
+            with suppress(OSError):
+                written.unlink()
