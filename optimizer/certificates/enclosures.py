@@ -88,7 +88,7 @@ def bicubic(table: Any, i_d: Value, i_q: Value) -> list[Value]:
 
 
 @lru_cache(maxsize=1024)
-def _cell(flux_map: FluxMap, row: int, column: int) -> JetFunction:
+def _cell(flux_map: FluxMap, row: int, column: int, *, slopes: bool) -> JetFunction:
     from flint import arb
 
     coefficients, corner_d, corner_q = flux_map.cell(row, column)
@@ -101,11 +101,20 @@ def _cell(flux_map: FluxMap, row: int, column: int) -> JetFunction:
         d, q = (bicubic(table, i_d - at_d, i_q - at_q) for table in tables)
         return Jet(d[0], q[0], d[1], d[2], q[1], q[2], d[3], d[4], d[5], q[3], q[4], q[5])
 
-    return jet
+    def linkages(i_d: Value, i_q: Value) -> Jet:
+        x, y = i_d - at_d, i_q - at_q
+        psi_d, psi_q = (
+            _cubic([_cubic(row, x, 0)[0] for row in table], y, 0)[0] for table in tables
+        )
+        return Jet(psi_d, psi_q, *[0] * 10)
+
+    return jet if slopes else linkages
 
 
-def jets(machine: Machine, i_d: arb, i_q: arb) -> list[JetFunction]:
+def jets(machine: Machine, i_d: arb, i_q: arb, *, slopes: bool = True) -> list[JetFunction]:
     """Formulas of which one holds at every point of a box of currents in A.
+
+    Without ``slopes`` they may leave the derivatives of a flux map at zero.
 
     Raises
     ------
@@ -126,4 +135,4 @@ def jets(machine: Machine, i_d: arb, i_q: arb) -> list[JetFunction]:
         spans.append(range(int(first), int(last) + 1))
     if len(spans[0]) * len(spans[1]) > _MOST_CELLS:
         raise ZeroDivisionError
-    return [_cell(found, row, column) for row in spans[0] for column in spans[1]]
+    return [_cell(found, row, column, slopes=slopes) for row in spans[0] for column in spans[1]]

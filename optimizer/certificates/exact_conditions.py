@@ -133,13 +133,17 @@ class Task:
             return ["loss", "voltage"]
         return ["voltage" if self.starts_limited ^ (before % 2 == 1) else "loss"]
 
-    def local(self, jet: Jet, i_d: Value, i_q: Value, condition: Condition) -> Local:
-        """Torque and condition with their derivatives."""
+    def local(
+        self, jet: Jet, i_d: Value, i_q: Value, condition: Condition, *, gradient: bool = True
+    ) -> Local:
+        """Torque and condition with their derivatives; zeros as the gradient of the voltage excess
+        where that is no condition and without ``gradient``.
+        """
         machine = self.choice.machine
         torque, t_d, t_q, t_dd, t_dq, t_qq = torque_parts(
             jet, i_d, i_q, exactly(1.5 * machine.pole_pairs)
         )
-        voltage = self._voltage(machine, jet, i_d, i_q)
+        voltage = self._voltage(machine, jet, i_d, i_q, gradient or condition == "voltage")
         if condition == "loss":
             second = (
                 t_q * i_d - t_d * i_q,
@@ -152,8 +156,14 @@ class Task:
             second = (i_d, exactly(1.0) + i_d * 0, i_d * 0)
         return Local(torque, t_d, t_q, t_dd, t_dq, t_qq, *second, *voltage)
 
+    def torque_and_excess(self, jet: Jet, i_d: Value, i_q: Value) -> tuple[Value, Value]:
+        """Torque in N m and (|v| / v_max)^2 - 1, of the flux linkages alone."""
+        machine = self.choice.machine
+        torque = (jet.psi_d * i_q - jet.psi_q * i_d) * exactly(1.5 * machine.pole_pairs)
+        return torque, self._voltage(machine, jet, i_d, i_q, gradient=False)[0]
+
     def _voltage(
-        self, machine: Machine, jet: Jet, i_d: Value, i_q: Value
+        self, machine: Machine, jet: Jet, i_d: Value, i_q: Value, gradient: bool
     ) -> tuple[Value, Value, Value]:
         """(|v| / v_max)^2 - 1 and its gradient; zeros where there is no speed."""
         speed = self.choice.speed
@@ -162,9 +172,12 @@ class Task:
         omega, r_s = exactly(speed.omega_m) * machine.pole_pairs, exactly(machine.r_s)
         scale = 1 / (exactly(speed.v_max) * exactly(speed.v_max))
         v_d, v_q = i_d * r_s - jet.psi_q * omega, i_q * r_s + jet.psi_d * omega
+        excess = (v_d * v_d + v_q * v_q) * scale - 1
+        if not gradient:
+            return excess, exactly(0.0), exactly(0.0)
         by_d = (v_d * (r_s - jet.l_qd * omega) + v_q * (jet.l_dd * omega)) * (2 * scale)
         by_q = (v_q * (r_s + jet.l_dq * omega) - v_d * (jet.l_qq * omega)) * (2 * scale)
-        return (v_d * v_d + v_q * v_q) * scale - 1, by_d, by_q
+        return excess, by_d, by_q
 
 
 def conditions_over_box(task: Task, box: tuple[arb, arb], condition: Condition) -> Local:

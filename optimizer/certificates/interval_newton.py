@@ -91,7 +91,7 @@ def _series(
 
     def evaluate(torque: Value) -> list[Value]:
         i_d, i_q = piece.currents(torque)
-        at = task.local(jet(i_d, i_q), i_d, i_q, condition)
+        at = task.local(jet(i_d, i_q), i_d, i_q, condition, gradient=False)
         error = at.torque - torque
         inverse = 1 / (at.t_d * at.c_q - at.t_q * at.c_d)
         step_d = (error * at.c_q - at.condition * at.t_q) * inverse
@@ -217,12 +217,13 @@ def torque_and_voltage(task: Task, interval: Interval) -> tuple[arb, float]:
     def errors(formula: JetFunction) -> Callable[[Value], list[Value]]:
         def evaluate(torque: Value) -> list[Value]:
             at = interval.piece.currents(torque)
-            local = task.local(formula(*at), *at, "voltage")
-            return [local.torque - torque, local.excess]
+            made, excess = task.torque_and_excess(formula(*at), *at)
+            return [made - torque, excess]
 
         return evaluate
 
-    rows = [expansion.enclose(errors(formula)) for formula in jets(task.choice.machine, *box)]
+    formulas = jets(task.choice.machine, *box, slopes=False)
+    rows = [expansion.enclose(errors(formula)) for formula in formulas]
     error, excess = (hull(list(column)) for column in zip(*rows, strict=True))
     at = conditions_over_box(task, box, "voltage")
     room = at.t_d.abs_upper() * rounding_d + at.t_q.abs_upper() * rounding_q

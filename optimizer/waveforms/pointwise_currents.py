@@ -122,6 +122,32 @@ def _interval(made: PointwiseTorque, torque: FloatArray) -> tuple[FloatArray, Fl
     return low, high
 
 
+def _search(
+    made: PointwiseTorque, wanted: FloatArray, at: FloatArray, low: FloatArray, high: FloatArray
+) -> None:
+    """Move the multipliers ``at`` between ``low`` and ``high`` to the torques ``wanted``, in place,
+    shapes (K, M): by Newton's method, and by halves where that leaves the interval.
+
+    What stands still is where it will be, and is left out of the steps that the others need.
+    """
+    place = np.flatnonzero(np.ones(at.shape, dtype=np.bool_))
+    for _ in range(_STEPS):
+        of = place % at.shape[1]
+        part = PointwiseTorque(made.linear[of], made.curvature[of], made.basis)
+        goal, here, least, most = (x.ravel()[place] for x in (wanted, at, low, high))
+        found, slope = _own_currents(part, here)[1], _slope(part, here)
+        below, above = np.where(found <= goal, here, least), np.where(found >= goal, here, most)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            newton = here - (found - goal) / slope
+        inside = (newton > below) & (newton < above)
+        following = np.where(inside, newton, 0.5 * (below + above))
+        if np.all(np.abs(following - here) <= 2e-16 * np.abs(here)):
+            break
+        for whole, value in ((at, following), (low, below), (high, above)):
+            whole.flat[place] = value
+        place = place[(following != here) | (below != least) | (above != most)]
+
+
 def least_currents(made: PointwiseTorque, torque: FloatArray) -> FloatArray:
     """Phase currents in A of least |i|^2 for torques in N m, shape (K,), at every angle: (K, 3, M).
 
@@ -132,16 +158,7 @@ def least_currents(made: PointwiseTorque, torque: FloatArray) -> FloatArray:
     at = np.clip(
         2.0 * wanted / np.maximum(np.sum(made.linear**2, axis=1), np.finfo(float).tiny), low, high
     )
-    for _ in range(_STEPS):
-        found, slope = _own_currents(made, at)[1], _slope(made, at)
-        low, high = np.where(found <= wanted, at, low), np.where(found >= wanted, at, high)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            newton = at - (found - wanted) / slope
-        inside = (newton > low) & (newton < high)
-        following = np.where(inside, newton, 0.5 * (low + high))
-        if np.all(np.abs(following - at) <= 2e-16 * np.abs(at)):
-            break
-        at = following
+    _search(made, wanted, at, low, high)
     own, found = _own_currents(made, at)
     scale = np.maximum(np.max(np.abs(wanted)), np.finfo(float).tiny)
     missed = ~(np.abs(found - wanted) <= _EXACT * scale)

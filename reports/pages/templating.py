@@ -24,24 +24,37 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
-def _source(name: str) -> str | None:
-    """Text of the template ``<room>/<file>``, which lies in the folder ``templates`` of its room;
-    of a template from outside the package, which is named by its absolute path, that of the file.
+def _place(name: str) -> Path | Traversable:
+    """Where the template ``<room>/<file>`` lies: in the folder ``templates`` of its room; a
+    template from outside the package is named by its absolute path.
     """
     if Path(name).is_absolute():
-        path: Path | Traversable = Path(name)
-    else:
-        room, _, file = name.rpartition("/")
-        path = resources.files("dqforge.reports").joinpath(room, "templates", file)
+        return Path(name)
+    room, _, file = name.rpartition("/")
+    return resources.files("dqforge.reports").joinpath(room, "templates", file)
+
+
+def _source(name: str) -> str | None:
+    path = _place(name)
     return path.read_text(encoding="utf-8") if path.is_file() else None
+
+
+def _kept_place(name: str) -> Path | None:
+    """File of a template of the package, whose byte code is kept."""
+    path = _place(name)
+    return path if isinstance(path, Path) and not Path(name).is_absolute() else None
 
 
 @cache
 def _environment() -> Environment:
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
+    from dqforge.reports.pages.compiled_templates import CompiledTemplates
+
     environment = Environment(
         loader=FunctionLoader(_source),
+        bytecode_cache=CompiledTemplates(_kept_place),
+        optimized=False,  # what a filter makes of a constant would be kept with the byte code
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -86,25 +86,26 @@ def _results(model: PhaseControlModel, inputs: SingleArray) -> SingleArray:
     rows = inputs.reshape(-1, _DRIVES, _COLUMNS)
     width = len(TOPOLOGIES[made.topology].legs) + 6
     results = np.empty((rows.shape[0], _DRIVES, width), dtype=np.float32)
-    for mode in range(3):
-        chosen = slice(mode, _DRIVES, 3)
-        mine = rows[:, chosen]
-        state = PhaseControlState.start(mine.shape[1], made)
-        for step, row in enumerate(mine):
-            first, second = (np.ascontiguousarray(row[:, column]) for column in (8, 9))
-            measured = np.ascontiguousarray(row[:, 1:8] if made.midpoint else row[:, 1:7])
-            if made.neutral:
-                command = row[:, 10]
-                state.open_phase(np.maximum(command, 0.0).astype(np.uint32), command >= 0.0)
-            if mode == 0:
-                duty = model.current_control(state, measured, (first, second))
-            elif mode == 1:
-                duty = model.torque_control(state, measured, first)
-            else:
-                duty = model.speed_control(state, measured, first)
-            results[step, chosen] = np.stack(
-                [*duty, *state.v, state.v_0, *state.reference, state.torque], axis=1
-            )
+    # Three modes side by side: one step of the control for all drives.
+    by_current, by_speed = np.arange(_DRIVES) % 3 == 0, slice(2, _DRIVES, 3)
+    state = PhaseControlState.start(_DRIVES, made)
+    loop = PhaseControlState.start(_DRIVES // 3, made)
+    for step, row in enumerate(rows):
+        first, second = (np.ascontiguousarray(row[:, column]) for column in (8, 9))
+        measured = np.ascontiguousarray(row[:, 1:8] if made.midpoint else row[:, 1:7])
+        if made.neutral:
+            command = row[:, 10]
+            state.open_phase(np.maximum(command, 0.0).astype(np.uint32), command >= 0.0)
+        torque = first.copy()
+        torque[by_speed] = model.speed_loop(loop, measured[by_speed], first[by_speed])
+        state.torque = np.where(by_current, np.float32(0.0), torque)
+        given, limit = model.of_currents(measured, (first, second))
+        made_of, limited = model.of_torque(state, measured, torque)
+        reference = tuple(np.where(by_current, *both) for both in zip(given, made_of, strict=True))
+        duty = model.control_step(state, measured, reference, np.where(by_current, limit, limited))
+        results[step] = np.stack(
+            [*duty, *state.v, state.v_0, *state.reference, state.torque], axis=1
+        )
     return results.reshape(-1, width)
 
 

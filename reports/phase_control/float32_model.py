@@ -412,39 +412,53 @@ class PhaseControlModel:
         low = np.where(torque < -most, -most, _ZERO)
         return np.where(torque > most, most, np.where(torque >= -most, torque, low))
 
-    def current_control(
-        self, state: PhaseControlState, measured: SingleArray, reference: Singles
-    ) -> Singles:
-        """Duty cycles for references (d, q) in A."""
+    def of_currents(self, measured: SingleArray, reference: Singles) -> tuple[Singles, SingleArray]:
+        """References (d, q) in A with the torque in N m that `control_step` takes beside them."""
         made, gains = self.structure, self.gains
         if not (made.by_torque or made.neutral):
-            return self.control_step(state, measured, reference, np.zeros_like(reference[0]))
+            return reference, np.zeros_like(reference[0])
         per_ampere = (np.float32(1.5) * gains["pole_pairs"]) * gains["psi_pm"]
-        torque = self.limited_torque(per_ampere * reference[1], measured)
-        return self.control_step(state, measured, reference, torque)
+        return reference, self.limited_torque(per_ampere * reference[1], measured)
 
-    def torque_control(
+    def of_torque(
         self, state: PhaseControlState, measured: SingleArray, torque: SingleArray
-    ) -> Singles:
-        """Duty cycles for a torque in N m."""
+    ) -> tuple[Singles, SingleArray]:
+        """References (d, q) in A of a torque in N m, with what its limits leave of it."""
         made, held = self.structure, state.held
         per_ampere = (np.float32(1.5) * self.gains["pole_pairs"]) * self.gains["psi_pm"]
         asked = torque + (per_ampere * held[1]) if made.start_up and made.by_torque else torque
         limited = self.limited_torque(asked, measured)
         if self.reference is None:
             d = held[0] if made.start_up else _ZERO
-            reference: Singles = (np.zeros_like(limited) + d, limited / per_ampere)
-        else:
-            reference = tuple(self.reference.currents(limited))
-            if made.start_up:
-                reference = (reference[0] + held[0], reference[1] + held[1])
+            return (np.zeros_like(limited) + d, limited / per_ampere), limited
+        reference = tuple(self.reference.currents(limited))
+        if made.start_up:
+            reference = (reference[0] + held[0], reference[1] + held[1])
+        return reference, limited
+
+    def speed_loop(
+        self, state: PhaseControlState, measured: SingleArray, reference: SingleArray
+    ) -> SingleArray:
+        """Torque in N m for a speed in rad/s."""
+        omega_m = np.ascontiguousarray(measured[:, 4])
+        return speed_loop(self.gains, self.structure.ratio, state, omega_m, reference)
+
+    def current_control(
+        self, state: PhaseControlState, measured: SingleArray, reference: Singles
+    ) -> Singles:
+        """Duty cycles for references (d, q) in A."""
+        return self.control_step(state, measured, *self.of_currents(measured, reference))
+
+    def torque_control(
+        self, state: PhaseControlState, measured: SingleArray, torque: SingleArray
+    ) -> Singles:
+        """Duty cycles for a torque in N m."""
         state.torque = torque
-        return self.control_step(state, measured, reference, limited)
+        return self.control_step(state, measured, *self.of_torque(state, measured, torque))
 
     def speed_control(
         self, state: PhaseControlState, measured: SingleArray, reference: SingleArray
     ) -> Singles:
         """Duty cycles for a speed in rad/s."""
-        omega_m = np.ascontiguousarray(measured[:, 4])
-        torque = speed_loop(self.gains, self.structure.ratio, state, omega_m, reference)
+        torque = self.speed_loop(state, measured, reference)
         return self.torque_control(state, measured, torque)

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from saturated import ArctanMachine
-from scipy.interpolate import RectBivariateSpline
+from scipy.interpolate import CubicSpline, RectBivariateSpline
 
 from dqforge.machines.arrays import FloatArray
-from dqforge.machines.dq_machines.flux_map import FluxMap, complete_by_symmetry
+from dqforge.machines.dq_machines.flux_map import FluxMap, _spline, complete_by_symmetry
 from dqforge.machines.dq_machines.saturated_machine import SaturatedMachine, inductances
 from dqforge.machines.dq_machines.synchronous import LinearMachine
 from dqforge.machines.errors import InputError
@@ -294,3 +294,13 @@ def test_solver_holds_on_a_measured_map(baldor: SaturatedMachine) -> None:
         np.abs(points.torque[spline_free]),
         atol=0.02,
     )
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(4, 40), st.floats(0.0, 4.0))
+def test_splines_are_those_of_another_library(seed: int, count: int, uneven: float) -> None:
+    draw = np.random.default_rng(seed)
+    axis = np.cumsum(draw.uniform(0.1, 1.0, count) ** uneven)  # rows are interchanged where uneven
+    values = draw.normal(size=(count, 2, 3))
+    expected = CubicSpline(axis, values, bc_type="not-a-knot").c[::-1]
+    scale = np.max(np.abs(expected), axis=(1, 2, 3), keepdims=True)
+    assert np.max(np.abs(_spline(axis, values) - expected) / scale) < 1e-9

@@ -18,6 +18,7 @@ from dqforge.optimizer.phase_control.shape_table import (
     resampled,
     shape_error,
 )
+from dqforge.optimizer.phase_control.shape_vectors import _remainder
 
 SHARES = ((1, 1.0), (3, 0.12), (5, 0.03), (7, 0.01))
 
@@ -121,3 +122,14 @@ def test_data_with_noise_are_taken_as_they_are() -> None:
     found = fit_shape(machine, zero=True)
     assert found.shape.flux.shape == (3, 360)
     assert np.array_equal(found.shape.flux, machine.flux)
+
+
+@pytest.mark.parametrize("divisor", [3, 60, 144, 512, 65521])
+def test_remainders_are_those_of_the_library_bit_for_bit(divisor: int) -> None:
+    draw = np.random.default_rng(divisor)
+    whole = np.arange(-2000, 2000) * float(divisor)
+    beside = [np.nextafter(whole, side) for side in (-np.inf, np.inf)]
+    small = draw.normal(size=1000) * 10.0 ** draw.integers(-320, 1, size=1000)
+    value = np.concatenate([whole, *beside, small, -small, [0.0, -0.0]])
+    found, expected = _remainder(value, divisor), np.mod(value, divisor)
+    np.testing.assert_array_equal(found.view(np.int64), expected.view(np.int64))
