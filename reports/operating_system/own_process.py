@@ -8,10 +8,6 @@ import gc
 import os
 import platform
 import sys
-from collections.abc import Sequence
-from functools import partial
-from importlib.machinery import ModuleSpec, PathFinder
-from types import ModuleType
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -28,8 +24,6 @@ _WIDE = "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"
 _OBJECTS = 100_000
 
 _HELP = "_update_set_signature_and_docstring"
-
-_DECORATORS, _PARSED = "scipy._lib._array_api", "FunctionDoc"
 
 
 def fix_kernels() -> None:
@@ -58,33 +52,6 @@ def prepare_process() -> None:
         os.environ.setdefault(name, "1")
     fix_kernels()
     gc.set_threshold(_OBJECTS, 50, 50)
-    if _DECORATORS not in sys.modules and not any(isinstance(x, _Unread) for x in sys.meta_path):
-        sys.meta_path.insert(0, _Unread())
-
-
-class _Unread:
-    """Loads the decorators of scipy without the help that they parse and write again for each of
-    some hundred functions, which takes half of the time of loading `scipy.optimize`.
-    """
-
-    def find_spec(
-        self, name: str, path: Sequence[str] | None, _target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        """That of the module of the decorators, None for any other."""
-        if name != _DECORATORS:
-            return None
-        sys.meta_path.remove(self)
-        found = PathFinder.find_spec(name, path)
-        if found is not None and found.loader is not None:
-            execute = found.loader.exec_module
-
-            def executed(module: ModuleType) -> None:
-                execute(module)
-                if hasattr(module, _PARSED):
-                    setattr(module, _PARSED, partial(getattr(module, _PARSED), doc=""))
-
-            found.loader.exec_module = executed  # type: ignore[method-assign]
-        return found
 
 
 def prepare_drawing() -> None:

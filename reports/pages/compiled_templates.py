@@ -43,7 +43,7 @@ class CompiledTemplates(BytecodeCache):
         try:
             content = Path(bucket.key).read_bytes() if bucket.key else b""
             bucket.bytecode_from_string(content)
-        except Exception:  # whatever a damaged file raises
+        except Exception:  # noqa: BLE001 (whatever a damaged file raises)
             bucket.reset()
 
     def dump_bytecode(self, bucket: Bucket) -> None:
